@@ -1,8 +1,8 @@
-"""FMUs of other tools, run here and by fmpy: the same steps and inputs, and how far the results are apart.
+"""FMUs of other tools, run here and with fmpy: the same steps and inputs, and the differences of the results.
 
-Run it with ``python benchmarks/foreign_fmus.py FOLDER_OR_FMU... [--json FILE]``. Each FMU runs in a process of its own, in each
-kind that it has, for 200 steps; its real inputs make a step after the 50th. It prints a table by exporter, as in
-docs/other-tools.md, and what is refused, with the sentence.
+Run it with ``python benchmarks/foreign_fmus.py FOLDER_OR_FMU... [--json FILE]``. Each FMU runs in a separate process, in each of
+its kinds, for 200 steps; its real inputs change at the 50th step. It prints a table by exporter, as in docs/other-tools.md, and
+the FMUs that do not run, with the message.
 """
 
 import argparse
@@ -36,7 +36,7 @@ FAMILIES = (
     ("CasADi", "CasADi"),
     ("FMUContainer", "FMU containers"),
 )
-"""What generationTool has in it, and how the table calls that."""
+"""A part of generationTool, and the name in the table."""
 
 
 def exporter(tool):
@@ -45,20 +45,20 @@ def exporter(tool):
 
 
 def step_of(path, description):
-    """Return the step that the FMU demands or recommends, or a five-hundredth of its default experiment."""
+    """Return the step that the FMU requires or recommends, or a five-hundredth of its default experiment."""
     import fmpy
 
-    said = description.default_experiment
+    experiment = description.default_experiment
     demanded = getattr(
         fmpy.read_model_description(str(path), validate=False).coSimulation, "fixedInternalStepSize", None
     )
-    long = (said.get("stopTime") or 1.0) - (said.get("startTime") or 0.0)
-    step = float(demanded or said.get("stepSize") or long / 500)
+    long = (experiment.get("stopTime") or 1.0) - (experiment.get("startTime") or 0.0)
+    step = float(demanded or experiment.get("stepSize") or long / 500)
     return step if step > 0 else 0.01
 
 
 def by_hand(path, step, outputs, moved):
-    """Return the outputs by fmpy's binding of FMI 2 with the calls that are made here: each at the double nearest to its time."""
+    """Return the outputs from fmpy's binding of FMI 2 with the same calls as here, with times as the nearest doubles."""
     import fmpy
     from fmpy.fmi2 import FMU2Slave
 
@@ -93,7 +93,7 @@ def by_hand(path, step, outputs, moved):
 
 
 def euler(path, step, block, moved):
-    """Return the outputs of a model exchange FMU by Euler's method, of its equations as they are read here."""
+    """Return the outputs of a model exchange FMU with Euler's method, from its equations as read by this package."""
     from bayesftc.cosim import ModelEquations
 
     with ModelEquations(block) as model:
@@ -108,8 +108,8 @@ def euler(path, step, block, moved):
 
 
 def jumps(block):
-    """Return for each real scalar input of a block its value before and after a small step, within its limits."""
-    found = {}
+    """Return the values of each real scalar input of a block before and after a small step, within its limits."""
+    values = {}
     variables = {v.name: v for v in block.description.variables}
     for port in block.inputs:
         variable = variables[port.name]
@@ -118,12 +118,12 @@ def jumps(block):
         before = float(block.start_value(port.name))
         low, high = variable.bounds
         after = float(np.clip(before + 0.01 * max(1.0, abs(before)), low, high))
-        found[port.name] = (before, after)
-    return found
+        values[port.name] = (before, after)
+    return values
 
 
 def block_of(path, kind, tolerance):
-    """Return the FMU as a block with the outputs that are compared."""
+    """Return the FMU as a block with the compared outputs."""
     from bayesftc import cosim
 
     settings = {"rtol": tolerance} if kind == "model exchange" else {"timing": "plant"}
@@ -144,7 +144,7 @@ def ours(block, step, moved):
 
 
 def names(block):
-    """Return its outputs, or where it has none some of its local real variables."""
+    """Return the names of its outputs, or if it has none, of some local real variables."""
     if block.outputs:
         return [port.name for port in block.outputs]
     local = [v.name for v in block.description.variables if v.causality == "local" and v.type in {"Real", "Float64"}]
@@ -152,7 +152,7 @@ def names(block):
 
 
 def fmpys(path, kind, step, tolerance, outputs, moved, solver="CVode"):
-    """Return the same outputs as fmpy computes them; in its table two rows at one time hold an input until it jumps."""
+    """Return the same outputs from fmpy; two rows of its table at the same time make an input jump."""
     import fmpy
 
     start = {name: before for name, (before, _) in moved.items()}
@@ -161,7 +161,7 @@ def fmpys(path, kind, step, tolerance, outputs, moved, solver="CVode"):
         rows = [(0.0, 0), (JUMP * step, 0), (JUMP * step, 1), (STEPS * step, 1)]
         values = [(t, *(pair[i] for pair in moved.values())) for t, i in rows]
         table = np.array(values, dtype=[("time", float), *((name, float) for name in moved)])
-    found = fmpy.simulate_fmu(
+    result = fmpy.simulate_fmu(
         str(path),
         validate=False,
         fmi_type=kind.title().replace("-", "").replace(" ", ""),
@@ -177,15 +177,15 @@ def fmpys(path, kind, step, tolerance, outputs, moved, solver="CVode"):
         solver=solver,
         step_size=step,
     )
-    return {name: np.asarray(found[name], float) for name in outputs}
+    return {name: np.asarray(result[name], float) for name in outputs}
 
 
-def difference(mine, theirs):
-    """Return the largest difference of any output, in units of that output's largest value."""
+def difference(own_outputs, theirs):
+    """Return the largest difference of an output, relative to that output's largest value."""
     worst = 0.0
-    for name, values in mine.items():
+    for name, values in own_outputs.items():
         other = theirs[name]
-        rows = min(len(values), len(other))  # of an FMU that ends the simulation one may record the last step
+        rows = min(len(values), len(other))  # if an FMU ends the simulation, only one of the two may have the last step
         if max(len(values), len(other)) > rows + 1 or values[:rows].size != other[:rows].size:
             return float("nan")
         values, other = values[:rows].ravel(), other[:rows].ravel()
@@ -196,49 +196,52 @@ def difference(mine, theirs):
 
 
 def one(path, kind):
-    """Run one FMU both ways; return what was seen."""
+    """Run one FMU in both ways and return the results."""
     from bayesftc import cosim
     from bayesftc.cosim.fmi.fmu import describe
 
     warnings.simplefilter("ignore")
     description = describe(path)
-    step, seen = step_of(path, description), {}
-    told = description.default_experiment.get("tolerance")
-    tolerance = TIGHT if kind == "model exchange" else (None if told is None else float(told))
-    mine, moved = {}, {}
+    step, report = step_of(path, description), {}
+    default = description.default_experiment.get("tolerance")
+    tolerance = TIGHT if kind == "model exchange" else (None if default is None else float(default))
+    own_outputs, moved = {}, {}
     try:
         block = block_of(path, kind, tolerance)
         if not block.outputs:
             return {"nothing": "it has no numeric output and no local real variable to compare"}
         moved = jumps(block)
         try:
-            mine = ours(block, step, moved)
+            own_outputs = ours(block, step, moved)
         except cosim.BayesFTCError as error:
             if not moved:
                 raise
-            seen["inputs"] = f"left alone: {error}"
+            report["inputs"] = f"left alone: {error}"
             moved, block = {}, replace(block, inputs=[])
-            mine = ours(block, step, moved)
+            own_outputs = ours(block, step, moved)
     except cosim.BayesFTCError as error:
-        seen["refused"] = str(error)
+        report["refused"] = str(error)
     try:
-        theirs = fmpys(path, kind, step, tolerance, mine, moved)
-        seen["fmpy"] = True
-    except Exception as error:  # noqa: BLE001 - fmpy has no errors of its own
-        return seen | {"fmpy": f"{type(error).__name__}: {error}", "here": bool(mine)}
-    if not mine:
-        return seen
-    seen["difference"] = difference(mine, theirs)
-    if kind == "model exchange" and seen["difference"] > SAME:
-        same = fmpys(path, kind, step, tolerance, mine, moved, solver="Euler")
-        seen |= {"cvode": seen["difference"], "difference": difference(euler(path, step, block, moved), same)}
-    elif seen["difference"] > SAME and description.fmi_version.startswith("2"):
-        seen |= {"simulate_fmu": seen["difference"], "difference": difference(mine, by_hand(path, step, mine, moved))}
-    return seen
+        theirs = fmpys(path, kind, step, tolerance, own_outputs, moved)
+        report["fmpy"] = True
+    except Exception as error:  # noqa: BLE001 - fmpy has no error classes
+        return report | {"fmpy": f"{type(error).__name__}: {error}", "here": bool(own_outputs)}
+    if not own_outputs:
+        return report
+    report["difference"] = difference(own_outputs, theirs)
+    if kind == "model exchange" and report["difference"] > SAME:
+        same = fmpys(path, kind, step, tolerance, own_outputs, moved, solver="Euler")
+        report |= {"cvode": report["difference"], "difference": difference(euler(path, step, block, moved), same)}
+    elif report["difference"] > SAME and description.fmi_version.startswith("2"):
+        report |= {
+            "simulate_fmu": report["difference"],
+            "difference": difference(own_outputs, by_hand(path, step, own_outputs, moved)),
+        }
+    return report
 
 
 def watched(path):
-    """Run each kind of an FMU in a process of its own; return a row for each."""
+    """Run each kind of an FMU in a separate process; return a row for each."""
     from bayesftc import cosim
     from bayesftc.cosim.fmi.fmu import describe
 
@@ -265,13 +268,13 @@ def watched(path):
             except subprocess.TimeoutExpired:
                 row["crash"] = f"took longer than {LIMIT:.0f} s"
         else:
-            row["refused"] = f"{kind} is no kind that is run here"
+            row["refused"] = f"{kind} is not supported"
         rows.append(row)
     return rows
 
 
 def table(rows):
-    """Print rows by exporter in Markdown, then what is not the same, with the sentences."""
+    """Print rows by exporter in Markdown, then the differences and messages."""
     families = defaultdict(list)
     for row in rows:
         families[exporter(row["tool"])].append(row)
@@ -302,7 +305,7 @@ def table(rows):
 
 
 def main(arguments=None):
-    """Compare what the command line names."""
+    """Compare the FMUs of the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--json", type=Path)

@@ -1,6 +1,6 @@
 """``python -m bayesftc.fmus build [NAME ...] [--out DIR] [--here]`` and ``python -m bayesftc.fmus list``.
 
-Shipped FMUs are built for all platforms by ``ziglang`` (``pip install 'bayesftc[export]'``): the same bytes on every machine.
+Shipped FMUs are built for all platforms with ``ziglang`` (``pip install 'bayesftc[export]'``): the same bytes on every machine.
 """
 
 import argparse
@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit status: 0, or 1 after a message where something could not be done.
+        Exit status: 0, or 1 after an error message.
     """
     parser = argparse.ArgumentParser(prog="python -m bayesftc.fmus", description="The plants that are shipped as FMUs.")
     commands = parser.add_subparsers(dest="command", required=True)
@@ -37,10 +37,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         type=Path,
         default=Path(__file__).resolve().parent,
         metavar="DIR",
-        help="folder to write to; by default the package's own, which replaces the shipped FMUs",
+        help="folder to write to; by default the package's folder, which replaces the shipped FMUs",
     )
     build.add_argument(
-        "--here", action="store_true", help="build for this machine only, by its own compiler; for trying a new plant"
+        "--here", action="store_true", help="build only for this machine, with its compiler, to try a new plant"
     )
     options = parser.parse_args(arguments)
     if options.command == "list":

@@ -1,4 +1,4 @@
-"""The binaries of an FMU: compiled side by side, and put where importers look for them."""
+"""The binaries of an FMU: compiled in parallel, and put into the folders that importers use."""
 
 import struct
 import tempfile
@@ -32,13 +32,13 @@ def binaries(
     sources : mapping of str to bytes
         The C files and headers by name.
     compiled : sequence of str
-        Names of those to compile.
+        Names of the files to compile.
     libraries : sequence of str
         System libraries to link.
     fmi : {"2.0", "3.0"}
         Version of the standard.
     platforms : sequence of Platform or None
-        Platforms to compile for, by ``ziglang``; None for this machine's, by its own compiler where there is one.
+        Platforms to compile for, with ``ziglang``; None for this machine's, with its own compiler if it has one.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def binaries(
     compilers = Processes()
 
     def library(target: Platform) -> bytes:
-        # A folder for each: compilers leave import libraries and symbol files beside what they are asked for.
+        # A folder for each: compilers also write import libraries and symbol files beside their output.
         with tempfile.TemporaryDirectory(prefix="bayesftc-") as scratch:
             folder = Path(scratch)
             for file, content in sources.items():
@@ -67,7 +67,7 @@ def binaries(
     with ThreadPoolExecutor(max_workers=len(targets) or 1) as pool:
         try:
             built = dict(zip(targets, pool.map(library, targets), strict=True))
-        except BaseException:  # an error of one, or Ctrl-C: nobody waits for the others
+        except BaseException:  # an error of one, or Ctrl-C: the others are not needed any more
             compilers.end()
             raise
     return {f"binaries/{folder}/{name}{suffix}": content for (folder, suffix), content in _placed(built, fmi).items()}
@@ -76,9 +76,9 @@ def binaries(
 def _placed(built: Mapping[Platform, bytes], fmi: str) -> dict[tuple[str, str], bytes]:
     """Return the libraries by folder and suffix.
 
-    FMI 2.0 has folders for x86 only; version 2.0.4 (section 2.3) takes those of FMI 3.0 for any other processor. Importers that
-    run on ARM look into the folder of x86 all the same. So that of macOS holds one library for both processors, and that of
-    Linux, where there is no such thing, the one for ARM if there is none for x86.
+    FMI 2.0 has folders only for x86; version 2.0.4 (section 2.3) uses those of FMI 3.0 for other processors. But importers on ARM
+    use the folder of x86. So the one of macOS has a library for both processors. Linux has no such libraries: its folder has the
+    library for ARM if there is none for x86.
     """
     if fmi != "2.0":
         return {(target.fmi3, target.suffix): content for target, content in built.items()}
@@ -93,7 +93,7 @@ def _placed(built: Mapping[Platform, bytes], fmi: str) -> dict[tuple[str, str], 
 
 
 def _universal(libraries: Sequence[bytes]) -> bytes:
-    """Return one Mach-O file of several, each for a processor of its own."""
+    """Return one Mach-O file made of several for different processors."""
     page = 1 << _PAGE_BITS
     head, body, end = struct.pack(">2I", _UNIVERSAL, len(libraries)), b"", page
     for library in libraries:

@@ -1,4 +1,4 @@
-"""Where the shipped FMUs are."""
+"""Names and paths of the shipped FMUs."""
 
 import difflib
 from pathlib import Path
@@ -10,13 +10,13 @@ _FOLDER = Path(__file__).resolve().parent
 
 
 def check_version(fmi: str) -> None:
-    """Raise ValueError unless the version of the standard is one that FMUs are built for."""
+    """Raise ValueError unless FMUs are built for this version of the standard."""
     if fmi not in FMI_VERSIONS:
-        raise ValueError(f"There are no FMUs for fmi={fmi!r}; give fmi='2.0' or fmi='3.0'.")
+        raise ValueError(f"There are no FMUs for fmi={fmi!r}. Use fmi='2.0' or fmi='3.0'.")
 
 
 def file_name(name: str, fmi: str) -> str:
-    """Return the file name of a model's FMU: the plain name is the version that more tools read."""
+    """Return the file name of a model's FMU; the plain name is FMI 2.0, which more tools support."""
     return f"{name}.fmu" if fmi == "2.0" else f"{name}_fmi{fmi[0]}.fmu"
 
 
@@ -40,14 +40,14 @@ def names() -> tuple[str, ...]:
 
 
 def check_name(name: str) -> None:
-    """Raise ValueError, with the near names, unless a plant of that name is shipped."""
-    known = names()
-    if name in known:
+    """Raise ValueError, with similar names, unless a plant of this name is shipped."""
+    shipped = names()
+    if name in shipped:
         return
-    by_lower = {other.lower(): other for other in known}
+    by_lower = {other.lower(): other for other in shipped}
     near = [by_lower[match] for match in difflib.get_close_matches(str(name).lower(), by_lower, n=3)]
     hint = f"; did you mean {' or '.join(repr(other) for other in near)}?" if near else "."
-    raise ValueError(f"No FMU named {name!r} is shipped{hint} Shipped are: {', '.join(known)}.")
+    raise ValueError(f"No FMU named {name!r} is shipped{hint} Shipped FMUs: {', '.join(shipped)}.")
 
 
 def path(name: str, *, fmi: str = "2.0") -> Path:
@@ -68,9 +68,9 @@ def path(name: str, *, fmi: str = "2.0") -> Path:
     Raises
     ------
     ValueError
-        If no plant has that name, or there is no such version.
+        If no plant has this name, or there is no such version.
     FileNotFoundError
-        If the plant is known and its file is not there.
+        If the file of the plant is missing.
 
     Examples
     --------
@@ -82,7 +82,7 @@ def path(name: str, *, fmi: str = "2.0") -> Path:
     """
     check_version(fmi)
     check_name(name)
-    found = _FOLDER / file_name(name, fmi)
-    if not found.is_file():
-        raise FileNotFoundError(f"The FMU {found} is missing; write it with 'python -m bayesftc.fmus build {name}'.")
-    return found
+    file = _FOLDER / file_name(name, fmi)
+    if not file.is_file():
+        raise FileNotFoundError(f"The FMU {file} is missing. Build it with 'python -m bayesftc.fmus build {name}'.")
+    return file

@@ -14,21 +14,21 @@ from bayesftc.fmus._platforms import Platform, host
 from bayesftc.fmus._processes import Processes
 
 FLAGS = ("-O2", "-std=c99", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared", "-s")
-"""No contraction to fused multiply-adds and C99 arithmetic: the same digits from every compiler and on every platform."""
+"""C99 arithmetic without fused multiply-adds: the same digits from every compiler and on every platform."""
 
 FOREIGN_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
-"""For sources of others: their dialect and their exports are their own."""
+"""Flags for sources of other tools, which have their own C dialect and exports."""
 
 _LONGEST = 900.0
-"""Seconds that a compiler may take: ziglang builds a C library first where it has none."""
+"""Time limit of a compiler in seconds: at its first use ziglang builds a C library."""
 
 
 class CompilerError(RuntimeError):
-    """No compiler was found, or it refused the sources."""
+    """No compiler was found, or it failed."""
 
 
 def why_no_compiler() -> str:
-    """Return why nothing can be compiled for this machine, as a sentence; empty if there is a compiler."""
+    """Return a sentence on why nothing can be compiled for this machine; empty if there is a compiler."""
     try:
         compiler_command(None)
     except CompilerError as error:
@@ -39,13 +39,13 @@ def why_no_compiler() -> str:
 def compiler_command(target: Platform | None) -> list[str]:
     """Return the command that compiles for a platform.
 
-    For this machine's own platform: what the environment variable ``CC`` names, else ``cc``, ``gcc`` or ``clang`` from
-    the search path, else the compiler in the Python package ``ziglang``. For other platforms ``ziglang`` only.
+    For this machine's platform it is the first of: the environment variable ``CC``; ``cc``, ``gcc`` or ``clang`` from the search
+    path; the compiler of the Python package ``ziglang``. For other platforms it is ``ziglang``.
 
     Parameters
     ----------
     target : Platform or None
-        The platform to compile for; None for this machine, whatever it is.
+        The platform to compile for; None for this machine, also if it is not in the list.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def compiler_command(target: Platform | None) -> list[str]:
     if chosen:
         if shutil.which(chosen[0]) is None:
             raise CompilerError(
-                f"The environment variable CC names the compiler '{chosen[0]}', which cannot be run; correct or unset CC."
+                f"The environment variable CC names the compiler '{chosen[0]}', which cannot be run. Correct or unset CC."
             )
         return chosen
     for name in ("cc", "gcc", "clang"):
@@ -73,8 +73,8 @@ def compiler_command(target: Platform | None) -> list[str]:
         return _ziglang(target)
     where = target.fmi3 if target else "this machine"
     raise CompilerError(
-        f"No C compiler for {where} was found (looked at CC, cc, gcc, clang and ziglang); install one, "
-        "for example with 'pip install ziglang'."
+        f"No C compiler for {where} was found (tried CC, cc, gcc, clang and ziglang). Install one, for example with "
+        "'pip install ziglang'."
     )
 
 
@@ -98,7 +98,7 @@ def cross_command(target: Platform) -> list[str]:
     """
     if not _has_ziglang():
         raise CompilerError(
-            f"Binaries for {target.name} are made by the package ziglang, which is not installed; "
+            f"Binaries for {target.name} need the package ziglang, which is not installed. Install it with: "
             "pip install 'bayesftc[export]'."
         )
     return _ziglang(target)
@@ -127,8 +127,7 @@ def compile_library(
     Parameters
     ----------
     folder : pathlib.Path
-        Folder with the sources and all headers; the compiler runs in it, so that no path of this machine gets into the
-        library.
+        Folder with the sources and all headers. The compiler runs in it, so the library contains no path of this machine.
     sources : sequence of str
         Names of the C files in the folder.
     library : pathlib.Path
@@ -138,15 +137,15 @@ def compile_library(
     libraries : sequence of str
         System libraries to link.
     portable : bool
-        Whether ``ziglang`` is to compile also for this machine's own platform: for old systems, and with the same bytes
-        wherever it runs.
+        Whether to use ``ziglang`` also for this machine's platform: the library then runs on old systems, and has the same bytes
+        on every machine.
     processes : Processes, optional
-        Those that the compiler is one of.
+        The group of processes for the compiler.
 
     Raises
     ------
     CompilerError
-        If there is no compiler or it fails; the message ends with what it said.
+        If there is no compiler or it fails; the message ends with the compiler's output.
     """
     command = [
         *(cross_command(target) if portable else compiler_command(target)),
@@ -154,7 +153,7 @@ def compile_library(
         "-I.",
         *sources,
         "-o",
-        # Seen from the folder, where it can be: macOS's libraries have the path within them.
+        # Relative to the folder, if possible: libraries of macOS contain this path.
         str(library.relative_to(folder) if library.is_relative_to(folder) else library),
         *(f"-l{name}" for name in libraries),
     ]
@@ -164,7 +163,7 @@ def compile_library(
 
 
 def _check_cache() -> None:
-    """Say it where ziglang cannot keep what it makes: it would wait for that for ever."""
+    """Raise an error if ziglang cannot write to its cache; it would wait for ever."""
     home = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME") or Path("~/.cache").expanduser()
     cache = Path(os.environ.get("ZIG_GLOBAL_CACHE_DIR") or Path(home, "zig"))
     try:
@@ -173,22 +172,22 @@ def _check_cache() -> None:
             pass
     except OSError as error:
         raise CompilerError(
-            f"The C compiler 'ziglang' keeps what it makes in {cache}, where nothing can be written "
-            f"({error.strerror or error}); name another folder in the environment variable ZIG_GLOBAL_CACHE_DIR."
+            f"The cache of the C compiler 'ziglang' is {cache}, where nothing can be written ({error.strerror or error}). Set "
+            "the environment variable ZIG_GLOBAL_CACHE_DIR to another folder."
         ) from None
 
 
 def compile_foreign(
     folder: Path, sources: Sequence[str], library: Path, options: Sequence[str], libraries: Sequence[str], limit: float
 ) -> None:
-    """Compile sources that are not of this package into a shared library for this machine.
+    """Compile sources from other tools into a shared library for this machine.
 
     Parameters
     ----------
     folder : pathlib.Path
         Folder in which the compiler runs.
     sources : sequence of str
-        Names of the C files, seen from there.
+        Names of the C files, relative to the folder.
     library : pathlib.Path
         Absolute path of the library to write.
     options : sequence of str
@@ -201,9 +200,9 @@ def compile_foreign(
     Raises
     ------
     CompilerError
-        If there is no compiler, it fails or takes too long; the message ends with what it said.
+        If there is no compiler, it fails or takes too long; the message ends with the compiler's output.
     """
-    files = [f"./{name}" for name in sources]  # a name that begins with a dash is no option
+    files = [f"./{name}" for name in sources]  # otherwise a name that begins with a dash would be an option
     linked = [f"-l{name}" for name in libraries]
     command = [*compiler_command(None), *FOREIGN_FLAGS, *options, *files, "-o", str(library), *linked]
     _run(command, folder, sources, limit)
@@ -222,4 +221,4 @@ def _run(
             f"The C compiler '{compiler}' did not finish {', '.join(sources)} in {limit:g} s."
         ) from None
     if done.returncode != 0:
-        raise CompilerError(f"The C compiler '{compiler}' refused {', '.join(sources)}:\n{done.stderr.strip()}")
+        raise CompilerError(f"The C compiler '{compiler}' failed with {', '.join(sources)}:\n{done.stderr.strip()}")

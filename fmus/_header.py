@@ -1,4 +1,4 @@
-"""The C header that tells the wrapper about one model: names, kinds, start values, token."""
+"""The C header of one model for the wrapper: names, kinds, start values, token."""
 
 from bayesftc.fmus.spec import Model, Variable
 
@@ -20,7 +20,7 @@ def _row(variable: Variable, offset: int) -> str:
 
 
 def _folded(macro: str, items: list[str]) -> list[str]:
-    """Return the lines of a macro that is a list, some items a line."""
+    """Return the lines of a macro that is a list, with several items per line."""
     lines, line = [], "   "
     for item in items:
         if len(line) + len(item) > 110:
@@ -40,7 +40,7 @@ def config_header(model: Model, token: str, *, time_variable: bool) -> str:
     token : str
         GUID (FMI 2) or instantiation token (FMI 3).
     time_variable : bool
-        Whether importers see the time as a variable, as FMI 3 asks; it is the last one.
+        Whether the time is the last variable, as FMI 3 requires.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def config_header(model: Model, token: str, *, time_variable: bool) -> str:
         rows.append(f'VARIABLE("time", INDEPENDENT, {model.size}, 1)')
     indices = [f"{variable.symbol} = {model.offset(variable.name)}" for variable in model.variables]
     indices += [f"X_TIME = {model.size}", "X_HIDDEN"]
-    # repr gives the shortest decimal that reads back as the same double, in C as in Python.
+    # repr gives the shortest decimal that is read as the same double, in C as in Python.
     starts = [repr(float(start)) for variable in model.variables for start in variable.starts]
     lines = [
         f"/* Written by bayesftc.fmus from the description of {model.name}: change that, not this. */",

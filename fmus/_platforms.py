@@ -1,4 +1,4 @@
-"""The platforms that FMUs are built for. One more is one more row here, where ``ziglang`` can compile for it."""
+"""The platforms that FMUs are built for. To add one for which ``ziglang`` can compile, add a row here."""
 
 import platform
 from dataclasses import dataclass
@@ -8,22 +8,22 @@ __all__ = ["PLATFORMS", "Platform", "host"]
 
 @dataclass(frozen=True)
 class Platform:
-    """How one platform is called by us, by the standards and by the compiler, and what a shared library is there.
+    """The names of a platform for users, the standards and the compiler, and the suffix of its shared libraries.
 
     Parameters
     ----------
     name : str
-        As users write it.
+        Name for users.
     system, machine : str
-        As :func:`platform.system` and :func:`platform.machine` say.
+        Values of :func:`platform.system` and :func:`platform.machine`.
     fmi2, fmi3 : str
         Folder below ``binaries/`` in FMI 2.0, by section 2.3 of its version 2.0.4, and in FMI 3.0.
     usual : str
-        Folder in which importers of FMI 2.0 look on this platform, whatever its processor (fmpy, and fmi4c in OMSimulator).
+        Folder that importers of FMI 2.0 use on this platform, for any processor (fmpy, and fmi4c in OMSimulator).
     suffix : str
         Suffix of shared libraries.
     zig_target : str
-        Target of ``zig cc``; the C library or system is an old one on purpose, so that the binary runs on old systems.
+        Target of ``zig cc``. Its C library or system is old on purpose, so that the binary runs on old systems.
     """
 
     name: str
@@ -56,7 +56,7 @@ PLATFORMS = (
 
 
 def host() -> Platform:
-    """Return the platform that this process runs on.
+    """Return the platform of this process.
 
     Raises
     ------
@@ -64,8 +64,8 @@ def host() -> Platform:
         If FMUs are not built for it.
     """
     system, machine = platform.system(), platform.machine()
-    for known in PLATFORMS:
-        if (known.system, known.machine) == (system, machine):
-            return known
-    names = ", ".join(known.name for known in PLATFORMS)
-    raise RuntimeError(f"FMUs cannot be built on {system} {machine}; build them on one of: {names}.")
+    for candidate in PLATFORMS:
+        if (candidate.system, candidate.machine) == (system, machine):
+            return candidate
+    names = ", ".join(candidate.name for candidate in PLATFORMS)
+    raise RuntimeError(f"FMUs cannot be built on {system} {machine}. Build them on one of: {names}.")

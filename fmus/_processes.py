@@ -1,4 +1,4 @@
-"""Programs that run side by side, each in a thread of its own, and can be ended together."""
+"""Programs that run in parallel, each in its own thread, and can be ended together."""
 
 import subprocess
 import threading
@@ -9,10 +9,10 @@ __all__ = ["Processes"]
 
 
 class Processes:
-    """Programs that were started together.
+    """A group of programs.
 
-    A Ctrl-C that is meant for this process alone, as an editor or a notebook sends it, is not heard by the programs that it
-    started, and a thread that waits for one of them would go on waiting.
+    Editors and notebooks send Ctrl-C only to this process. The programs that it started would not stop, and threads would
+    continue to wait for them.
     """
 
     def __init__(self) -> None:
@@ -29,17 +29,17 @@ class Processes:
                 process.kill()
         with process:
             try:
-                said, errors = process.communicate(timeout=limit)
+                output, errors = process.communicate(timeout=limit)
             except BaseException:
                 process.kill()
                 raise
             finally:
                 with self._lock:
                     self._running.discard(process)
-        return subprocess.CompletedProcess(process.args, process.returncode, said, errors)
+        return subprocess.CompletedProcess(process.args, process.returncode, output, errors)
 
     def end(self) -> None:
-        """End all that run, and all that are started later."""
+        """End all running programs, and all that are started later."""
         with self._lock:
             self._ended = True
             for process in self._running:

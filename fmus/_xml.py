@@ -1,11 +1,11 @@
-"""What the model descriptions of FMI 2 and FMI 3 have in common, and the build description."""
+"""Common parts of the model descriptions of FMI 2 and FMI 3, and the build description."""
 
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 from bayesftc.fmus.spec import Model, Variable
 
-# Constant, so that building twice gives the same bytes: the earliest time that a zip file can hold.
+# Constant, so that building twice gives the same bytes: the earliest time that a zip file supports.
 GENERATED = "1980-01-01T00:00:00Z"
 LOG_CATEGORIES = {
     "logStatusWarning": "Calls that have no effect",
@@ -46,12 +46,12 @@ def add_units(root: ET.Element, model: Model) -> None:
         attributes |= {"factor": repr(unit.factor)} if unit.factor != 1.0 else {}
         attributes |= {"offset": repr(unit.offset)} if unit.offset else {}
         element = ET.SubElement(definitions, "Unit", {"name": unit.name})
-        if unit.defined:  # without exponents it would be a number
+        if unit.defined:  # a base unit without exponents would mean a number
             ET.SubElement(element, "BaseUnit", attributes)
 
 
 def variable_attributes(variable: Variable, reference: int) -> dict[str, str]:
-    """Return what a variable's element begins with."""
+    """Return the common attributes of a variable's element."""
     return {
         "name": variable.name,
         "valueReference": str(reference),
@@ -75,7 +75,7 @@ def add_experiment(root: ET.Element, model: Model) -> None:
 
 
 def add_annotation(parent: ET.Element, model: Model) -> None:
-    """Say when the outputs hold, and which blocks and signals these are, for importers that know ``bayesftc``."""
+    """Add the vendor annotation ``bayesftc``: the timing, and the names of the exported blocks and signals."""
     blocks = {"blocks": " ".join(model.blocks)} if model.blocks else {}
     finite = {} if model.finite else {"finite": "false"}
     element = ET.SubElement(parent, "bayesftc", {"timing": model.timing, **blocks, **finite})
@@ -85,7 +85,7 @@ def add_annotation(parent: ET.Element, model: Model) -> None:
 
 
 def build_description(model: Model, sources: Sequence[str]) -> bytes:
-    """Write ``sources/buildDescription.xml`` of FMI 3: which files to compile, without options of any one compiler."""
+    """Write ``sources/buildDescription.xml`` of FMI 3: the files to compile, without options of a compiler."""
     root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": model.name})
     files = ET.SubElement(configuration, "SourceFileSet", {"language": "C99"})

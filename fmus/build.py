@@ -27,25 +27,25 @@ _NO_TOKEN = "{00000000-0000-0000-0000-000000000000}"
 
 
 def _fmi_headers(fmi: str) -> dict[str, bytes]:
-    """Read the standard's own headers, licence included, from the installed fmpy, without importing it."""
-    found = importlib.util.find_spec("fmpy")
-    if found is None or not found.submodule_search_locations:
-        raise RuntimeError("The FMI headers come with the package 'fmpy', which is not installed; 'pip install fmpy'.")
-    folder = Path(found.submodule_search_locations[0]) / "c-code"
+    """Read the standard's headers, including the licence, from the installed fmpy, without importing it."""
+    spec = importlib.util.find_spec("fmpy")
+    if spec is None or not spec.submodule_search_locations:
+        raise RuntimeError("The FMI headers are in the package fmpy, which is not installed. Use: pip install fmpy")
+    folder = Path(spec.submodule_search_locations[0]) / "c-code"
     missing = [name for name in _FMI_HEADERS[fmi] if not (folder / name).is_file()]
     if missing:
-        raise RuntimeError(f"The installed fmpy lacks the FMI header {missing[0]}; upgrade fmpy.")
+        raise RuntimeError(f"The installed fmpy lacks the FMI header {missing[0]}. Upgrade fmpy.")
     return {f"sources/{name}": (folder / name).read_bytes() for name in _FMI_HEADERS[fmi]}
 
 
 def _with_token(model: Model, fmi: str, token: str) -> dict[str, bytes]:
     if fmi == "2.0":
         model = model.flat()
-    own, compiled = _own_sources(model), _compiled_sources(model, fmi)
+    sources, compiled = _own_sources(model), _compiled_sources(model, fmi)
     needed = [compiled[0], "instance.h", "model.h"]
-    needed += ["runge_kutta.h"] * any(b'"runge_kutta.h"' in text for text in own.values())
+    needed += ["runge_kutta.h"] * any(b'"runge_kutta.h"' in text for text in sources.values())
     files = {
-        **{f"sources/{name}": text for name, text in own.items()},
+        **{f"sources/{name}": text for name, text in sources.items()},
         **{f"sources/{name}": (_C_FOLDER / name).read_bytes() for name in needed},
         "sources/model_config.h": config_header(model, token, time_variable=fmi == "3.0").encode(),
     }
@@ -70,9 +70,9 @@ def _compiled_sources(model: Model, fmi: str) -> tuple[str, ...]:
 
 
 def own_files(model: Model, *, fmi: str) -> dict[str, bytes]:
-    """Write everything of an FMU but the standard's headers and the libraries.
+    """Write all files of an FMU except the standard's headers and the libraries.
 
-    The token is a hash of these files, so that a library refuses to run with the description of other sources.
+    The token is a hash of these files, so a library returns an error if the description is of other sources.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def own_files(model: Model, *, fmi: str) -> dict[str, bytes]:
 
 
 def fmu_files(model: Model, *, fmi: str, platforms: Sequence[Platform] | None = None) -> dict[str, bytes]:
-    """Return all files of an FMU, compiled ones too.
+    """Return all files of an FMU, including the compiled ones.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def fmu_files(model: Model, *, fmi: str, platforms: Sequence[Platform] | None = 
     fmi : {"2.0", "3.0"}
         Version of the standard.
     platforms : sequence of Platform, optional
-        Platforms to compile for, by ``ziglang``; by default this machine's, by its own compiler where there is one.
+        Platforms to compile for, with ``ziglang``; by default this machine's, with its own compiler if it has one.
 
     Returns
     -------
@@ -123,14 +123,14 @@ def fmu_files(model: Model, *, fmi: str, platforms: Sequence[Platform] | None = 
 
 
 def write_zip(path: Path, files: Mapping[str, bytes]) -> None:
-    """Write a zip whose bytes depend on the content only, and put it in place at once."""
+    """Write a zip file whose bytes depend only on the content, and put it in place at once."""
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}.tmp")
     try:
         with zipfile.ZipFile(temporary, "x", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
             for name, content in sorted(files.items()):
                 entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
                 entry.compress_type = zipfile.ZIP_DEFLATED
-                entry.create_system = 3  # unix, also where this runs elsewhere: the permissions below are unix ones
+                entry.create_system = 3  # Unix on every system, because the permissions below are Unix permissions
                 entry.external_attr = 0o100644 << 16
                 archive.writestr(entry, content, compresslevel=9)
         temporary.replace(path)
@@ -146,11 +146,11 @@ def build_fmu(model: Model, folder: Path, *, fmi: str = "2.0", platforms: Sequen
     model : Model
         The model.
     folder : pathlib.Path
-        Folder to write to; created if it is not there.
+        Folder to write to; created if it does not exist.
     fmi : {"2.0", "3.0"}
         Version of the standard.
     platforms : sequence of Platform, optional
-        Platforms to compile for, by ``ziglang``; by default this machine's, by its own compiler where there is one.
+        Platforms to compile for, with ``ziglang``; by default this machine's, with its own compiler if it has one.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What a model is, said once: the model description and the C header of an FMU are both written from it."""
+"""The specification of a model, from which the model description and the C header of an FMU are written."""
 
 import math
 import re
@@ -14,7 +14,7 @@ __all__ = ["Model", "Unit", "Variable"]
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*|\[[0-9]+(,[0-9]+)*\])*")
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-# What fits which causality; the first is the default.
+# The variabilities of each causality; the first is the default.
 _VARIABILITY = {
     "input": ("continuous", "discrete"),
     "output": ("continuous", "discrete"),
@@ -30,13 +30,13 @@ class Unit:
     Parameters
     ----------
     name : str
-        As it stands in the model description, for example ``"N.s/m"``.
+        Name in the model description, for example ``"N.s/m"``.
     kg, m, s, A, K, mol, cd, rad : int
         Exponents of the base units.
     factor, offset : float
         A value ``x`` in this unit is ``factor * x + offset`` in SI.
     defined : bool
-        Whether all of that is known; of a unit of which only the name is, the model description says no more.
+        Whether exponents, factor and offset are known; otherwise the model description contains only the name.
     """
 
     name: str
@@ -62,29 +62,28 @@ class Variable:
     name : str
         Name in the model description, for example ``"force"`` or ``"y[1]"``.
     causality : {"input", "output", "parameter", "local"}
-        Who sets it: the importer (inputs and parameters) or the model.
+        Inputs and parameters are set by the importer, outputs and locals by the model.
     description : str
         One sentence for the user of the FMU.
     unit : Unit, optional
         None for a number without a unit.
     start : float or tuple of float
-        Value before initialization; of an output or a local variable, what it holds until the model computes it. Of an array
-        one value for all elements, or one for each, row by row.
+        Value before initialization; for an output or a local variable, its value until the model computes it. For an array it is
+        one value for all elements, or one value for each, row by row.
     variability : {"continuous", "discrete", "fixed", "tunable"}, optional
-        Inputs, outputs and locals are continuous unless said otherwise, parameters fixed.
+        By default, inputs, outputs and locals are continuous, and parameters are fixed.
     dependencies : tuple of str
-        Of an output: the inputs whose value at a communication point acts on the output at the same point. Empty means
-        no direct feedthrough, and says so to importers, which else find algebraic loops that are not there.
+        For an output: the inputs with direct feedthrough to it. Empty means no direct feedthrough; it is written to the model
+        description, because importers would otherwise assume algebraic loops.
     initial_dependencies : tuple of str
-        Of an output: the inputs and parameters that its initial value is computed from.
+        For an output: the inputs and parameters from which its initial value is computed.
     shape : tuple of int
         ``()`` for a number. An array is one variable in FMI 3, and one for each element in FMI 2, ``y[0]`` the first.
     element_dependencies : tuple of tuple of str
-        Of an output: for each of its elements the elements of inputs and parameters that its initial value is computed from, in
-        place of `initial_dependencies`.
+        For an output, in place of `initial_dependencies`: for each of its elements, the elements of inputs and parameters from
+        which its initial value is computed.
     origin : str
-        Of what a block of a diagram was exported from: its name there, where that is another one. Written as a vendor
-        annotation.
+        For an exported block: the variable's name in the diagram, if it is different. Written as a vendor annotation.
     """
 
     name: str
@@ -101,22 +100,22 @@ class Variable:
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
-            raise ValueError(f"The variable name {self.name!r} is not legal in FMI; use letters, digits, '.', '[1]'.")
+            raise ValueError(f"The variable name {self.name!r} is not valid in FMI. Use letters, digits, '.', '[1]'.")
         if len(self.starts) != self.size:
-            raise ValueError(f"'{self.name}' has {self.size} elements and {len(self.starts)} start values.")
+            raise ValueError(f"'{self.name}' has {self.size} elements, but {len(self.starts)} start values.")
         if not all(map(math.isfinite, self.starts)):
             raise ValueError(
-                f"The start value {self.start} of '{self.name}' is not finite; FMI has no spelling for it."
+                f"The start value {self.start} of '{self.name}' is not finite, which FMI does not support."
             )
         allowed = _VARIABILITY[self.causality]
         if not self.variability:
             object.__setattr__(self, "variability", allowed[0])
         elif self.variability not in allowed:
             raise ValueError(
-                f"'{self.name}' is {self.causality} and cannot be {self.variability}; use one of {', '.join(allowed)}."
+                f"'{self.name}' is {self.causality} and cannot be {self.variability}. Use one of {', '.join(allowed)}."
             )
         if self.causality != "output" and (self.dependencies or self.initial_dependencies):
-            raise ValueError(f"'{self.name}' is {self.causality}; only an output has dependencies.")
+            raise ValueError(f"'{self.name}' is {self.causality}, but only an output has dependencies.")
 
     @property
     def size(self) -> int:
@@ -130,13 +129,13 @@ class Variable:
 
     @property
     def elements(self) -> tuple[str, ...]:
-        """The name of each element; of a number its own."""
+        """The name of each element; for a number, its own name."""
         indices = product(*map(range, self.shape))
         return tuple(self.name + (f"[{','.join(map(str, index))}]" if index else "") for index in indices)
 
     @property
     def calculated(self) -> bool:
-        """Whether the model computes it, so that nobody gives it a start value."""
+        """Whether the model computes it, so it has no start value."""
         return self.causality in {"output", "local"}
 
     @property
@@ -147,7 +146,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Model:
-    """A model: its variables, and the C file that keeps the contract of ``c/model.h``.
+    """A model: its variables, and the C file with the functions of ``c/model.h``.
 
     Parameters
     ----------
@@ -158,25 +157,25 @@ class Model:
     source : pathlib.Path or mapping of str to str
         C file that defines ``model_initialize`` and ``model_step``; or the texts of several C files and headers by name.
     variables : tuple of Variable
-        In the order in which their elements lie in the vector of values.
+        In the order of their elements in the vector of values.
     step : float
         Preferred communication step size [s].
     fixed_step : bool
-        Whether the model accepts that step size only.
+        Whether the model accepts only that step size.
     stop_time : float
         Stop time of the default experiment [s].
     hidden : int
-        Number of doubles of state or scratch space that no importer sees.
+        Number of doubles of state or scratch space that are no variables.
     timing : {"plant", "sampled"}
-        Whether the outputs at t_k are those before the step from t_k ("plant") or the result of a step that takes the
-        inputs at t_k ("sampled", as a controller is). Written as a vendor annotation.
+        Whether the outputs at t_k are those before the step from t_k ("plant"), or the result of a step with the inputs at t_k
+        ("sampled", as for a controller). Written as a vendor annotation.
     libraries : tuple of str
         System libraries that the C file needs, for example ``("m",)``.
     blocks : tuple of str
-        Names of the blocks of a diagram that it was exported from. Written as a vendor annotation.
+        Names of the exported blocks of a diagram. Written as a vendor annotation.
     finite : bool
-        Whether a NaN among the outputs means that something went wrong, as of a plant, and no missing sample. Written as a
-        vendor annotation where not.
+        Whether a NaN in the outputs is an error, as for a plant, and not a missing sample. If not, this is written as a vendor
+        annotation.
     """
 
     name: str
@@ -194,23 +193,23 @@ class Model:
 
     def __post_init__(self) -> None:
         if not _IDENTIFIER.fullmatch(self.name):
-            raise ValueError(f"The model name {self.name!r} is no C identifier; use letters, digits and '_'.")
+            raise ValueError(f"The model name {self.name!r} is no C identifier. Use letters, digits and '_'.")
         if not (math.isfinite(self.step) and self.step > 0.0):
             raise ValueError(f"The step size {self.step} of '{self.name}' must be positive and finite.")
         symbols = Counter([*(variable.symbol for variable in self.variables), "X_time", "X_TIME", "X_HIDDEN"])
         for variable in self.variables:
             if symbols[variable.symbol] > 1:
                 raise ValueError(
-                    f"The variable '{variable.name}' of '{self.name}' shares its C name {variable.symbol} with another "
-                    "or with the time; rename it."
+                    f"The variable '{variable.name}' of '{self.name}' has the C name {variable.symbol}, like another variable "
+                    "or the time. Rename it."
                 )
-        known = {v.name for v in self.variables if v.causality in {"input", "parameter"}}
+        sources = {v.name for v in self.variables if v.causality in {"input", "parameter"}}
         for variable in self.variables:
             for name in variable.dependencies + variable.initial_dependencies:
-                if name not in known:
+                if name not in sources:
                     raise ValueError(
                         f"The output '{variable.name}' of '{self.name}' depends on '{name}', which is neither an input "
-                        "nor a parameter of it."
+                        "nor a parameter."
                     )
 
     @property
@@ -220,16 +219,16 @@ class Model:
 
     @property
     def units(self) -> tuple[Unit, ...]:
-        """The units in use, each once, in order of appearance; seconds first, for the time."""
+        """The units, each once, in order of appearance, with seconds first for the time."""
         used = [Unit("s", s=1)] + [variable.unit for variable in self.variables if variable.unit is not None]
         return tuple(dict.fromkeys(used))
 
     def index(self, name: str) -> int:
-        """Place of a variable among the others, which is its value reference."""
+        """Index of a variable, which is its value reference."""
         return self._places[name][0]
 
     def offset(self, name: str) -> int:
-        """Place of a variable's first element in the vector of values."""
+        """Index of a variable's first element in the vector of values."""
         return self._places[name][1]
 
     @cached_property
@@ -239,11 +238,11 @@ class Model:
 
     @property
     def size(self) -> int:
-        """Number of elements of all variables."""
+        """Total number of elements of all variables."""
         return sum(variable.size for variable in self.variables)
 
     def flat(self) -> "Model":
-        """Return the model with each element of an array as a variable of its own, as FMI 2 has it."""
+        """Return the model with each element of an array as a separate variable, as in FMI 2."""
         elements = {variable.name: variable.elements for variable in self.variables}
 
         def each(names: tuple[str, ...]) -> tuple[str, ...]:

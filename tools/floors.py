@@ -1,10 +1,10 @@
-"""The floors of the house: which folder may import from which.
+"""The floors of the package: which folder may import from which.
 
-    python tools/floors.py          # prints what stands where, what reaches up, and circles
-    python tools/floors.py draw     # writes docs/figures/floors.svg, from the code's own imports
+    python tools/floors.py          # prints the floors, the upward imports, and the circles
+    python tools/floors.py draw     # writes docs/figures/floors.svg, from the imports of the code
 
 Every import counts: at the top of a module, inside a function, under ``TYPE_CHECKING``. A folder imports from its own floor and
-from those below it; the few that reach up for a user's convenience go through a named door.
+from those below it. The few upward imports, for a user's convenience, are named doors.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cli", "cli.commands", "cli.inspection"),
     ("__main__", "__init__"),
 )
-"""Folders, and modules that stand apart from their folder, from the ground up."""
+"""Folders, and modules on another floor than their folder, from the lowest floor up."""
 
 DOORS: dict[tuple[str, str], str] = {
     ("cosim.errors", "cosim.run.result"): "SimulationError.result: what was recorded before a run failed",
@@ -95,26 +95,26 @@ DOORS: dict[tuple[str, str], str] = {
     ("scenario._files", "examples"): "scenario files by the name of an example",
     ("controllers.models.linear", "controllers.identification.identify"): "LinearModel.identify",
 }
-"""Imports that reach up: from which module, to which module or folder, and for which public convenience."""
+"""Upward imports: the module, the imported module or folder, and the public convenience that needs it."""
 
 MOST_FILES = 15
 LARGEST_CIRCLE = 3
 
 
 def modules() -> dict[str, ast.Module]:
-    """Return the syntax tree of each module, by its name below ``bayesftc``; a package by its ``__init__``."""
-    found = {}
+    """Return the syntax tree of each module by its name below ``bayesftc``; for a package, of its ``__init__``."""
+    trees = {}
     for folder in (ROOT / "fmus", ROOT / "cosim", ROOT / "controllers", ROOT / "examples", ROOT / "src" / "bayesftc"):
         base = folder if folder.name == "bayesftc" else folder.parent
         for path in sorted(folder.rglob("*.py")):
             parts = path.relative_to(base).with_suffix("").parts
             if not (folder.name == "bayesftc" and (ROOT / parts[0]).is_dir()):
-                found[".".join(parts)] = ast.parse(path.read_text(encoding="utf-8"))
-    return found
+                trees[".".join(parts)] = ast.parse(path.read_text(encoding="utf-8"))
+    return trees
 
 
 def public(tree_of: dict[str, ast.Module]) -> dict[str, str]:
-    """Return the module behind each name that a stub makes public: ``cosim.FMU`` is of ``cosim.fmi.fmu``."""
+    """Return the module of each public name in a stub: ``cosim.FMU`` is in ``cosim.fmi.fmu``."""
     behind = {}
     for init in (name for name in tree_of if name.endswith(".__init__")):
         package = init.removesuffix(".__init__")
@@ -127,7 +127,7 @@ def public(tree_of: dict[str, ast.Module]) -> dict[str, str]:
 
 
 def imports(name: str, tree: ast.Module, known: dict[str, ast.Module], behind: dict[str, str]) -> Iterator[str]:
-    """Yield the modules of this package that a module imports, in whatever form and wherever."""
+    """Yield the modules of this package that a module imports, in any form and at any place."""
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.level == 0 and (node.module or "").split(".")[0] == "bayesftc":
             wholes = [f"{node.module}.{alias.name}".removeprefix("bayesftc.") for alias in node.names]
@@ -145,7 +145,7 @@ def imports(name: str, tree: ast.Module, known: dict[str, ast.Module], behind: d
 
 
 def floor(module: str) -> int:
-    """Return the number of a module's floor; the longest name in `FLOORS` that it begins with says it."""
+    """Return the number of a module's floor, by the longest matching prefix in `FLOORS`."""
     module = module.removesuffix(".__init__")
     best = max(
         (name for level in FLOORS for name in level if module == name or module.startswith(name + ".")),
@@ -153,12 +153,12 @@ def floor(module: str) -> int:
         default=None,
     )
     if best is None:
-        raise LookupError(f"{module} stands on no floor; name its folder in FLOORS of tools/floors.py.")
+        raise LookupError(f"{module} has no floor. Add its folder to FLOORS of tools/floors.py.")
     return next(number for number, level in enumerate(FLOORS) if best in level)
 
 
 def edges() -> dict[str, set[str]]:
-    """Return which modules each module imports; what a stub or an ``__init__`` hands on counts as its importer's own."""
+    """Return the modules that each module imports; a name from a stub or an ``__init__`` counts as its own module."""
     known = modules()
     behind = public(known)
     return {name: set(imports(name, tree, known, behind)) for name, tree in known.items()}
@@ -174,7 +174,7 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
     index: dict[str, int] = {}
     low: dict[str, int] = {}
     stack: list[str] = []
-    found: list[list[str]] = []
+    groups: list[list[str]] = []
 
     def visit(v: str) -> None:
         index[v] = low[v] = len(index)
@@ -190,12 +190,12 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
             part = stack[at:]
             del stack[at:]
             if len(part) > 1:
-                found.append(sorted(part))
+                groups.append(sorted(part))
 
     for v in sorted(graph):
         if v not in index:
             visit(v)
-    return sorted(found, key=len, reverse=True)
+    return sorted(groups, key=len, reverse=True)
 
 
 WAY = (
@@ -207,18 +207,18 @@ WAY = (
     ("cosim.run.result", "Result", "signals over time"),
     ("cosim.judging.roles", "LoopSignals", "goal, belief, faults"),
 )
-"""The way of a run through the house: module, what it is called, and what it holds."""
+"""The way of a run through the package: module, name, and content."""
 
 COLOURS = {"cosim": "#dbe9f6", "controllers": "#fde6c8", "fmus": "#e2efda"}
 
 
 def draw(graph: dict[str, set[str]]) -> str:
-    """Return a picture (SVG) of the floors, each with what it imports from, and of the way of a run through them."""
+    """Return a picture (SVG) of the floors, with the imports of each, and of the way of a run through them."""
     for k in range(1, len(WAY)):
         earlier, module = {name for name, *_ in WAY[:k]}, WAY[k][0]
         if not earlier & graph[module] and not any(module in graph[name] for name in earlier):
             raise LookupError(
-                f"{module} and what stands before it do not know each other any more; mend WAY of tools/floors.py."
+                f"{module} and the modules before it do not import each other any more. Correct WAY of tools/floors.py."
             )
     of: dict[str, dict[str, int]] = {}
     files: dict[str, int] = {}
@@ -247,10 +247,10 @@ def draw(graph: dict[str, set[str]]) -> str:
         y = row * (k + 1)
         colour = COLOURS.get(name.split(".")[0], "#eeeeee")
         most = sorted(of.get(name, {}).items(), key=lambda item: (-item[1], item[0]))[:4]
-        said = ", ".join(f"{target} {count}" for target, count in most)
+        shown = ", ".join(f"{target} {count}" for target, count in most)
         out.append(f'<rect x="5" y="{y}" width="310" height="{row - 3}" rx="4" fill="{colour}"/>')
         out.append(f'<text x="12" y="{y + 16}">{escape(name)} ({files[name]})</text>')
-        out.append(f'<text x="330" y="{y + 16}" fill="#444444">{escape(said)}</text>')
+        out.append(f'<text x="330" y="{y + 16}" fill="#444444">{escape(shown)}</text>')
     top, step = row * (len(rows) + 1) + 40, (width - 20) // len(WAY)
     out.append(f'<text x="10" y="{top - 10}" font-weight="bold">the way of a run</text>')
     for k, (module, title, holds) in enumerate(WAY):
@@ -272,7 +272,7 @@ PICTURE = ROOT / "docs" / "figures" / "floors.svg"
 
 
 def main() -> None:
-    """Print floors with their numbers of files, doors, and circles; or draw them."""
+    """Print floors with their numbers of files, doors and circles, or draw the floors."""
     graph = edges()
     if sys.argv[1:] == ["draw"]:
         PICTURE.write_text(draw(graph), encoding="utf-8")

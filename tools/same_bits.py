@@ -1,7 +1,7 @@
-"""Do all results have the same bits as before a change? Hashes of results and of public signatures, for reshaping the code.
+"""Check that a change of the code keeps the bits of all results, by hashes of results and of public signatures.
 
     python tools/same_bits.py write before.json     # on the commit before
-    python tools/same_bits.py check before.json     # after each step: names what differs, and exits with 1
+    python tools/same_bits.py check before.json     # after each step: lists differences and exits with 1
 
 The bits depend on the machine and on the versions of NumPy and numba, so the file is not for the repository. A run takes minutes.
 """
@@ -33,7 +33,7 @@ Case = tuple[str, Callable[[], object]]
 
 
 def digest(value: object) -> str:
-    """Return a short hash of the bits of arrays, of numbers and texts, and of what holds these."""
+    """Return a short hash of the bits of arrays, numbers, texts, and containers of these."""
     sha = hashlib.sha256()
 
     def add(item: object) -> None:
@@ -79,7 +79,7 @@ def run(
 
 
 def of_learners() -> Iterator[Case]:
-    """Run every learner in every controller that takes it, compiled and interpreted, and in the estimator."""
+    """Run every learner in every controller, compiled and interpreted, and in the estimator."""
     for learner in controllers.LEARNERS:
         for name, make in {
             "BayesianController": lambda p: controllers.BayesianController(MODEL, precision=p, initial_mean=20.0),
@@ -116,7 +116,7 @@ def of_learners() -> Iterator[Case]:
 
 
 def of_faults() -> Iterator[Case]:
-    """Run every fault before the default learner."""
+    """Run every fault with the default learner."""
     for fault in cosim.FAULTS:
 
         def one(fault: type = fault) -> object:
@@ -134,7 +134,7 @@ def of_faults() -> Iterator[Case]:
 
 
 def of_plants() -> Iterator[Case]:
-    """Run every shipped plant of either FMI version, in this process and in one of its own, left to itself."""
+    """Run every shipped plant of either FMI version with constant inputs, in this process and isolated."""
     for file in sorted(Path(fmus.path("CruiseControl")).parent.glob("*.fmu")):
         for isolate in (False, True):
 
@@ -159,7 +159,7 @@ def of_plants() -> Iterator[Case]:
 
 
 def of_exports() -> Iterator[Case]:
-    """Run controllers that went through an FMU of either version."""
+    """Run controllers that were exported as an FMU of either version."""
     for learner in (controllers.GammaPrecision(), controllers.SwitchingPrecision(), controllers.SERFDI()):
         for version in ("2.0", "3.0"):
 
@@ -179,7 +179,7 @@ def of_exports() -> Iterator[Case]:
 
 
 def of_campaigns() -> Iterator[Case]:
-    """Run a campaign by every executor."""
+    """Run a campaign with every executor."""
     for name, executor in {"threads": cosim.Threads(2), "processes": cosim.Processes(2)}.items():
 
         def table(executor: object = executor) -> object:
@@ -196,7 +196,7 @@ def of_campaigns() -> Iterator[Case]:
 
 
 def of_commands() -> Iterator[Case]:
-    """Run commands: the examples, and the experiments at their smallest."""
+    """Run commands: the examples, and the experiments with the fewest runs."""
     experiments = ("arm", "tracking", "detection", "bound", "models", "beliefs", "family --case freeze*")
     for line in (
         "run cruise_control --json",
@@ -243,7 +243,7 @@ def of_identification() -> Iterator[Case]:
 
 
 def of_signatures() -> Iterator[Case]:
-    """List every public name, and what it takes."""
+    """List every public name with its parameters."""
     for module in (controllers, cosim, cosim.ops, cosim.random, cosim.statistics, fmus, monitoring):
         for name in sorted(getattr(module, "__all__", [n for n in vars(module) if not n.startswith("_")])):
 
@@ -260,20 +260,20 @@ def of_signatures() -> Iterator[Case]:
 
 
 def parameters(thing: object) -> object:
-    """Return the parameters of a callable with their kinds and defaults, without their annotations."""
+    """Return the parameters of a callable with their kinds and the types of their defaults."""
     thing = getattr(thing, "__func__", thing)
     try:
-        found = inspect.signature(thing).parameters.values()  # type: ignore[arg-type]
+        all_parameters = inspect.signature(thing).parameters.values()  # type: ignore[arg-type]
     except (TypeError, ValueError):
         return type(thing).__name__
-    return [(p.name, str(p.kind), "" if p.default is p.empty else type(p.default).__name__) for p in found]
+    return [(p.name, str(p.kind), "" if p.default is p.empty else type(p.default).__name__) for p in all_parameters]
 
 
 ALL = (of_signatures, of_learners, of_faults, of_plants, of_exports, of_campaigns, of_identification, of_commands)
 
 
 def hashes(part: str) -> dict[str, str]:
-    """Return the hash of each case whose name contains `part`; one that is refused has the hash of the sentence."""
+    """Return the hash of each case whose name contains `part`; a case with an error has the hash of the message."""
     found = {}
     for cases in ALL:
         for name, compute in cases():

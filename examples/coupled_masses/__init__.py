@@ -1,1 +1,1 @@
-"""Two masses joined by a stiff spring, split into two FMUs, and stepped by every way of coupling."""
+"""Two masses with a stiff spring between them, as two FMUs, with every coupling scheme."""

@@ -1,4 +1,4 @@
-"""The masses: one FMU that is built here and used twice, and the closed-form solution of the two together."""
+"""The masses: one FMU that is built here and used twice, and the closed-form solution of the coupled masses."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SPRUNG_MASS = Model(
 
 @cache
 def sprung_mass(fmi: str = "2.0") -> Path:
-    """Return the FMU, built for this machine; it is removed with the process."""
+    """Return the FMU, built for this machine; it is deleted when the process ends."""
     folder = _folder()
     return build_fmu(SPRUNG_MASS, Path(folder.name), fmi=fmi)
 
@@ -63,7 +63,7 @@ class Masses:
     k, c : float
         Stiffness in N/m, damping in N.s/m.
     x0, v0 : tuple of float
-        Where they begin, in m, and how fast, in m/s.
+        Initial positions in m and speeds in m/s.
     """
 
     m: tuple[float, float] = (1.0, 2.0)
@@ -82,7 +82,7 @@ class Masses:
         return self.m[0] * self.m[1] / (self.m[0] + self.m[1])
 
     def exact(self, t: Floats) -> Floats:
-        """Return x1, x2, v1, v2 over time: the centre of mass moves evenly, the distance swings (below critical damping)."""
+        """Return x1, x2, v1, v2 over time: the centre of mass has a constant speed, the distance oscillates (underdamped)."""
         (m1, m2), whole = self.m, self.m[0] + self.m[1]
         decay = self.c / (2 * self._reduced)
         omega = np.sqrt(self.k / self._reduced - decay**2)
@@ -98,7 +98,7 @@ class Masses:
         )
 
     def energy(self, x1: Floats, x2: Floats, v1: Floats, v2: Floats) -> Floats:
-        """Return the energy in J, of motion relative to the centre of mass and of the spring."""
+        """Return the energy in J of the motion relative to the centre of mass and of the spring."""
         return 0.5 * self._reduced * (v1 - v2) ** 2 + 0.5 * self.k * (x1 - x2) ** 2
 
     def together(self, v1: Floats, v2: Floats) -> Floats:

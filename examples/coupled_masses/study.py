@@ -1,7 +1,7 @@
-"""How far each way of coupling is from the closed form, and what it does to the energy: numbers and a figure.
+"""Errors of each coupling scheme from the closed form, and its effect on the energy: numbers and a figure.
 
-Run it with ``python -m bayesftc.examples.coupled_masses.study [figure.png]``; it builds one FMU, for which it needs a C compiler
-or the extra ``fmus`` (ziglang).
+Run it with ``python -m bayesftc.examples.coupled_masses.study [figure.png]``. It builds one FMU, which needs a C compiler or the
+extra ``fmus`` (ziglang).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ DAMPED = Masses(c=4.0)
 FREE = Masses()
 DURATION = 1.0
 STEPS = (50, 100, 200, 400, 800, 1600)
-"""Steps in a second; the spring swings about twice in it."""
+"""Steps per second; the spring has about two periods in it."""
 ERRORS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 COARSE = 20
-"""Steps in a second between which step doubling has to find its own."""
+"""Communication steps per second with step doubling, which chooses smaller steps in them."""
 
 WAYS = {
     "Jacobi": cosim.Coupling("jacobi"),
@@ -39,13 +39,13 @@ STYLES: dict[str, dict[str, Any]] = {
     "iterated, end held": {"color": SENSOR_COLOURS[2], "lw": 1.4, "marker": "D", "ms": 4},
     "iterated, mean held": {"color": SENSOR_COLOURS[3], "lw": 1.4, "marker": "^", "ms": 5},
 }
-"""Where two lie on each other, the first is wide."""
+"""Where two lines coincide, the first is wide."""
 
 Curve = dict[str, list[float]]
 
 
 def convergence() -> Curve:
-    """Return the largest error of a position (m) by way of coupling and number of steps."""
+    """Return the largest error of a position (m) by coupling scheme and number of steps."""
     return {
         name: [DAMPED.error(DAMPED.diagram(f"1/{n}").build(way).simulate(DURATION)) for n in STEPS]
         for name, way in WAYS.items()
@@ -53,7 +53,7 @@ def convergence() -> Curve:
 
 
 def doubling() -> Curve:
-    """Return the same where step doubling finds the steps, by the error that one of them may add."""
+    """Return the same with step doubling, by the tolerated error of one step."""
     return {
         name: [
             DAMPED.error(DAMPED.diagram(f"1/{COARSE}").build(way, step_error=error).simulate(DURATION))
@@ -64,9 +64,9 @@ def doubling() -> Curve:
 
 
 def energies(steps: int = 100, duration: float = 2.0) -> tuple[list[float], Curve, dict[str, float]]:
-    """Return times, and without a damper the energy of the swing over time and the speed of the centre of mass at the end.
+    """Return times, and without a damper the energy of the oscillation over time and the final speed of the centre of mass.
 
-    Both are parts of what they were at the beginning.
+    Both are relative to their initial values.
     """
     curves, times, speeds = {}, [], {}
     for name, way in WAYS.items():
@@ -109,11 +109,11 @@ def figure(errors: Curve, doubled: Curve, times: list[float], energy: Curve) -> 
             axis.annotate(name, (ends[0], line[0]), textcoords="offset points", xytext=(14, -4), fontsize=9)
     left.set(xlabel="step h (s)", ylabel="largest error of a position (m)", title="Steps of one size")
     middle.set(
-        xlabel="step_error: what one step may add (m, m/s)",
+        xlabel="step_error: tolerated error of one step (m, m/s)",
         ylabel="largest error of a position (m)",
-        title=f"Own steps, found by doubling, within {1000 // COARSE} ms",
+        title=f"Steps chosen by doubling, within {1000 // COARSE} ms",
     )
-    right.set(xlabel="time (s)", ylabel="energy / energy at the start", title="Swing without a damper, steps of 10 ms")
+    right.set(xlabel="time (s)", ylabel="energy / initial energy", title="Oscillation without a damper, steps of 10 ms")
     right.set_ylim(0.0, 2.2)
     right.axhline(1.0, color=BLACK, ls=":", lw=1.0)
     for axis, place in ((left, "lower right"), (middle, "lower right"), (right, "upper left")):
@@ -128,21 +128,21 @@ def figure(errors: Curve, doubled: Curve, times: list[float], energy: Curve) -> 
 def main(path: str | None = None) -> dict[str, float]:
     """Print the errors and the energy at the end, write the figure if a path is given, and return the orders."""
     errors = convergence()
-    found = orders(errors)
+    order_of = orders(errors)
     print(f"{'largest error (mm), steps of':30}" + "".join(f"{1e3 / n:>9.3g} ms" for n in STEPS) + "    order")
     for name, row in errors.items():
-        print(f"{name:30}" + "".join(f"{1e3 * e:>12.4g}" for e in row) + f"{found[name]:>9.2f}")
+        print(f"{name:30}" + "".join(f"{1e3 * e:>12.4g}" for e in row) + f"{order_of[name]:>9.2f}")
     doubled = doubling()
     print(f"{'largest error (mm), step_error':30}" + "".join(f"{e:>12.0e}" for e in ERRORS))
     for name, row in doubled.items():
         print(f"{name:30}" + "".join(f"{1e3 * e:>12.4g}" for e in row))
     times, energy, speeds = energies()
-    print(f"{'after 2 s (%)':30}{'energy of the swing':>24}{'speed of the centre of mass':>32}")
+    print(f"{'after 2 s (%)':30}{'energy':>24}{'speed of the centre of mass':>32}")
     for name, row in energy.items():
         print(f"{name:30}{100 * row[-1]:>24.4g}{100 * speeds[name]:>32.4g}")
     if path:
         figure(errors, doubled, times, energy).savefig(path, dpi=120)
-    return found
+    return order_of
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The engine of the car fails, or one of its speed sensors, or both: who is blamed, and how the car keeps its speed.
+"""The engine of the car fails, or a speed sensor, or both: the detected faults, and the speed errors.
 
 Run it with ``python -m bayesftc.examples.cruise_control.actuator_faults [runs]``. Each learner gets the same noise.
 """
@@ -35,16 +35,16 @@ LEARNERS = {
     "with actuator modes": SwitchingPrecision(actuator_modes=[mode() for mode in MODES]),
 }
 OFTEN = SwitchingPrecision(actuator_modes=[mode(time_to_fault=60.0) for mode in MODES])
-"""The same if engines failed as often as sensors."""
+"""The same learner for engines that fail as often as sensors."""
 
 
 def main(runs: int = 20) -> dict[tuple[str | None, str | None], dict[str, float]]:
-    """Run all, print a table, and return the tracking errors (RMSE in m/s) while something has failed."""
-    print("Speed error (m/s, RMSE) during the fault, and how often sensor 1 and the engine are blamed (% of the time)")
+    """Run all, print a table, and return the tracking errors (RMSE in m/s) during the fault."""
+    print("Speed error (m/s, RMSE) during the fault, and time with an alarm of sensor 1 and of the engine (%)")
     print(f"{'engine':18}{'sensor 0':12}" + "".join(f"{name:>26}" for name in LEARNERS))
     table: dict[tuple[str | None, str | None], dict[str, float]] = {}
     for engine, sensor in CASES:
-        row, said = {}, []
+        row, cells = {}, []
         for name, precision in LEARNERS.items():
             diagram = cruise_control(precision, SENSOR.get(sensor), SINE, ENGINE.get(engine))
             signals = ["plant.v", "reference.y", "controller.fault_probability"]
@@ -55,16 +55,16 @@ def main(runs: int = 20) -> dict[tuple[str | None, str | None], dict[str, float]
             row[name] = float(np.sqrt(np.mean(np.square(errors))))
             # Sensor 1, which is always healthy, and the engine.
             shares = [100 * np.mean([r[s][during, -1] > 0.5 for r in results]) for s in signals[2:]]
-            said.append(
+            cells.append(
                 f"{row[name]:12.3f}" + "".join(f"{share:7.1f}" for share in shares) + "      -" * (2 - len(shares))
             )
         table[engine, sensor] = row
-        print(f"{engine or 'healthy':18}{sensor or 'healthy':12}" + "".join(said))
+        print(f"{engine or 'healthy':18}{sensor or 'healthy':12}" + "".join(cells))
     return table
 
 
 def insurance(runs: int = 20) -> dict[str, float]:
-    """Print and return what each learner costs on healthy runs: its tracking error over that of fixed precision."""
+    """Print and return the cost of each learner on healthy runs: its tracking error relative to fixed precision."""
     errors = {}
     for name, precision in {**LEARNERS, "with frequent actuator faults": OFTEN}.items():
         diagram = cruise_control(precision, None, SINE)
@@ -80,7 +80,7 @@ def insurance(runs: int = 20) -> dict[str, float]:
 def slow_engine(
     runs: int = 5, lags: tuple[float, ...] = (0.1, 0.3, 0.5), steps: int = 600, compiled: bool = True
 ) -> dict[float, dict[str, float]]:
-    """Print and return the tracking errors where the engine answers with a lag (s) that the controller does not know of."""
+    """Print and return the tracking errors with a lag (s) of the engine that the controller's model does not have."""
     model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], process_covariance=0.001, sensor_covariance=1.0, dt=0.02)
     goal = 20.0 + 5.0 * np.sin(0.016 * np.arange(steps + 1))
     table: dict[float, dict[str, float]] = {}

@@ -1,6 +1,6 @@
-"""The same loop three times: by `closed_loop`, block by block, and with plants that python-control has put together.
+"""The same loop three times: with `closed_loop`, block by block, and with plants from python-control.
 
-``python -m bayesftc.examples.cruise_control.block_diagram [seconds]`` prints how far the runs differ.
+``python -m bayesftc.examples.cruise_control.block_diagram [seconds]`` prints the differences of the runs.
 """
 
 import sys
@@ -26,20 +26,20 @@ def by_hand(plant: Block) -> cosim.Diagram:
     car = diagram.add(plant, "plant")
     sensors = diagram.add(cosim.Sensors(count=2, std=1.0), "sensors")
     freeze = diagram.add(cosim.Freeze(sensor=0, start=6.0, stop=14.0, channels=2))
-    brain = diagram.add(controller, "controller")
+    control_block = diagram.add(controller, "controller")
     noise = diagram.add(cosim.Gaussian(std=0.001**0.5), "disturbance_noise")
 
     diagram.connect(car["v"], sensors["u"])
     diagram.connect(sensors["y"], freeze["u"])
-    diagram.connect(freeze["y"], brain["y"])
-    diagram.connect(reference["y"], brain["goal"])
-    diagram.connect(brain["u"], car["force"])
+    diagram.connect(freeze["y"], control_block["y"])
+    diagram.connect(reference["y"], control_block["goal"])
+    diagram.connect(control_block["u"], car["force"])
     diagram.connect(noise["y"], car["disturbance"])
     return diagram
 
 
 def in_one_call(plant: Block) -> cosim.Diagram:
-    """Make the same diagram by `closed_loop`."""
+    """Make the same diagram with `closed_loop`."""
     return cosim.closed_loop(
         plant=plant,
         controller=controller,
@@ -60,16 +60,16 @@ def control_plant() -> control.StateSpace:
 
 
 def interconnected_plant() -> control.InputOutputSystem:
-    """Return the car behind a motor, wired by names as ``control.interconnect`` does it: 2 N a volt, and half a volt a newton."""
+    """Return the car with a driver and a motor, connected by ``control.interconnect``: 0.5 V/N and 2 N/V."""
     motor = control.ss([], [], [], [[2.0]], DT, name="motor", inputs=["voltage"], outputs=["force"])
-    driver = control.ss([], [], [], [[0.5]], DT, name="driver", inputs=["wanted"], outputs=["voltage"])
-    plant = control.interconnect([driver, motor, control_plant()], inputs=["wanted", "disturbance"], outputs=["v"])
-    plant.set_inputs(["force", "disturbance"])  # as it is seen from outside
+    driver = control.ss([], [], [], [[0.5]], DT, name="driver", inputs=["request"], outputs=["voltage"])
+    plant = control.interconnect([driver, motor, control_plant()], inputs=["request", "disturbance"], outputs=["v"])
+    plant.set_inputs(["force", "disturbance"])  # names of the ports
     return plant
 
 
 def main(duration: float = 20.0) -> dict[str, float]:
-    """Run all, and return the largest difference of the car's speed from that of the FMU's loop, in m/s."""
+    """Run all, and return the largest difference of the car's speed from that in the FMU's loop, in m/s."""
     car = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0})
     first = in_one_call(car).simulate(duration, seed=1)
     loops = {

@@ -1,8 +1,8 @@
-"""Any FMU under the Bayesian controller, without a model at hand: shake it, fit a line, close the loop.
+"""Control any FMU with the Bayesian controller without a model: excite it, fit a first-order model, close the loop.
 
-``python -m bayesftc.examples.cruise_control.couple_external_fmu`` takes the shipped car;
-``... plant.fmu --control valve --measured level --around 2.0 --shake 0.1`` takes yours. ``bayesftc inspect plant.fmu`` lists
-the names. The fit is of first order, which is enough for a tank, an oven or a car; give richer plants a richer model.
+``python -m bayesftc.examples.cruise_control.couple_external_fmu`` uses the shipped car;
+``... plant.fmu --control valve --measured level --around 2.0 --shake 0.1`` uses yours. ``bayesftc inspect plant.fmu`` lists
+the names. A first-order model is enough for a tank, an oven or a car. Other plants need a model of higher order.
 """
 
 import argparse
@@ -27,11 +27,11 @@ def fit(plant: cosim.FMU, arguments: argparse.Namespace) -> tuple[float, float, 
 
 
 def main(argv: Sequence[str] | None = None) -> cosim.Result:
-    """Fit, close the loop with two sensors of which the first is biased from half-time on, and print what came of it."""
+    """Fit, close the loop with two sensors, the first with an offset from half-time on, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("fmu", nargs="?", default=str(fmus.path("CruiseControl")), help="the FMU's file")
     parser.add_argument("--control", default="force", help="input that the controller drives")
-    parser.add_argument("--measured", default="v", help="output that the sensors see")
+    parser.add_argument("--measured", default="v", help="output that the sensors measure")
     parser.add_argument("--around", type=float, default=20.0, help="value to hold")
     parser.add_argument("--shake", type=float, default=500.0, help="standard deviation of the control in the first run")
     parser.add_argument("--noise", type=float, default=0.5, help="standard deviation of each sensor")
@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> cosim.Result:
     )
     loop = cosim.closed_loop(
         plant=plant,
-        # An estimated disturbance takes up what the line does not say: a constant load, a working point.
+        # An estimated disturbance covers what the fit does not have: a constant load, an operating point.
         controller=controllers.BayesianController(model.with_disturbance((0.01 * arguments.noise / b) ** 2)),
         control=arguments.control,
         measured=arguments.measured,
@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> cosim.Result:
     value, half = result[f"plant.{y}"], len(result.time) // 2
     halves = {"both sensors right": value[half // 2 : half], "one sensor wrong": value[half + half // 2 :]}
     for what, part in halves.items():
-        print(f"{what}: {y} = {np.mean(part):.3f} +- {np.std(part):.3f}, wanted {arguments.around:g}")
+        print(f"{what}: {y} = {np.mean(part):.3f} +- {np.std(part):.3f}, reference {arguments.around:g}")
     return result
 
 

@@ -1,7 +1,7 @@
-"""A car under cruise control, one of whose two speed sensors freezes: five ways to decide how far to trust each sensor.
+"""A car under cruise control with two speed sensors, one of which freezes: five ways to set the precision of each sensor.
 
-Run it with ``python -m bayesftc.examples.cruise_control.cruise_control [seconds]``. All controllers get the same noise,
-sample by sample, so whatever differs between the rows is their own doing.
+Run it with ``python -m bayesftc.examples.cruise_control.cruise_control [seconds]``. All controllers get the same noise, so
+the rows differ only because of the learners.
 """
 
 import sys
@@ -25,9 +25,9 @@ def cruise_control(
     reference: cosim.Source = SINE,
     engine: cosim.Fault | None = None,
 ) -> cosim.Diagram:
-    """Return the closed loop of the paper's second experiment with a given way of learning precisions.
+    """Return the closed loop of the paper's second experiment with a precision learner.
 
-    A sensor has the fault, and the engine may have one.
+    `fault` is a fault of a sensor, `engine` a fault of the engine.
     """
     b, m, dt = 5.0, 100.0, 0.02  # drag (N s/m), mass (kg), sample time (s)
     model = controllers.LinearModel(

@@ -1,8 +1,8 @@
-"""With fixed precision the controller's belief is a Kalman filter's: a comparison with filterpy, step by step.
+"""With fixed precision the controller's belief equals a Kalman filter's: a comparison with filterpy, step by step.
 
-``python -m bayesftc.examples.cruise_control.kalman_validation [seconds]``. filterpy knows nothing of this package: it gets
-the recorded samples and controls. With learned precision it gets the sensor covariance of each step as well, so that all
-but the learning is checked.
+``python -m bayesftc.examples.cruise_control.kalman_validation [seconds]``. filterpy is independent of this package: it gets
+only the recorded samples and controls. With learned precision it also gets the sensor covariance of each step, so all but
+the learning is checked.
 """
 
 import sys

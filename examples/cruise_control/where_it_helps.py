@@ -1,8 +1,8 @@
-"""Where learning precisions helps and where it hurts: tracking errors over many runs, by fault and reference.
+"""Where precision learning helps and where it does harm: tracking errors over many runs, by fault and reference.
 
-Run it with ``python -m bayesftc.examples.cruise_control.where_it_helps [runs]``. Every technique sees the same noise. A frozen
+Run it with ``python -m bayesftc.examples.cruise_control.where_it_helps [runs]``. All techniques get the same noise. A frozen
 sensor on a constant reference is the bad case of `GammaPrecision`: its samples agree with each other and with the model better
-than a healthy sensor's, so it is trusted more, and the car drifts with it.
+than a healthy sensor's. So its precision rises, and the car drifts with it.
 """
 
 import sys
@@ -21,7 +21,7 @@ REFERENCES = {"sine": SINE, "constant": cosim.Constant(20.0)}
 
 
 def errors(loop: cosim.Diagram, runs: int) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the tracking error (RMSE in m/s, from 6 to 14 s) of each run, the seeds being 0, 1, 2, ..."""
+    """Return the tracking error (RMSE in m/s, from 6 to 14 s) of each run, with seeds 0, 1, 2, ..."""
     during = slice(300, 700)
     rows = []
     for seed in range(runs):

@@ -1,1 +1,1 @@
-"""Four plants, each nothing but an FMU, and a fault-tolerant controller for each in one call."""
+"""Four plants, each given only by an FMU, and a fault-tolerant controller for each in one call."""

@@ -1,9 +1,9 @@
-"""Four FMUs - position servo, two masses with a spring, pendulum on a cart, hydro turbine - each with a sensor that fails.
+"""Four FMUs with a failing sensor: position servo, two masses with a spring, pendulum on a cart, hydro turbine.
 
 Run it with ``python -m bayesftc.examples.design_from_fmu.four_plants [runs] [figure.png]``. `controllers.design` makes a
-controller of each FMU and nothing else; beside it run the same controller without fault tolerance (fixed precisions), and an
-oracle that is told at once to leave the failing sensor out (to it the fault is a dropout). All three get the same noise, and the
-same plant. On none of the four will a goal for the next step alone do: without a cost of the control it makes the loop unstable.
+controller from each FMU alone. It is compared with the same controller without fault tolerance (fixed precisions), and with an
+oracle, which leaves out the failing sensor at once (its fault is a dropout). All three have the same noise and the same plant.
+For none of the four is a goal for only the next step enough: without a cost of the control it makes the loop unstable.
 """
 
 import sys
@@ -34,7 +34,7 @@ FAILS = {
 
 @dataclass(frozen=True)
 class Case:
-    """A plant, what is seen and driven of it, where it is to go, and what fails when."""
+    """A plant with its measured and actuated variables, its reference and its fault."""
 
     plant: str
     goal: str
@@ -52,9 +52,9 @@ class Case:
 
     @property
     def name(self) -> str:
-        """What the table and the figure call it."""
-        seen = self.measured[self.fault.sensor % len(self.measured)]
-        return f"{self.plant}: a sensor of {seen} {FAILS[type(self.fault)]}"
+        """Name in the table and the figure."""
+        output = self.measured[self.fault.sensor % len(self.measured)]
+        return f"{self.plant}: a sensor of {output} {FAILS[type(self.fault)]}"
 
 
 CASES = (
@@ -79,7 +79,7 @@ CASES = (
 
 
 def make_loop(case: Case, way: str) -> cosim.Diagram:
-    """Return the closed loop of a case under one of the three controllers."""
+    """Return the closed loop of a case with one of the three controllers."""
     measured = len(case.measured)
     noise = {name: cosim.Gaussian(mean=case.offsets.get(name, 0.0), std=std) for name, std in case.noise.items()}
     return loop_of(
@@ -102,7 +102,7 @@ def loop_of(
     noise: Mapping[str, Any] | None = None,
     **settings: Any,
 ) -> cosim.Diagram:
-    """Return a plant under one of the three controllers, designed with what the case says and further settings."""
+    """Return a plant with one of the three controllers, designed with the case's values and further settings."""
     controller = controllers.design(
         plant,
         measured=case.measured,
@@ -131,7 +131,7 @@ def loop_of(
 
 
 def draw(cases: tuple[Case, ...], traces: Traces) -> Figure:
-    """Return a figure with a panel for each plant: its goal and where the three controllers bring it (grey: a sensor fails)."""
+    """Return a figure with a panel for each plant: its goal and its output with each controller (grey: a sensor fails)."""
     figure = Figure(figsize=(8.0, 2.3 * len(cases)), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(len(cases), 1, squeeze=False)[:, 0]
@@ -163,8 +163,8 @@ def main(
     engine: Literal["auto", "compiled", "interpreted"] = "auto",
     cases: tuple[Case, ...] = CASES,
 ) -> dict[tuple[str, str], float]:
-    """Print the error while a sensor is failing of each plant and controller; return the means."""
-    print(f"{'RMSE of the goal output, sensor failing':56}" + "".join(f"{way:>20}" for way in WAYS))
+    """Print the error during the fault for each plant and controller; return the means."""
+    print(f"{'RMSE of the goal output during the fault':56}" + "".join(f"{way:>20}" for way in WAYS))
     table: dict[tuple[str, str], float] = {}
     traces: Traces = {}
     for case in cases:

@@ -1,1 +1,1 @@
-"""The cruise controller as C, in a loop as firmware has it."""
+"""The cruise controller as C, in a loop like that of firmware."""

@@ -1,1 +1,1 @@
-"""Plants that other tools exported, in closed loops with failing sensors."""
+"""Plants exported by other tools, in closed loops with failing sensors."""

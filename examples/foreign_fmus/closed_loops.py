@@ -1,8 +1,8 @@
-"""Plants from five other tools, each with two redundant sensors of which one fails while the loop tracks.
+"""Plants from five other tools, each with two redundant sensors, one of which fails during tracking.
 
-Run it with ``python -m bayesftc.examples.foreign_fmus.closed_loops [runs]``. `controllers.design` makes a controller of each FMU
-and nothing else. Beside it run the same controller without fault tolerance (fixed precisions), and an oracle that is told at once
-to leave the failing sensor out. Tools that are not installed are named and left out.
+Run it with ``python -m bayesftc.examples.foreign_fmus.closed_loops [runs]``. `controllers.design` makes a controller from each
+FMU alone. It is compared with the same controller without fault tolerance (fixed precisions), and with an oracle, which leaves
+out the failing sensor at once. Tools that are not installed are named and left out.
 """
 
 import sys
@@ -21,7 +21,7 @@ from bayesftc.examples.foreign_fmus.makers import MAKERS, MissingTool
 
 @dataclass(frozen=True)
 class Case:
-    """What is seen and driven of a plant, where it is to go, and which fault one of the two sensors has."""
+    """A plant's measured and actuated variables, its reference, and the fault of one of the two sensors."""
 
     tool: str
     measured: str
@@ -68,8 +68,8 @@ CASES = (
 
 
 def make_loop(case: Case, file: Path, way: str) -> cosim.Diagram:
-    """Return the closed loop of a case under one of the three controllers."""
-    uncertain = case.tool.startswith("Python") or None  # of a nonlinear plant the model is not quite true
+    """Return the closed loop of a case with one of the three controllers."""
+    uncertain = case.tool.startswith("Python") or None  # the linear model of a nonlinear plant is not exact
     sensors = cosim.Sensors(count=2, std=case.std)
     return loop_of(cosim.FMU(file, **case.settings), case, way, sensors, dt=case.dt, disturbance=uncertain)
 
@@ -79,9 +79,9 @@ def main(
     engine: Literal["auto", "compiled", "interpreted"] = "auto",
     cases: tuple[Case, ...] = CASES,
 ) -> dict[tuple[str, str], float]:
-    """Print the error while a sensor is failing of each plant and controller, and who is blamed; return the means."""
+    """Print the error during the fault for each plant and controller, and the fault probabilities; return the means."""
     print(
-        f"{'RMSE of the output, a sensor failing':40}" + "".join(f"{way:>16}" for way in WAYS) + "   blamed at the end"
+        f"{'RMSE of the output during the fault':40}" + "".join(f"{way:>16}" for way in WAYS) + "   fault probabilities"
     )
     table: dict[tuple[str, str], float] = {}
     with TemporaryDirectory() as folder:
@@ -91,7 +91,7 @@ def main(
             except MissingTool as missing:
                 print(f"{case.tool:40}{missing}")
                 continue
-            shown, blamed = "", ""
+            shown, probabilities = "", ""
             for way in WAYS:
                 loop, errors = make_loop(case, file, way), []
                 for seed in range(runs):
@@ -101,14 +101,14 @@ def main(
                     errors.append(float(np.sqrt(np.mean(error[failing] ** 2))))
                     if way == "fault-tolerant":
                         worst = result["controller.fault_probability"][failing].mean(axis=0).round(2)
-                        blamed = f"{worst.tolist()}, sensor {case.fault.sensor} fails"
+                        probabilities = f"{worst.tolist()}, sensor {case.fault.sensor} fails"
                 table[case.tool, way] = float(np.mean(errors))
                 shown += f"{np.mean(errors):16.4g}"
-            print(f"{case.tool + ': ' + file.name:40}{shown}   {blamed}")
+            print(f"{case.tool + ': ' + file.name:40}{shown}   {probabilities}")
     return table
 
 
 if __name__ == "__main__":
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # that these FMUs do not say what their outputs depend on
+        warnings.simplefilter("ignore", UserWarning)  # these FMUs do not state the dependencies of their outputs
         main(int(sys.argv[1]) if len(sys.argv) > 1 else 5)

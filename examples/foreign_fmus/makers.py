@@ -1,6 +1,6 @@
-"""FMUs that other tools make: each function writes one into a folder, or finds one that a package ships, and returns its path.
+"""FMUs from other tools: each function writes one into a folder, or finds one in a package, and returns its path.
 
-A tool that is not installed is a `MissingTool`, whose sentence says how to get it.
+If a tool is not installed, the functions raise `MissingTool`, whose message has the command to install it.
 """
 
 import importlib.util
@@ -62,21 +62,21 @@ class Room(Fmi3Slave):
 
 
 class MissingTool(Exception):
-    """A tool that is to make an FMU is not installed."""
+    """The tool for an FMU is not installed."""
 
 
 def tanks(folder: Path) -> Path:
-    """Return two tanks as PythonFMU exports them: FMI 2, co-simulation."""
+    """Return two tanks exported by PythonFMU: FMI 2, co-simulation."""
     return _of_python("pythonfmu", "tanks", TANKS, folder)
 
 
 def room(folder: Path) -> Path:
-    """Return a heated room as PythonFMU3 exports it: FMI 3, co-simulation."""
+    """Return a heated room exported by PythonFMU3: FMI 3, co-simulation."""
     return _of_python("pythonfmu3", "room", ROOM, folder)
 
 
 def pendulum(folder: Path) -> Path:
-    """Return a pendulum with a torque as CasADi exports it: FMI 2, model exchange, as C sources alone."""
+    """Return a pendulum with a torque exported by CasADi: FMI 2, model exchange, only C sources."""
     _need("casadi", "casadi")
     import casadi as ca
 
@@ -86,7 +86,7 @@ def pendulum(folder: Path) -> Path:
         dae.eq(dae.der(dae.var(name)), rate)
     dae.eq(y, angle)
     here = Path.cwd()
-    os.chdir(folder)  # CasADi writes where one is
+    os.chdir(folder)  # CasADi writes into the current folder
     try:
         written = dae.export_fmu({"no_warning": True})
     finally:
@@ -98,13 +98,13 @@ def pendulum(folder: Path) -> Path:
 
 
 def mass(folder: Path) -> Path:
-    """Return a mass on a spring and a damper as OpenModelica has exported it: FMI 2, from the package gemseo-fmu."""
+    """Return a mass on a spring and a damper exported by OpenModelica: FMI 2, from the package gemseo-fmu."""
     package = _need("gemseo_fmu", "--no-deps gemseo-fmu")
     return package / "problems" / "fmu_files" / "linux" / "Mass_Damper.fmu"
 
 
 def motor(folder: Path) -> Path:
-    """Return a motor (position, speed, current; driven by a voltage) as qfmu makes it of matrices: FMI 2, with gcc."""
+    """Return a motor (position, speed, current; input voltage) made from matrices by qfmu: FMI 2, needs gcc."""
     package = _need("qfmu", "--no-deps qfmu")
     matrices = {
         "-A": "[[0,1,0],[0,-2,10],[0,-1,-20]]",
@@ -126,7 +126,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "OpenModelica": mass,
     "qfmu": motor,
 }
-"""What makes an FMU, by the tool."""
+"""The function for each tool."""
 
 
 def _of_python(tool: str, name: str, source: str, folder: Path) -> Path:
@@ -139,7 +139,7 @@ def _of_python(tool: str, name: str, source: str, folder: Path) -> Path:
 
 def _need(module: str, install: str) -> Path:
     """Return a package's folder, without importing it."""
-    found = importlib.util.find_spec(module)
-    if found is None or found.origin is None:
-        raise MissingTool(f"{module} is not installed; get it by: python -m pip install {install}")
-    return Path(found.origin).parent
+    spec = importlib.util.find_spec(module)
+    if spec is None or spec.origin is None:
+        raise MissingTool(f"{module} is not installed. Install it with: python -m pip install {install}")
+    return Path(spec.origin).parent

@@ -1,1 +1,1 @@
-"""A script in python-control's block-diagram style, which runs against an FMU when the line of the plant is changed."""
+"""A script in python-control's block-diagram style that also runs with an FMU if one line is changed."""

@@ -1,8 +1,8 @@
-"""A car under cruise control, put together by ``control.interconnect``: its plant is a system of python-control, or an FMU.
+"""A car under cruise control, built with ``control.interconnect``: its plant is a system of python-control, or an FMU.
 
 ``python -m bayesftc.examples.python_control_style.cruise_control [seconds]``. One of two speed sensors freezes from 6 to 14 s.
-A PI controller that listens to this sensor drives on blindly; the Bayesian controller in its place, in the same diagram, asks
-both and finds out which of them to trust.
+A PI controller that uses only this sensor does not notice it. The Bayesian controller in the same diagram uses both sensors
+and learns their precisions.
 """
 
 import sys
@@ -30,14 +30,14 @@ PLANTS = {
 
 
 def pi_controller() -> list[control.InputOutputSystem]:
-    """Return a PI controller that listens to the first sensor."""
+    """Return a PI controller that uses the first sensor."""
     error = control.summing_junction(["goal", "-samples[0]"], "error", name="comparison")
     law = control.ss([[1.0]], [[DT * 200.0]], [[1.0]], [[500.0]], DT, name="pi", inputs=["error"], outputs=["force"])
     return [error, law]
 
 
 def bayesian_controller() -> list[control.InputOutputSystem]:
-    """Return the Bayesian controller, which listens to both sensors."""
+    """Return the Bayesian controller, which uses both sensors."""
     model = controllers.LinearModel([[1 - B / M * DT]], [[DT / M]], [[1], [1]], 1e-3, 1.0, DT)
     block = controllers.BayesianController(model, control_covariance=1e7)
     return [block.to_control(inputs={"y": "samples", "goal[0]": "goal"}, outputs={"u[0]": "force"})]
@@ -47,7 +47,7 @@ LAWS = {"PI": pi_controller, "Bayesian": bayesian_controller}
 
 
 def cruise_control(plant: control.InputOutputSystem, law: str, seed: int = 1) -> control.InterconnectedSystem:
-    """Return the closed loop, wired by the names of the signals."""
+    """Return the closed loop, connected by the names of the signals."""
     noise = cosim.Gaussian(std=1e-3**0.5).to_control(DT, seed=seed, name="noise", outputs={"y": "disturbance"})
     sensors = cosim.Sensors(count=2, std=1.0).to_control(DT, seed=seed, inputs={"u": "v"}, outputs={"y": "reading"})
     fault = cosim.Freeze(sensor=0, start=START, stop=STOP, channels=2)
@@ -58,7 +58,7 @@ def cruise_control(plant: control.InputOutputSystem, law: str, seed: int = 1) ->
 
 
 def main(duration: float = 20.0) -> dict[tuple[str, str], control.TimeResponseData]:
-    """Run both controllers with both plants, and print how well the car keeps its speed while the sensor is frozen."""
+    """Run both controllers with both plants, and print the speed errors before and during the fault."""
     times = np.arange(round(duration / DT) + 1) * DT
     goal = 20.0 + 5.0 * np.sin(2 * np.pi / 8.0 * times)
     print("Speed error (m/s, RMSE)   before   while the sensor is frozen")
@@ -66,7 +66,7 @@ def main(duration: float = 20.0) -> dict[tuple[str, str], control.TimeResponseDa
     for law in LAWS:
         for kind, plant in PLANTS.items():
             loop = cruise_control(plant(), law)
-            # Where the blocks begin: a belief has a covariance to begin with. python-control would begin at zeros.
+            # The initial state of the blocks, such as the covariance of the belief; python-control's default is zero.
             run = control.input_output_response(loop, times, goal, X0=cosim.initial_state(loop))
             runs[law, kind] = run
             before, frozen = ((times > a) & (times <= b) for a, b in ((START / 2, START), (START, STOP)))

@@ -1,1 +1,1 @@
-"""A car's four wheel speeds and GNSS speed under watch: a recorded drive, with faults put in."""
+"""Monitoring of a car's four wheel speeds and GNSS speed: a recorded drive with injected faults."""

@@ -1,4 +1,4 @@
-"""What the example's commands share: arguments that are checked, and errors that end in a sentence."""
+"""Common parts of the example's commands: checked arguments, and errors as sentences."""
 
 import argparse
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from bayesftc.cosim.errors import BayesFTCError
 
 
 def at_least(least: int) -> Callable[[str], int]:
-    """Return what makes an argument a whole number that is not less."""
+    """Return a function that converts an argument to a whole number and checks its least value."""
 
     def number(text: str) -> int:
         if not text.lstrip("+-").isdecimal() or int(text) < least:
@@ -20,10 +20,10 @@ def at_least(least: int) -> Callable[[str], int]:
 
 @contextmanager
 def sentences(parser: argparse.ArgumentParser) -> Iterator[None]:
-    """End the program with a sentence and its exit code where something is wrong with files or settings."""
+    """End the program with a sentence and an exit code if there is an error in files or settings."""
     try:
         yield
     except BayesFTCError as error:
         parser.exit(error.exit_code, f"Error: {error}\n")
     except OSError as error:
-        parser.exit(12, f"Error: {error.filename} cannot be written ({error.strerror}); choose another place.\n")
+        parser.exit(12, f"Error: {error.filename} cannot be written ({error.strerror}). Choose another place.\n")

@@ -1,8 +1,8 @@
-"""Where the numbers of ``data/model.toml`` come from: maximum likelihood over the drive's first 20 s, which have no fault.
+"""Fit the parameters of ``data/model.toml``: maximum likelihood over the drive's first 20 s, which have no fault.
 
 ``python -m bayesftc.examples.redundant_speed_sensors.fit [FOLDER] [--start 0] [--stop 20]`` takes about a minute. The white
-noise of the wheels stays at 0.02 m/s: the likelihood would have all of their noise coloured, but by the white part the learner
-measures trust, offsets and noise. Smoothing and delay are not fitted, but compared in a grid.
+noise of the wheels stays at 0.02 m/s: with the largest likelihood all noise would be coloured, but the learner's offsets and
+noise are multiples of the white noise. Smoothing and delay are not fitted, but compared in a grid.
 """
 
 import argparse
@@ -19,31 +19,31 @@ from bayesftc.examples.redundant_speed_sensors.study import DATA, FITTED, record
 from bayesftc.monitoring import Integrator, Monitor, Recording, load_monitor, log_likelihood
 
 BOUNDS = {"std": (1e-3, 1.0), "s": (1e-3, 100.0)}
-"""Of standard deviations and of time constants (s)."""
+"""Bounds of standard deviations and of time constants (s)."""
 
 GRID = {"smooth": (0.1, 0.25, 0.5, 1.0), "delay": (0.1, 0.15, 0.2)}
 
 
 def numbers(monitor: Monitor) -> dict[str, float]:
-    """Return what is fitted, by name."""
-    found = {
+    """Return the fitted parameters by name."""
+    values = {
         "model.std": monitor.plant.std,  # type: ignore[attr-defined]
         "inputs.acceleration.error_walk": monitor.inputs["acceleration"].error_walk,
         "sensors.gnss.std": monitor.sensors["gnss"].std,
     }
     for i in GROUPS:
         errors = monitor.errors[i[0]]
-        found[f"errors[{i[0]}].std"] = float(np.max(errors.std))
-        found[f"errors[{i[0]}].time_constant"] = float(np.max(errors.time_constant))
-    return found
+        values[f"errors[{i[0]}].std"] = float(np.max(errors.std))
+        values[f"errors[{i[0]}].time_constant"] = float(np.max(errors.time_constant))
+    return values
 
 
 GROUPS = ((0,), (1, 2), (3, 4), (5,))
-"""Which errors have the same numbers: both axles do."""
+"""Groups of errors with equal parameters: the two axles have the same."""
 
 
 def changed(monitor: Monitor, values: Mapping[str, float]) -> Monitor:
-    """Return the monitor with other numbers."""
+    """Return the monitor with other parameters."""
     errors = list(monitor.errors)
     for group in GROUPS:
         for i in group:
@@ -67,19 +67,19 @@ def likelihood(monitor: Monitor, recording: Recording) -> float:
 
 
 def part(monitor: Monitor, folder: Path, start: float, stop: float) -> Recording:
-    """Return the steps of a recording from one time to another."""
+    """Return the steps of a recording between two times."""
     whole = monitor.read([folder])
     kept = (whole.time >= start) & (whole.time < stop)
     if not kept.any():
         raise RecordingError(
-            f"The drive in {folder}, from {whole.time[0]:.1f} to {whole.time[-1]:.1f} s, has nothing between {start:g} and "
-            f"{stop:g} s; choose another part."
+            f"The drive in {folder}, from {whole.time[0]:.1f} to {whole.time[-1]:.1f} s, has no samples between {start:g} and "
+            f"{stop:g} s. Choose another part."
         )
     return replace(whole, start=float(whole.time[kept][0]), y=whole.y[kept], u=whole.u[kept])
 
 
 def fit(monitor: Monitor, recording: Recording, iterations: int = 40) -> tuple[dict[str, float], float]:
-    """Return the numbers for which the likelihood is largest, from the monitor's own on, and its logarithm."""
+    """Return the parameters with the largest likelihood, starting from the monitor's, and the log-likelihood."""
     names = list(numbers(monitor))
     limits = [np.log(BOUNDS["s" if name.endswith("time_constant") else "std"]) for name in names]
 
@@ -92,7 +92,7 @@ def fit(monitor: Monitor, recording: Recording, iterations: int = 40) -> tuple[d
 
 
 def main(argv: Sequence[str] | None = None) -> dict[str, float]:
-    """Fit, print the numbers beside those of the file, and return them."""
+    """Fit, print the parameters beside those of the file, and return them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("folder", nargs="?", type=Path, default=recorded() or DATA, help="where the CSV files are")
     parser.add_argument("--start", type=float, default=0.0, help="seconds")
@@ -112,8 +112,8 @@ def _fit_and_print(folder: Path, start: float, stop: float, iterations: int) -> 
         print(f"{name:34} {value:9.4g} {fitted[name]:9.4g}")
     print(f"{'log-likelihood':34} {likelihood(monitor, recording):9.1f} {best:9.1f}\n")
     alarms = len(changed(monitor, fitted).run(monitor.read([folder])).events)
-    print(f"Alarms in the whole drive with the fitted numbers: {alarms}\n")
-    print("Log-likelihood of the fitted numbers, by smoothing (down) and delay (across), in seconds")
+    print(f"Alarms in the whole drive with the fitted parameters: {alarms}\n")
+    print("Log-likelihood of the fitted parameters, by smoothing (down) and delay (across), in seconds")
     print(f"{'':8}" + "".join(f"{delay:10g}" for delay in GRID["delay"]))
     for smooth in GRID["smooth"]:
         row = []

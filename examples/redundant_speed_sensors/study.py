@@ -1,14 +1,14 @@
-"""How well faults of the drive's sensors are found: AUC by kind and size, delays, false alarms.
+"""The detection of faults of the drive's sensors: AUC by kind and size, delays, false alarms.
 
 ``python -m bayesftc.examples.redundant_speed_sensors.study [FOLDER] [--onsets 200] [--seed 0]``. FOLDER has the three CSV
-files; without it the recorded drive is taken, if the environment variable BAYESFTC_DATA names a folder with ``comma2k19`` in it,
-else the made-up one.
+files. By default it is the recorded drive, if the environment variable BAYESFTC_DATA names a folder with ``comma2k19`` in it,
+otherwise the made-up drive.
 
-Nobody knows the faults of a recording, so they are put in: into one sensor at a time, at random onsets, for 8 s. The drive's
-first 20 s are left alone, for the model was fitted to them. Judged is each sensor's fault probability at each step of the 8 s
-before the onset and of the 8 s of the fault; the other sensors, which are healthy, count as well. Each onset gives an AUC; the
-intervals are of its mean over the onsets, and speak of other onsets in this drive, not of other drives. The pooled AUC takes all
-samples of all onsets together, so that one threshold serves all.
+The recording has no known faults, so faults are injected: into one sensor at a time, at random onsets, for 8 s. The first 20 s of
+the drive have no faults, because the model was fitted to them. The fault probability of each sensor, also of the healthy ones, is
+evaluated at each step of the 8 s before the onset and of the 8 s of the fault. Each onset gives an AUC. The intervals are of its
+mean over the onsets: they cover other onsets in this drive, not other drives. The pooled AUC is of all samples of all onsets,
+with one threshold for all.
 """
 
 import argparse
@@ -38,12 +38,12 @@ CASES = (
 UNITS = {"freeze": "", "injection": " m/s", "drift": " m/s per s", "noise": " times"}
 KINDS = {"freeze": "Frozen", "injection": "Offset", "drift": "Drifting", "noise": "Noisier"}
 FITTED, SPAN = 20.0, 8.0
-"""Seconds that the model was fitted to, and seconds before and after an onset."""
+"""Seconds to which the model was fitted, and seconds before and after an onset."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What came of a kind and size of faults: means over the onsets, the AUC with its interval."""
+    """The results of a kind and size of faults: means over the onsets, and the AUC with its interval."""
 
     kind: str
     size: float
@@ -58,7 +58,7 @@ class Found:
 
 
 def recorded() -> Path | None:
-    """Return the folder of the recorded drive, if BAYESFTC_DATA says where it is."""
+    """Return the folder of the recorded drive, if BAYESFTC_DATA names it."""
     folder = Path(os.environ.get("BAYESFTC_DATA", ""), "comma2k19")
     return folder if "BAYESFTC_DATA" in os.environ and folder.is_dir() else None
 
@@ -72,7 +72,7 @@ def noise_of(monitor: Monitor, sensor: str) -> float:
 def broken(
     signal: Signal, kind: str, size: float, noise: float, span: tuple[float, float], rng: np.random.Generator
 ) -> Signal:
-    """Return a sensor's signal with a fault from one time to another; its samples keep their resolution."""
+    """Return a sensor's signal with a fault in a time span; its samples keep their resolution."""
     time, _ = signal.corrected
     values, during = np.array(signal.values), (time >= span[0]) & (time < span[1])
     if kind == "freeze":
@@ -99,17 +99,17 @@ def until(recording: Recording, end: float) -> Recording:
 def study(
     folder: Path, onsets: int = 200, seed: int = 0, model: Path = DATA / "model.toml"
 ) -> tuple[Monitored, list[Found]]:
-    """Return what is found in the drive as it is, and for each kind and size of fault how well it is found."""
+    """Return the monitor's results for the drive without faults, and the detection of each kind and size of fault."""
     if onsets < 2:
-        raise ModelError(f"A study with onsets={onsets} has no interval of its means; take two or more.")
+        raise ModelError(f"A study with onsets={onsets} has no interval of its means. Use two or more.")
     monitor = load_monitor(model)
     sensors, inputs = monitor.signals([folder])
     recording = align(sensors, inputs, monitor.dt)
     first, last = max(FITTED, recording.time[0]) + SPAN, recording.time[-1] - SPAN
     if first >= last:
         raise RecordingError(
-            f"The drive in {folder} ends at {recording.time[-1]:.1f} s; a study needs {FITTED:g} s that are left alone, and "
-            f"more than {2 * SPAN:g} s thereafter."
+            f"The drive in {folder} ends at {recording.time[-1]:.1f} s. A study needs {FITTED:g} s without faults, and then more "
+            f"than {2 * SPAN:g} s."
         )
     if monitor.precision is not None and monitor.precision.why_no_probability:
         raise ModelError(f"{model} gives no fault probability to study: {monitor.precision.why_no_probability}")
@@ -123,20 +123,20 @@ def study(
             name = list(sensors)[i]
             faulty = broken(sensors[name], kind, size, noise_of(monitor, name), (onset, onset + SPAN), rng)
             recording = until(align({**sensors, name: faulty}, inputs, monitor.dt), onset + SPAN)
-            found = monitor.run(recording, compiled=True)
-            window = found.time >= onset - SPAN
+            monitored = monitor.run(recording, compiled=True)
+            window = monitored.time >= onset - SPAN
             truth = np.zeros((window.sum(), len(sensors)), dtype=bool)
-            truth[found.time[window] >= onset, i] = True
-            score = found.fault_probability[window]
+            truth[monitored.time[window] >= onset, i] = True
+            score = monitored.fault_probability[window]
             areas.append(roc_auc_score(truth.ravel(), score.ravel()))
             truths.append(truth.ravel())
             scores.append(score.ravel())
-            own = [e for e in found.events if e.sensor == name and e.end >= onset]
-            delays.append(max(own[0].start - onset, 0.0) if own else np.inf)
-            names.append(bool(own) and own[-1].kind == KINDS[kind])
-            others += sum(e.sensor != name and e.start >= onset - SPAN for e in found.events)
+            alarms = [e for e in monitored.events if e.sensor == name and e.end >= onset]
+            delays.append(max(alarms[0].start - onset, 0.0) if alarms else np.inf)
+            names.append(bool(alarms) and alarms[-1].kind == KINDS[kind])
+            others += sum(e.sensor != name and e.start >= onset - SPAN for e in monitored.events)
         half = stdtrit(onsets - 1, 0.975) * np.std(areas, ddof=1) / np.sqrt(onsets)
-        low, high = np.mean(areas) - half, min(np.mean(areas) + half, 1.0)  # Student's interval knows of no bound
+        low, high = np.mean(areas) - half, min(np.mean(areas) + half, 1.0)  # Student's interval is not limited to 1
         pooled = roc_auc_score(np.concatenate(truths), np.concatenate(scores))
         area, missed, delay = float(np.mean(areas)), float(np.isinf(delays).mean()), float(np.median(delays))
         interval, named = (float(low), float(high)), float(np.mean(names))
@@ -145,18 +145,20 @@ def study(
 
 
 def otherwise(monitor: Monitor, recording: Recording) -> dict[str, Monitor]:
-    """Return monitors that know less of what healthy sensors are like, or have it wrong, by name."""
+    """Return monitors with less knowledge of healthy sensors, or with wrong settings, by name."""
     total = {name: float(np.sqrt(variance)) for name, variance in _variances(monitor).items()}
     white = {name: replace(sensor, std=total[name]) for name, sensor in monitor.sensors.items()}
-    known = default_precision(recording.loss, recording.resolution)
-    calm = replace(known, modes=tuple(mode for mode in known.modes if not isinstance(mode, Burst)))
+    default = default_precision(recording.loss, recording.resolution)
+    calm = replace(default, modes=tuple(mode for mode in default.modes if not isinstance(mode, Burst)))
     monitors = {
-        "errors taken for white noise of the same size": replace(monitor, sensors=white, errors=()),
+        "lasting errors modelled as white noise of the same size": replace(monitor, sensors=white, errors=()),
         "no bursts": replace(monitor, precision=calm),
     }
     for factor in (0.2, 5.0):
-        modes = [m if isinstance(m, Burst) else replace(m, time_to_fault=factor * m.time_to_fault) for m in known.modes]
-        monitors[f"times to a fault times {factor:g}"] = replace(monitor, precision=replace(known, modes=modes))
+        modes = [
+            m if isinstance(m, Burst) else replace(m, time_to_fault=factor * m.time_to_fault) for m in default.modes
+        ]
+        monitors[f"times to a fault times {factor:g}"] = replace(monitor, precision=replace(default, modes=modes))
     for factor in (0.5, 2.0):
         sensors = {name: replace(sensor, std=factor * sensor.std) for name, sensor in monitor.sensors.items()}
         errors = [replace(error, std=factor * float(np.max(error.std))) for error in monitor.errors]
@@ -167,10 +169,10 @@ def otherwise(monitor: Monitor, recording: Recording) -> dict[str, Monitor]:
 
 
 def _variances(monitor: Monitor) -> dict[str, float]:
-    """Return the variance of each sensor's errors altogether."""
+    """Return the total variance of each sensor's errors."""
     model = monitor.model
     covariance = np.asarray(StateEstimator(model, FixedPrecision()).initial_covariance)
-    # The last states: what comes before, the plant's states and the inputs' errors, is no error of a sensor.
+    # Only the last states are errors of sensors; the plant's states and the inputs' errors come before.
     count = sum(1 if e.common else len(e.sensors or monitor.sensors) for e in monitor.errors)
     first = model.states - count
     C = model.matrix("C")[:, first:]
@@ -179,7 +181,7 @@ def _variances(monitor: Monitor) -> dict[str, float]:
 
 
 def table(healthy: Monitored, rows: Sequence[Found]) -> str:
-    """Return what is printed."""
+    """Return the printed table."""
     fitted = sum(event.start < FITTED for event in healthy.events)
     lines = [
         f"Without a fault, {healthy.time[-1] - healthy.time[0]:.0f} s: {len(healthy.events)} alarms, {fitted} of them in the "
@@ -194,7 +196,7 @@ def table(healthy: Monitored, rows: Sequence[Found]) -> str:
             f"{r.named:6.0%} {r.others:7d}"
         )
     lines.append(
-        "\nDelay: median; named: the right kind when the alarm ended; others: alarms of sensors without a fault."
+        "\nDelay: median; named: the right kind at the end of the alarm; others: alarms of sensors without a fault."
     )
     return "\n".join(lines)
 
@@ -213,7 +215,7 @@ def main(argv: Sequence[str] | None = None) -> list[dict[str, Any]]:
         healthy, rows = study(arguments.folder, arguments.onsets, arguments.seed, arguments.model)
         print(table(healthy, rows))
         monitor = load_monitor(arguments.model)
-        print("\nAlarms in the drive without a fault, with another model:")
+        print("\nAlarms in the drive without a fault, with other models:")
         for name, other in otherwise(monitor, healthy.recording).items():
             print(f"  {name}: {len(other.run(healthy.recording).events)}")
     return [asdict(row) for row in rows]

@@ -1,7 +1,7 @@
-"""Four faults put into a drive, and what the monitor finds of them.
+"""Four faults injected into a drive, and the faults that the monitor detects.
 
 ``python -m bayesftc.examples.redundant_speed_sensors.watch [FOLDER] [--figure FILE] [--write FOLDER]``. FOLDER has the three CSV
-files; without it the made-up drive is taken. ``--write`` keeps the drive with its faults, as it stands in ``faulty``.
+files; by default it is the made-up drive. ``--write`` writes the drive with its faults, as in the folder ``faulty``.
 """
 
 import argparse
@@ -21,7 +21,7 @@ FAULTS = (
     ("gnss", "dropout", 0.0, (22.0, 26.0)),
     ("front_right", "drift", 0.2, (29.0, 36.0)),
 )
-"""Sensor, kind, size (times its noise; m/s per second), from when to when (s)."""
+"""Sensor, kind, size (multiple of its noise; m/s per second), start and stop (s)."""
 
 
 COLUMNS = {
@@ -29,7 +29,7 @@ COLUMNS = {
     "gnss_speed.csv": {"gnss": "speed"},
     "imu.csv": {},
 }
-"""The files of a drive, and which sensor has which column."""
+"""The files of a drive, with the column of each sensor."""
 
 
 def put_in(folder: Path) -> tuple[Monitor, dict[str, Signal], dict[str, Signal]]:
@@ -42,7 +42,7 @@ def put_in(folder: Path) -> tuple[Monitor, dict[str, Signal], dict[str, Signal]]
 
 
 def watch(folder: Path = DATA) -> Monitored:
-    """Put the faults into the drive and return what is found."""
+    """Inject the faults into the drive and return the monitor's results."""
     monitor, sensors, inputs = put_in(folder)
     return monitor.run(align(sensors, inputs, monitor.dt))
 
@@ -54,33 +54,33 @@ def write(folder: Path, drive: Path = DATA) -> None:
     for file, columns in COLUMNS.items():
         table = pd.read_csv(drive / file)
         for name, column in columns.items():
-            known = pd.Series(np.asarray(sensors[name].values), index=np.asarray(sensors[name].time))
-            table[column] = known.reindex(table["t"]).to_numpy()  # samples that are missing have no row in a signal
+            samples = pd.Series(np.asarray(sensors[name].values), index=np.asarray(sensors[name].time))
+            table[column] = samples.reindex(table["t"]).to_numpy()  # missing samples have no row in a signal
         table.to_csv(folder / file, index=False, float_format="%.4f", lineterminator="\n")
 
 
 def main(argv: Sequence[str] | None = None) -> Monitored:
-    """Print what was put in and what was found."""
+    """Print the injected and the detected faults."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("folder", nargs="?", type=Path, default=DATA, help="where the CSV files are")
     parser.add_argument("--figure", type=Path, help="file to draw into")
     parser.add_argument("--write", type=Path, help="folder for the drive with its faults")
     arguments = parser.parse_args(argv)
     with sentences(parser):
-        found = watch(arguments.folder)
+        monitored = watch(arguments.folder)
         if arguments.write is not None:
             write(arguments.write, arguments.folder)
         if arguments.figure is not None:
             try:
-                found.plot().savefig(arguments.figure, dpi=150)
+                monitored.plot().savefig(arguments.figure, dpi=150)
             except ValueError as error:
                 parser.error(f"argument --figure: {error}")
     for name, kind, _, span in FAULTS:
         print(f"put in  {name:12} {kind:10} {span[0]:6.2f} to {span[1]:6.2f} s")
-    for event in found.events:
+    for event in monitored.events:
         since = "" if event.onset is None else f", since {event.onset:.2f} s"
         print(f"found   {event.sensor:12} {event.kind:10} {event.start:6.2f} to {event.end:6.2f} s{since}")
-    return found
+    return monitored
 
 
 if __name__ == "__main__":
