@@ -190,7 +190,8 @@ def test_check_kalman(bayesftc_):
     said = " ".join(table.split())
     assert "infers state and faults together" in said
     assert (
-        "comparison uses its per-sensor form, with the same samples and controls. The belief agrees with filterpy" in said
+        "comparison uses its per-sensor form, with the same samples and controls. The belief agrees with filterpy"
+        in said
     )
     assert "Kalman filter over 101 samples" in table
     assert f"{check['mean_absolute']:.2e}" in table

@@ -129,7 +129,7 @@ def test_what_cannot_be_verified_is_a_sentence(bayesftc_, scenarios, tmp_path):
     for code, says, arguments in (
         (4, "nope.fmu cannot be read", ("nope.fmu", "--against", car)),
         (4, "empty.fmu", ("empty.fmu", "--against", car)),
-        (3, "There is no scenario 'carr'", ("empty.fmu", "--against", "carr")),
+        (3, "There is no file 'carr'", ("empty.fmu", "--against", "carr")),
         (9, "--tolerance is nan", ("empty.fmu", "--against", car, "--tolerance", "nan")),
         (2, "--against", ("empty.fmu",)),
     ):

@@ -565,7 +565,11 @@ def test_a_design_knows_the_sensors_of_the_file(write, more, covariance):
         ("goal = 'z'", UnknownNameError, "'controller': "),
         ("u_min = 3\nu_max = 2", ModelError, "'controller': u_min [3.0] lies above u_max [2.0]"),
         ("precision = 'x'", ScenarioError, "'controller.precision' is 'x'; it must be a table such as"),
-        ("[model]\nA = [[1]]", ScenarioError, "'model' cannot be used with kind = 'design', which makes its model from"),
+        (
+            "[model]\nA = [[1]]",
+            ScenarioError,
+            "'model' cannot be used with kind = 'design', which makes its model from",
+        ),
         ("[sensors]\nmatrix = [[2]]", ScenarioError, "'controller' cannot be a design, because [sensors] has a matrix"),
         (
             "[sensors]\ncovariance = [[2]]",

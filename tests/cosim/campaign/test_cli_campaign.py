@@ -66,7 +66,7 @@ def test_from_file_to_report_and_replay(bayesftc_, file, tmp_path, same_bits):
 
     again = bayesftc_("replay", "tracking", 7, "--out", "run7")
     assert again.exit_code == 0, again.output
-    assert "It has the bits of the run in the store." in again.stdout.replace("\n", " ")
+    assert "It has the same bits as the run in the store." in again.stdout.replace("\n", " ")
     assert {p.name for p in (tmp_path / "run7").iterdir()} == {"result.npz", "figure.png", "figures.json"}
 
     page = bayesftc_("report", "tracking", "-o", "report.html", "--title", "Does <it> track?")
@@ -125,7 +125,7 @@ def test_a_part_of_what_is_another_factor_is_changed_after_it(file):
         ('"faults[0].start"', '"fault[0].start"', "the scenario has no 'fault'; did you mean 'faults'?"),
         ('"faults[0].start"', '"faults[0].begin"', "unknown key 'begin'"),
         ("[0.5, 1.0]", "0.5", "must be a list of values"),
-        ('kind = "fixed_precision"', 'kind = "fixed"', "no kind that can stand here"),
+        ('kind = "fixed_precision"', 'kind = "fixed"', "no valid kind here"),
         ("duration = 2.0", "duration = 2.001", "duration"),
         ("piece = 5", "piece = 0", "piece"),
         ('"plant.v", "reference.y"', '"plant.w"', "no signal 'plant.w'"),
@@ -203,7 +203,7 @@ def test_a_factor_may_be_named_as_in_python(path, tmp_path, same_bits):
 
 def test_two_names_of_one_line_are_refused(tmp_path):
     loop = ScenarioLoop(str(tmp_path / "car.toml"), read_toml(find_scenario("cruise_control")))
-    with pytest.raises(ScenarioError, match=r"'faults\[0\]\.start', 'freeze_0\.start' are the same line"):
+    with pytest.raises(ScenarioError, match=r"'faults\[0\]\.start', 'freeze_0\.start' refer to the same line"):
         loop(**{"faults[0].start": 1.0, "freeze_0.start": 2.0})
 
 
@@ -221,7 +221,7 @@ def test_a_scenario_is_told_from_a_campaign(bayesftc_, tmp_path):
     car.write_text(bayesftc_("example", "cruise_control").stdout)
     done = bayesftc_("campaign", car)
     assert done.exit_code == 3
-    assert "is a scenario, of which one run is made" in re.sub(r"\s+", " ", done.stderr)
+    assert "is a scenario, not a campaign file" in re.sub(r"\s+", " ", done.stderr)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")

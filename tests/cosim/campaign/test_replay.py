@@ -61,7 +61,7 @@ def test_each_run_has_the_bits_of_the_store(said, bayesftc_, tmp_path):
     assert bayesftc_("campaign", "tracking.toml", "-q").exit_code == 0
     for run in range(4):
         numbers = said("tracking", run)
-        assert numbers["notes"] == ["It has the bits of the run in the store."]
+        assert numbers["notes"] == ["It has the same bits as the run in the store."]
         assert numbers["factors"] == {"plant.parameters.m": [80.0, 100.0][run // 2]}
         assert numbers["steps"] == 100
         assert numbers["tracking"]
@@ -79,16 +79,16 @@ def test_a_run_that_differs_is_told(said, tmp_path):
         "wave", metadata.description, metadata.plan, metadata.signals, campaign.job.time, metadata.metrics
     ) as store:
         store.replace(outcome)
-    assert said("wave", 1)["notes"][0] == "It has the bits of the run in the store."
-    assert said("wave", 2)["notes"][0].startswith("It differs from the run in the store in gain.y: ")
+    assert said("wave", 1)["notes"][0] == "It has the same bits as the run in the store."
+    assert said("wave", 2)["notes"][0].startswith("It differs from the run in the store in gain.y. ")
 
 
 def test_a_diagram_that_is_no_closed_loop_is_recorded_and_drawn(said, bayesftc_, tmp_path, same_bits):
     campaign = wave(tmp_path / "wave")
     done = bayesftc_("replay", "wave", 3, "--out", "once more")
     assert done.exit_code == 0, done.output
-    assert "It has the bits of the run in the store." in done.stdout
-    assert "There are no figures of it: " in done.stdout
+    assert "It has the same bits as the run in the store." in done.stdout
+    assert "There are no figures of this run: " in done.stdout
     assert "Written to once more: figure.png, figures.json, result.npz" in done.stdout
     result = Result.load(tmp_path / "once more" / "result.npz")
     assert set(result) == {"sine.y", "noise.y", "gain.y"}
@@ -103,8 +103,8 @@ def test_runs_that_had_no_time_go_to_their_end(said, bayesftc_, tmp_path):
     bayesftc_("campaign", "tracking.toml", "-q")
     numbers = said("tracking", 1, "--out", "again")
     (note,) = numbers["notes"]
-    assert note.startswith("In the store it has failed: The run reached its time limit")
-    assert "Now it went to its end. It has the bits of the run in the store, as far as that has come." in note
+    assert note.startswith("In the store this run failed: The run reached its time limit")
+    assert "Now it is complete. It has the same bits as the run in the store, as far as both have run." in note
     assert numbers["stopped"] is None
     assert numbers["steps"] == 100
     assert (tmp_path / "again" / "result.npz").exists()
@@ -121,8 +121,8 @@ def test_a_run_that_stops_stops_again_and_its_steps_are_there(said, bayesftc_, t
     assert numbers["stopped"] == failed["reason"]
     assert numbers["steps"] == failed["steps"] < 200
     assert numbers["notes"][0] == (
-        f"In the store it has failed: {failed['reason']} Now it has stopped as well: {failed['reason']} "
-        "It has the bits of the run in the store, as far as that has come."
+        f"In the store this run failed: {failed['reason']} Now it stopped as well: {failed['reason']} "
+        "It has the same bits as the run in the store, as far as both have run."
     )
     assert len(Result.load(tmp_path / "again" / "result.npz").time) == numbers["steps"] + 1
     quiet = bayesftc_("replay", "growth", 1, "-q")

@@ -263,7 +263,7 @@ def test_areas_under_the_curve_are_those_of_scikit_learn(stored):
     store = precisions(stored, seeds=3, signals=signals)
     contents = Contents(store)
     made, caption = roc_figure(contents, read_detection(contents))
-    assert "controller.fault_probability, in all 6 runs of each that went to their end" in caption
+    assert "controller.fault_probability, in all 6 complete runs of each" in caption
     labels = [line.get_label() for line in made.axes[0].get_lines()]
     precision = contents.table["precision"].to_numpy()
     for level in LEVEL:
@@ -296,7 +296,7 @@ def test_a_level_without_probabilities_is_ranked_by_beta_and_one_without_either_
     names = {level: own.score_name for level, own in found.items()}
     assert names == {"gamma": "controller.beta", "switching": "controller.fault_probability"}
     made, caption = roc_figure(contents, found)
-    assert "Without scores that tell samples apart: fixed." in caption
+    assert "Without different scores: fixed." in caption
     # A level looks the same wherever it is drawn.
     bands, _ = error_bands(contents)
     colours = {line.get_label(): line.get_color() for line in bands.axes[0].get_lines()}
@@ -370,9 +370,7 @@ def test_no_difference_is_claimed_that_noise_may_have_made(stored):
     points = grid(mass=[80.0, 100.0], precision=["a", "b"])
     values = np.random.default_rng(3).normal(size=4 * 8)
     text = read(report(stored(points, 8, {"rmse": values}))).words
-    assert re.search(
-        r"but no difference to [ab] is certain: the 95 % interval of it reaches from -[\d.]+ to [\d.]+", text
-    )
+    assert re.search(r"but the difference to [ab] is not certain: its 95 % interval is -[\d.]+ to [\d.]+", text)
     assert " below " not in text
 
 
@@ -401,7 +399,7 @@ def test_false_claims_are_as_rare_as_they_say(stored):
 def test_levels_at_points_of_their_own_are_not_compared(stored):
     points = [{"kind": "a", "mass": 1.0}, {"kind": "b", "mass": 2.0}]
     text = read(report(stored(points, 4, {"rmse": noisy(points, 4, lambda p: p["mass"])}))).words
-    assert "the levels have no point in common" in text
+    assert "The levels have no point in common" in text
     assert "Comparison" not in text
 
 
@@ -421,7 +419,7 @@ def test_levels_with_noise_of_their_own_are_compared_as_independent(stored):
 def test_one_seed_tells_nothing_of_noise(stored):
     points = grid(kind=["a", "b"], mass=[1.0, 2.0])
     page = read(report(stored(points, 1, {"rmse": noisy(points, 1, lambda p: 1.0 + (p["kind"] == "b"))})))
-    assert "one seed does not tell whether b" in page.words
+    assert "with one seed this may be noise" in page.words
     assert all("±" not in cell for row in page.tables["Results"] for cell in row)
 
 
@@ -431,8 +429,8 @@ def test_one_seed_tells_nothing_of_noise(stored):
 def test_failures_come_first_with_their_reason_and_are_counted_nowhere_else(stored):
     store = precisions(stored, failed=(0, 1, 40))
     page = read(report(store))
-    assert page.headings[1] == "3 of 72 runs have failed"
-    (row,) = page.tables["3 of 72 runs have failed"][1:]
+    assert page.headings[1] == "3 of 72 runs failed"
+    (row,) = page.tables["3 of 72 runs failed"][1:]
     assert row[:3] == ["3", "2", "The plant gave <NaN> & stopped."]
     assert row[3] == f"bayesftc replay {store.path} 0"
     first = page.tables["Results"][1]
@@ -446,14 +444,14 @@ def test_a_campaign_whose_runs_have_all_failed(stored):
     gone = {name: np.full_like(array, np.nan) for name, array in signals.items()}
     page = read(report(precisions(stored, seeds=3, failed=range(18), signals=gone)))
     assert "No run has a value of rmse." in page.words
-    assert page.headings[1] == "18 of 18 runs have failed"
+    assert page.headings[1] == "18 of 18 runs failed"
     assert not {"Results", "Comparison", "Over time", "Detection"} & set(page.headings)
 
 
 def test_a_campaign_that_is_not_whole_says_so_and_compares_what_has_its_like(stored):
     store = precisions(stored, pieces=5)
     page = read(report(store))
-    assert "35 runs of 72 (the campaign is not whole yet)" in page.words
+    assert "35 runs of 72 (the campaign is not complete yet)" in page.words
     ((_, *cells),) = (row for row in page.tables["Comparison"][1:] if row[0] == "gamma − switching")
     assert cells[:2] == ["1", "11"]
 
@@ -493,7 +491,7 @@ def test_two_hundred_levels(stored):
     page = read(report(store, compare="kind"))
     assert "rmse is lowest with kind = level 0" in page.words
     assert len(page.tables["Comparison"]) == 2
-    assert "Of so many levels only the two with the lowest means are compared." in page.words
+    assert "With so many levels only the two with the lowest means are compared." in page.words
     assert len(page.tables["Results"]) == 61
     assert "140 further rows are left out here." in page.words
 
@@ -567,7 +565,7 @@ def test_a_loop_of_which_beta_alone_was_recorded(stored):
     signals, _ = detected(lambda both, rng: both + rng.normal(size=both.shape))
     del signals["controller.fault_probability"]
     page = read(report(precisions(stored, seeds=3, signals=signals)))
-    assert "found by controller.beta" in page.words
+    assert "Detection of sensor faults by controller.beta" in page.words
     assert "Reliability" not in page.headings
 
 
