@@ -218,6 +218,6 @@ def test_the_wrappers_take_any_model_that_keeps_the_contract(tmp_path, fmi):
 def test_a_source_that_does_not_compile_shows_the_compilers_words(tmp_path):
     model = leaky(tmp_path)
     model.source.write_text("int model_step(double *x, double h) { return no_such_name; }\n")
-    with pytest.raises(CompilerError, match=r"(?s)refused fmi2\.c, Leaky\.c:.*no_such_name"):
+    with pytest.raises(CompilerError, match=r"(?s)failed with fmi2\.c, Leaky\.c:.*no_such_name"):
         build_fmu(model, tmp_path / "out")
     assert not (tmp_path / "out").exists()

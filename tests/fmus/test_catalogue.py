@@ -40,10 +40,10 @@ def test_names_are_the_files():
 def test_an_unknown_name_names_the_near_ones():
     shipped = ", ".join(fmus.names())
     with pytest.raises(
-        ValueError, match=rf"'cruisecontroll'.*did you mean 'CruiseControl'\?.*Shipped are: {shipped}\."
+        ValueError, match=rf"'cruisecontroll'.*did you mean 'CruiseControl'\?.*Shipped FMUs: {shipped}\."
     ):
         fmus.path("cruisecontroll")
-    with pytest.raises(ValueError, match=r"is shipped\. Shipped are") as caught:
+    with pytest.raises(ValueError, match=r"is shipped\. Shipped FMUs") as caught:
         fmus.path("Submarine")
     assert "did you mean" not in str(caught.value)
 
@@ -155,14 +155,14 @@ V = Variable("v", "output", "Velocity")
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Variable("a b", "input", ""), "not legal"),
+        (lambda: Variable("a b", "input", ""), "not valid"),
         (lambda: Variable("a", "input", "", start=float("nan")), "not finite"),
         (lambda: Variable("a", "input", "", variability="fixed"), "cannot be fixed"),
         (lambda: Variable("a", "input", "", dependencies=("b",)), "only an output"),
         (lambda: Model("a-b", "", Path("a.c"), (V,), step=1.0), "no C identifier"),
         (lambda: Model("a", "", Path("a.c"), (V,), step=0.0), "step size"),
-        (lambda: Model("a", "", Path("a.c"), (V, V), step=1.0), "shares its C name"),
-        (lambda: Model("a", "", Path("a.c"), (Variable("time", "input", ""),), step=1.0), "rename"),
+        (lambda: Model("a", "", Path("a.c"), (V, V), step=1.0), "has the C name X_v"),
+        (lambda: Model("a", "", Path("a.c"), (Variable("time", "input", ""),), step=1.0), "Rename"),
         (
             lambda: Model("a", "", Path("a.c"), (Variable("y", "output", "", dependencies=("v",)), V), step=1.0),
             "neither",

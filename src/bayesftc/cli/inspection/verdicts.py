@@ -133,7 +133,7 @@ def _instances(description: FMUDescription) -> list[Verdict]:
     )
     return [
         several,
-        Verdict("isolate=True", "yes", "a crash or an endless step ends the FMU's process, not yours."),
+        Verdict("isolate=True", "yes", "in a separate process, whose crash or endless step does not end yours."),
     ]
 
 
