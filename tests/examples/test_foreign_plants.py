@@ -81,7 +81,7 @@ def test_fmus_out_of_packages(tmp_path, monkeypatch):
 def test_a_tool_that_is_missing_is_named(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert closed_loops.main(runs=1, cases=(CASES["qfmu"],)) == {}
-    assert "qfmu is not installed; get it by: python -m pip install --no-deps qfmu" in capsys.readouterr().out
+    assert "qfmu is not installed. Install it with: python -m pip install --no-deps qfmu" in capsys.readouterr().out
     for maker in MAKERS.values():
         with pytest.raises(MissingTool, match="python -m pip install"):
             maker(tmp_path)

@@ -78,13 +78,13 @@ def test_four_faults_are_found_with_their_kinds(capsys):
 @pytest.mark.parametrize(
     ("main", "arguments", "code", "words"),
     [
-        (study.main, ["nowhere"], 16, "nowhere cannot be read"),
+        (study.main, ["nowhere"], 16, "nowhere does not exist"),
         (study.main, ["--model", "nowhere.toml"], 3, "nowhere.toml cannot be read"),
         (study.main, ["--model", "fixed.toml"], 9, "fixed.toml gives no fault probability to study: FixedPrecision"),
-        (study.main, ["short"], 16, "The drive in short ends at 35.0 s; a study needs"),
+        (study.main, ["short"], 16, "The drive in short ends at 35.0 s. A study needs"),
         (study.main, ["--onsets", "1"], 2, "'1' must be a whole number of at least 2"),
         (study.main, ["--seed", "-1"], 2, "'-1' must be a whole number of at least 0"),
-        (fit.main, ["--start", "30"], 16, "nothing between 30 and 20 s"),
+        (fit.main, ["--start", "30"], 16, "no samples between 30 and 20 s"),
         (fit.main, ["--iterations", "x"], 2, "'x' must be a whole number"),
         (watch.main, ["--figure", "nowhere/x.png"], 12, "x.png cannot be written"),
         (watch.main, ["--figure", "x.abc"], 2, "'abc' is not supported"),

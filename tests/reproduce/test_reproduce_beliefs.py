@@ -195,7 +195,7 @@ def test_what_is_printed(report):
     assert "learned " + " ".join(f"{mean:.3f}" for mean in scores) in " ".join(text.split())
     words = " ".join(text.split())
     worst = report["worst"][FORM]
-    assert f"in no cell has a row more than {worst['over_unchanged']:.3f} times the error of the first" in words
+    assert f"the largest error, relative to the first row, is {worst['over_unchanged']:.3f} (" in words
 
 
 def test_wrong_settings_are_a_sentence():

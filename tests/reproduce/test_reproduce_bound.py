@@ -214,7 +214,7 @@ def test_tables_and_figure_show_all(report, printed):
 
 
 def test_particles_that_do_not_suffice_and_sensors_that_are_too_many_are_told():
-    with pytest.raises(cosim.ModelError, match="raise most_particles"):
+    with pytest.raises(cosim.ModelError, match="Raise most_particles"):
         run(settings=replace(FEW, particles=4, most_particles=4, moves=1e-9, cells=((5.0, 2.0),)))
     with pytest.raises(cosim.ModelError, match="4 sensors"):
         PosteriorFilter(OFTEN, Car(sensors=4), LARGE, 8)

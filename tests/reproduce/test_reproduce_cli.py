@@ -64,9 +64,9 @@ def test_wrong_input_is_a_sentence(bayesftc_, arguments, code, words):
     [
         (lambda: settings.Arm(threshold_runs=0), "threshold_runs is 0"),
         (lambda: settings.Arm(start=(0.0,)), "must be a tuple of 2 numbers"),
-        (lambda: settings.Arm(detection_groups=((0, 9),)), "six samples"),
+        (lambda: settings.Arm(detection_groups=((0, 9),)), "samples from 0 to 5"),
         (lambda: settings.Tracking(significance=5), "significance=5"),
-        (lambda: settings.Tracking(injections=(1.0, "large")), "which holds='large'"),
+        (lambda: settings.Tracking(injections=(1.0, "large")), "which contains='large'"),
         (lambda: settings.Detection(training_share=1.0), "training_share=1.0"),
         (lambda: settings.Car(drag=None), "drag=None"),
         (lambda: reproduce.tracking(settings=settings.Arm()), "this experiment takes Tracking"),
@@ -89,7 +89,7 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_run(bayesftc_, tmp_p
     (tmp_path / "file").write_text("")
     done = bayesftc_("reproduce", "all", "--out", "file/below")
     assert done.exit_code == 12
-    assert "is no folder" in done.stderr
+    assert "not a folder" in done.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 

@@ -267,7 +267,7 @@ def test_tables_fit_a_terminal_and_count_who_wins(report, printed):
         "0.873",
         "0.907",
         "drift 20",
-        "SER by filterpy's Kalman filter over the same samples",
+        "SER with filterpy's Kalman filter on the same samples",
     ):
         assert words in text
     low, high = report["difference"]["ci"]

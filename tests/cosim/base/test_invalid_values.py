@@ -159,7 +159,7 @@ def test_a_model_file_names_them_for_all_columns_or_for_one(tmp_path):
 def test_a_signal_leaves_them_out():
     signal = monitoring.Signal([0, 1, 2, 3], [1.0, -1.0, 65535.0, 2.0], invalid=[-1.0, 65535.0])
     assert signal.values.tolist() == [1.0, 2.0]
-    with pytest.raises(RecordingError, match="not a single sample"):
+    with pytest.raises(RecordingError, match="has no samples"):
         monitoring.Signal([0, 1], [5.0, 5.0], invalid=[5.0])
 
 

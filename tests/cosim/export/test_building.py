@@ -65,7 +65,7 @@ def test_ziglang_without_a_place_to_keep_things_is_a_sentence(tmp_path, monkeypa
         _compiler.importlib.util, "find_spec", lambda name: object() if name == "ziglang" else find_spec(name)
     )
     with pytest.raises(
-        cosim.FMUError, match=r"keeps what it makes in .*file.zig, where nothing can be written .*ZIG_GLOBAL_CACHE_DIR"
+        cosim.FMUError, match=r"The cache of .* is .*file.zig, where nothing can be written .*ZIG_GLOBAL_CACHE_DIR"
     ):
         cosim.export_fmu(cosim.Gain(2.0), tmp_path / "gain.fmu", dt=0.1, platforms="linux-aarch64")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
