@@ -1,8 +1,8 @@
 """Fault-tolerant control by Bayesian inference, as blocks for co-simulation.
 
-Two sub-packages hold everything a script needs: :mod:`bayesftc.cosim` (plants, sensors, faults, sources, diagrams and the
-engine that runs them) and :mod:`bayesftc.controllers` (the Bayesian controllers). :mod:`bayesftc.monitoring` looks for faults in
-recorded samples, and :mod:`bayesftc.fmus` finds the FMUs that are shipped. Nothing heavy is imported before it is used.
+Two sub-packages have everything for a script: :mod:`bayesftc.cosim` (plants, sensors, faults, sources, diagrams and the engine
+that runs them) and :mod:`bayesftc.controllers` (the Bayesian controllers). :mod:`bayesftc.monitoring` finds faults in recorded
+samples, and :mod:`bayesftc.fmus` finds the shipped FMUs. Large packages are imported only when they are used.
 """
 
 from importlib import import_module
@@ -14,7 +14,7 @@ __all__ = ["__version__", "controllers", "cosim", "fmus", "monitoring"]
 
 _root = Path(__file__).resolve().parents[2]
 if (_root / "hatch_build.py").is_file() and not (Path(__file__).parent / "cosim").is_dir():
-    # A checkout whose links were lost (a zip unpacked on Windows): the folders stand at its root.
+    # A checkout without its links (such as a zip unpacked on Windows): the folders are at its root.
     __path__.append(str(_root))
 del _root
 

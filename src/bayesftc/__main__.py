@@ -15,7 +15,7 @@ def main() -> None:
             app(prog_name="bayesftc")
     except (Interrupted, KeyboardInterrupt):
         print(SENTENCE, file=sys.stderr)  # noqa: T201
-        warnings.simplefilter("ignore")  # such as of coroutines that were begun; the sentence is the last word
+        warnings.simplefilter("ignore")  # such as warnings of unfinished coroutines, after the sentence
         sys.exit(EXIT_CODE)
     finally:
         ended()

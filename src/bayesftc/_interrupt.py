@@ -1,9 +1,9 @@
-"""Ctrl-C that comes through.
+"""Reliable Ctrl-C.
 
-Python raises it at its next line, wherever that is: in a callback of the compiler, in a ``__del__``, where a weak reference ends,
-in a comparison that C code asks for. What is raised there is lost, and the program would go on; while numba compiles that is one
-Ctrl-C in four. Here an interrupt that is lost comes again a moment later, until it is raised where it is heard; and while what
-was begun is put away, another Ctrl-C does not disturb. Loads nothing that is not there already.
+Python raises it at the next line of code: also in a callback of the compiler, in a ``__del__``, at the end of a weak reference, or
+in a comparison that C code calls. An exception there is lost, and the program continues; during numba's compilation this happens
+to one Ctrl-C in four. Here a lost interrupt is raised again a moment later, until it is handled. A further Ctrl-C during the
+clean-up has no effect. This module imports nothing that is not loaded already.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from typing import Any
 EXIT_CODE = 130
 SENTENCE = "Stopped by Ctrl-C before the end; no half-finished file was left behind."
 PAUSE = 0.02
-"""Seconds after which an interrupt that was lost comes again."""
+"""Seconds after which a lost interrupt is raised again."""
 
 
 class Interrupted(BaseException):
-    """Ctrl-C. No `KeyboardInterrupt`, to which some libraries have their own answers.
+    """Ctrl-C. It is no `KeyboardInterrupt`, which some libraries handle themselves.
 
-    CPython, too: where one has passed through an `exec`, the process dies of the signal whatever exit code was asked for.
+    CPython does, too: after one has passed through an `exec`, the signal ends the process, whatever the requested exit code.
     """
 
 
 class _Interrupts:
-    """What is known of the interrupts since the program began."""
+    """The interrupts since the start of the program."""
 
     def __init__(self, ignored: Callable[[Any], object]):
         self.asked = False
@@ -39,20 +39,20 @@ class _Interrupts:
         self._ignored = ignored
 
     def handle(self, *_: object) -> None:
-        """Answer the signal."""
+        """Handle the signal."""
         self.asked = True
         if not self._raised:
             self._raised = True
-            _thread.start_new_thread(self._watch, ())  # not threading's, whose locks may be held at this moment
+            _thread.start_new_thread(self._watch, ())  # not from threading, whose locks may be held at this moment
             raise Interrupted
 
     def ignored(self, lost: Any) -> None:
-        """Answer an exception that Python ignores (`sys.unraisablehook`); after a Ctrl-C it comes of that."""
+        """Handle an exception that Python ignores (`sys.unraisablehook`); after a Ctrl-C it is a consequence of that."""
         if not self.asked:
             self._ignored(lost)
 
     def _watch(self) -> None:
-        """Send the signal again if what was raised is lost."""
+        """Send the signal again if the exception is lost."""
         time.sleep(PAUSE)
         while signal.getsignal(signal.SIGINT) == self.handle:
             if not _is_handled():
@@ -66,9 +66,9 @@ class _Interrupts:
 
 
 def _is_handled() -> bool:
-    """Return whether the main thread is on its way out: in what an interrupt makes it do (``finally``, ``with``, ``except``)."""
-    found: Any = sys._current_exceptions().get(threading.main_thread().ident or 0)
-    error = found[1] if isinstance(found, tuple) else found  # from Python 3.12 on the exception alone
+    """Return whether the main thread handles an interrupt (in ``finally``, ``with`` or ``except``)."""
+    current: Any = sys._current_exceptions().get(threading.main_thread().ident or 0)
+    error = current[1] if isinstance(current, tuple) else current  # from Python 3.12 on only the exception
     while error is not None:
         if isinstance(error, Interrupted):
             return True
@@ -77,23 +77,22 @@ def _is_handled() -> bool:
 
 
 def asked() -> bool:
-    """Return whether there was a Ctrl-C inside `heard`: then an error may be no more than what came of it."""
-    answer = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
-    return isinstance(answer, _Interrupts) and answer.asked
+    """Return whether there was a Ctrl-C inside `heard`: then an error may be a consequence of it."""
+    handler = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
+    return isinstance(handler, _Interrupts) and handler.asked
 
 
 def ended() -> None:
-    """Hear no Ctrl-C any more: all is done, and Python, while it clears away, would die of the signal."""
+    """Ignore Ctrl-C from now on: all is done, and the signal would end Python during its clean-up."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def heard() -> Iterator[None]:
-    """Raise `Interrupted` at Ctrl-C, at the latest at the end of what is done inside; later ones are ignored then.
+    """Raise `Interrupted` at Ctrl-C, at the latest at the end of the block; later ones are then ignored.
 
-    Where Ctrl-C is not Python's own affair (it is ignored in a job in the background, and comes to the main thread only), nothing
-    is changed.
+    Nothing changes if Python does not handle Ctrl-C itself, as in a background job, or outside of the main thread.
     """
     in_main = threading.current_thread() is threading.main_thread()
     if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -115,7 +114,7 @@ def heard() -> Iterator[None]:
         if interrupts.asked:
             raise Interrupted
     finally:
-        if interrupts.asked:  # the program ends, and what was half made is put away until then
+        if interrupts.asked:  # the program ends, and cleans up until then
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         else:
             signal.signal(signal.SIGINT, signal.default_int_handler)

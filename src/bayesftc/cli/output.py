@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DASH = "–"
-TRACKING = "The tracking error uses the reference at the same instant. The controller steers the state to it one step later."
+TRACKING = (
+    "The tracking error uses the reference at the same instant. The controller steers the state to it one step later."
+)
 ACTUATORS = "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control."
 DOTS_PER_INCH = 150
 PERIOD = 10.0
