@@ -1,9 +1,9 @@
 """Reliable Ctrl-C.
 
-Python raises it at the next line of code: also in a callback of the compiler, in a ``__del__``, at the end of a weak reference, or
-in a comparison that C code calls. An exception there is lost, and the program continues; during numba's compilation this happens
-to one Ctrl-C in four. Here a lost interrupt is raised again a moment later, until it is handled. A further Ctrl-C during the
-clean-up has no effect. This module imports nothing that is not loaded already.
+Python raises it at the next line of code: also in a callback of the compiler, in a ``__del__``, at the end of a weak reference,
+or in a comparison that C code calls. An exception there is lost, and the program continues; during numba's compilation this
+happens to one Ctrl-C in four. Here a lost interrupt is raised again a moment later, until it is handled. A further Ctrl-C during
+the clean-up has no effect. This module imports nothing that is not loaded already.
 """
 
 from __future__ import annotations

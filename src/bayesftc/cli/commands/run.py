@@ -82,7 +82,7 @@ def run(
         return
     if len(scenarios) > 1 or seeds is not None:
         raise ModelError(
-            f"bayesftc run has {'--seeds' if seeds is not None else f'{len(scenarios)} scenarios'}, but makes only one run of one "
+            f"bayesftc run has {'--seeds' if seeds is not None else f'{len(scenarios)} scenarios'}, but makes one run of one "
             "scenario. To compare several scenarios over many seeds, add --compare."
         )
     (scenario,) = scenarios
