@@ -101,7 +101,7 @@ def test_a_recording_of_too_many_columns(tmp_path):
 def test_files_with_a_number_of_thousands_of_digits(tmp_path, load):
     path = tmp_path / "file.toml"
     path.write_text(f"dt = {'9' * 5000}")
-    with pytest.raises(ScenarioError, match="has a number of thousands of digits. Round it"):
+    with pytest.raises(ScenarioError, match=r"has a number of thousands of digits\. Round it"):
         load(path)
 
 
