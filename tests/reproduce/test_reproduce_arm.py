@@ -149,7 +149,7 @@ def test_being_told_is_a_missing_encoder():
 
 @pytest.mark.parametrize("modes", [{"fault_modes": ()}, {"further_modes": (("Frozen", "Melted"),)}], ids=str)
 def test_fault_modes_are_the_packages(modes):
-    with pytest.raises(ModelError, match=r"choose among Frozen, .*DroppedOut"):
+    with pytest.raises(ModelError, match=r"Choose among Frozen, .*DroppedOut"):
         Arm(**modes)
 
 

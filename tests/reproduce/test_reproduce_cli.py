@@ -69,8 +69,8 @@ def test_wrong_input_is_a_sentence(bayesftc_, arguments, code, words):
         (lambda: settings.Tracking(injections=(1.0, "large")), "which contains='large'"),
         (lambda: settings.Detection(training_share=1.0), "training_share=1.0"),
         (lambda: settings.Car(drag=None), "drag=None"),
-        (lambda: reproduce.tracking(settings=settings.Arm()), "this experiment takes Tracking"),
-        (lambda: reproduce.arm(settings={}), "this experiment takes Arm"),
+        (lambda: reproduce.tracking(settings=settings.Arm()), "This experiment takes Tracking"),
+        (lambda: reproduce.arm(settings={}), "This experiment takes Arm"),
     ],
 )
 def test_wrong_settings_are_a_sentence(make, words):
