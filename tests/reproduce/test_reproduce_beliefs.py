@@ -204,7 +204,7 @@ def test_wrong_settings_are_a_sentence():
         (lambda: Beliefs(resolution=0.0), "resolution=0.0"),
         (lambda: Beliefs(streams=1), "streams is 1"),
         (lambda: Beliefs(training_streams=0), "training_streams is 0"),
-        (lambda: reproduce.beliefs(settings=Tracking()), "this experiment takes Beliefs"),
+        (lambda: reproduce.beliefs(settings=Tracking()), "This experiment takes Beliefs"),
     ):
         with pytest.raises(ModelError, match=words):
             make()

@@ -268,7 +268,7 @@ def test_the_papers_techniques_alone():
         (lambda: Models(healthy_factor=0), "healthy_factor is 0"),
         (lambda: Models(force_limit=-1.0), "force_limit=-1.0"),
         (lambda: Models(ageing=0.5), "ageing=0.5"),
-        (lambda: reproduce.models(settings=Tracking()), "this experiment takes Models"),
+        (lambda: reproduce.models(settings=Tracking()), "This experiment takes Models"),
     ],
 )
 def test_wrong_settings_are_a_sentence(make, words):
