@@ -185,11 +185,11 @@ def test_tables_say_which_aims_are_missed(printed):
 
     cells = {f"{fault}/{r}": cell(1.1, 1.0) for fault in ("freeze", "drift 2") for r in ("constant", "sine")}
     text = printed(_tracking_tables.show_oracle(cells))
-    assert "ours meets the aim in all 4 cells." in text
+    assert "ours meets the target in all 4 cells." in text
     assert "1.000 ± 0.3" in text
     assert "9.00" in text
     text = printed(_tracking_tables.show_oracle(cells | {"drift 2/sine": cell(1.1, 1.2)}))
-    assert "ours meets the aim in 3 of 4 cells, and misses it on drift 2/sine (1.2 for 1.1)." in text
+    assert "ours meets the target in 3 of 4 cells and misses it on drift 2/sine (1.2 for 1.1)." in text
 
 
 def test_an_error_is_the_root_mean_square_of_a_run_by_hand():
@@ -255,7 +255,7 @@ def test_threshold_of_effdi_is_its_quantile_without_fault():
 @pytest.mark.parametrize("experiment", reproduce.__all__)
 def test_numbers_that_cannot_be(experiment, wrong):
     ((name, value),) = wrong.items()
-    with pytest.raises(cosim.ModelError, match=rf"{name} is {value!r}; it must be"):
+    with pytest.raises(cosim.ModelError, match=rf"{name} is {value!r}[;.] [Ii]t must be"):
         getattr(reproduce, experiment)(**wrong)
 
 
@@ -309,7 +309,7 @@ def test_tables_fit_a_terminal_and_say_what_is_not_as_in_the_paper(report, print
         },
     }
     text = printed(_tracking_tables.show(changed))
-    assert "EF-FDI (-17) and No FT (-11) stand in reverse order to the paper's (-10 and -22)." in text
+    assert "EF-FDI (-17) and No FT (-11) are in the reverse order of the paper's (-10 and -22)." in text
     assert "total merits are Twin 25, PL 5, SER FT 0, No FT -10 and EF-FDI -20. Twin is ahead of PL." in text
     assert "PL) tracks significantly worse on freeze/sine than No FT." in text
     assert "others are significantly better than PL: Twin in 1." in text
