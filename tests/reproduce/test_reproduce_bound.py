@@ -202,7 +202,7 @@ def test_same_bits_for_any_number_of_jobs(report):
 def test_tables_and_figure_show_all(report, printed):
     text = printed(_bound_tables.show(report))
     for words in (
-        f"keeps {report['particles']} hypotheses",
+        f"has {report['particles']} hypotheses",
         "Injection 10 m/s, drift 20",
         "SwitchingPrecision, default",
         "bound",
