@@ -538,7 +538,7 @@ def test_a_run_keeps_pace_with_the_clock_and_says_where_it_was_late(bayesftc_):
     assert "pace" not in same
     assert numbers["tracking"] == same["tracking"]
     late = run_car(bayesftc_, "--duration", "1", "--pace", "1e6")  # nobody is as fast
-    assert re.search(r"the run was\s+late (once|\d+\s+times),\s+at\s+worst\s+by\s+[\d.e+]+\s+ms", late.output)
+    assert re.search(r"the run was\s+late (once|\d+\s+times),\s+by\s+at\s+most\s+[\d.e+]+\s+ms", late.output)
     wrong = run_car(bayesftc_, "--pace", "0")
     assert (wrong.exit_code, wrong.output) == (
         9, "Error: pace is 0.0; it must be a positive number of simulated seconds for each second, 1.0 for real time.\n"
