@@ -1,4 +1,4 @@
-"""A fault-tolerant controller in one call: from a plant, what is measured, what is actuated, and what is wanted."""
+"""Design a fault-tolerant controller for a plant in one call."""
 
 from __future__ import annotations
 
@@ -52,52 +52,52 @@ def design(
     u_max: float | Sequence[float] = float("inf"),
     u_rate: float | Sequence[float] = float("inf"),
 ) -> LQGController:
-    """Return a fault-tolerant controller for a plant, a block that drops into `bayesftc.cosim.closed_loop`.
+    """Return a fault-tolerant controller for a plant, a block for `bayesftc.cosim.closed_loop`.
 
-    A linear model of the plant about a steady state is made (`LinearModel.from_fmu` says how), and a controller that leads the
-    goal outputs to the goal as the linear quadratic regulator does (`LQGController`), from redundant sensors that may fail
-    (`precision`). ``print(controller.describe())`` shows the closed-loop poles.
+    The plant is linearised about a steady state (see `LinearModel.from_fmu`). The result is an `LQGController` for that model:
+    it brings the goal outputs to the goal with redundant sensors that may fail (`precision`).
+    ``print(controller.describe())`` shows the closed-loop poles.
 
     Parameters
     ----------
     plant : FMU, path, system of python-control, StateSpace, LinearModel or Identification
-        What is to be controlled. Nonlinear systems are linearised at a steady state.
+        The plant to control. Nonlinear systems are linearised at a steady state.
     goal : str or sequence of str
-        Names of the plant's outputs that get a goal, measured or not; by default the measured ones. The name of a vector stands
-        for all its elements, ``"y[1]"`` for one, and so for `measured` and `actuated`. Of a `LinearModel`: numbers of sensors
-        whose quantity it is, or a matrix as in `LQGController`; by default each distinct output.
+        Names of the plant's outputs that have a goal, measured or not; by default the measured ones. The name of a vector stands
+        for all its elements, ``"y[1]"`` for one; this holds for `measured` and `actuated` as well. For a `LinearModel`: numbers
+        of sensors, or a matrix as in `LQGController`; by default each distinct output.
     measured, actuated : str or sequence of str
-        Names of the outputs that sensors read, and of the inputs that the controller drives. Not for a `LinearModel` or an
-        `Identification`, which has its own.
+        Names of the outputs that sensors measure, and of the inputs that the controller drives. Not for a `LinearModel` or an
+        `Identification`, which contains them.
     dt : float, str or Fraction, optional
-        Sample time in seconds; by default that of the model or the FMU.
+        Sample time in seconds; by default the one of the model or the FMU.
     at, order, sensors, sensor_std, noise, disturbance
-        See `LinearModel.from_fmu`. Not for a `LinearModel`. By default the noise is 5 % of half of what its limits leave a
-        control, or else of `acceptable_control`, where these are given. A `disturbance` is worth while where the plant is not
-        quite the model, or bears loads: without it these leave a steady error.
+        See `LinearModel.from_fmu`. Not for a `LinearModel`. The default noise is 5 % of half the range between a control's
+        limits, or without limits of `acceptable_control`, where one of them is given. A `disturbance` removes the steady error
+        that load or a plant unlike the model would leave.
     acceptable_error : number or vector
-        For Bryson's rule: the error of each goal output, in its unit, that costs as much as...
+        For Bryson's rule: the largest acceptable error of each goal output, in its unit.
     acceptable_control : number or vector, optional
-        ...this deviation of each control from what holds the goal. By default half of what the limits leave it, or else 1.
+        Deviation of each control from its steady value that costs as much. By default half the range of its limits, or else 1.
     goal_covariance, control_covariance : number, vector or matrix, optional
-        Inverses of the costs, instead of the squares of the acceptable ones.
+        Inverses of the costs, in place of the squares of the acceptable values.
     precision : PrecisionLearner, optional
-        How far each sensor is trusted; by default `SwitchingPrecision`.
+        Learns the sensors' precisions; by default `SwitchingPrecision`.
     belief, u_min, u_max, u_rate
         See `BayesianController`.
 
     Raises
     ------
     ModelError
-        If no steady state is found, the goals cannot be held, or a mode that does not die out is moved by no control or seen by
-        no sensor (it is named by its eigenvalue).
+        If no steady state is found, the goals cannot be held, or a mode that does not decay is moved by no control or seen by no
+        sensor. The message gives the mode's eigenvalue.
     UnknownNameError
-        If the plant has no such variable.
+        If the plant has no variable of a given name.
 
     Warns
     -----
     ModelMismatchWarning
-        If an FMU answers a short step of a control from its start values otherwise than the model; see `compare_with_plant`.
+        If an FMU's response to a short step of a control differs from the model's; see `compare_with_plant`.
 
     Examples
     --------
@@ -113,35 +113,37 @@ def design(
             goal = [place for name in names_of(goal, "goal") for place in _named(plant, name)]  # type: ignore[arg-type]
         plant = plant.model
     if isinstance(plant, LinearModel):
-        given: dict[str, object] = {
+        determined: dict[str, object] = {
             "measured": measured, "actuated": actuated, "dt": dt, "at": at, "order": order, "sensors": sensors, "noise": noise,
             "disturbance": disturbance,
         }  # fmt: skip
-        for name, value in given.items():
+        for name, value in determined.items():
             if value is not None:
-                raise ModelError(f"A LinearModel says itself what {name}= would; leave it out.")
+                raise ModelError(f"A LinearModel already determines {name}; leave {name}= out.")
         model, H, mean = plant, _goal_rows(plant, goal), np.zeros(plant.states - plant.disturbances)
     else:
         if measured is None or actuated is None:
-            raise ModelError(
-                "design() needs measured= and actuated=, the names of the plant's outputs and inputs that it is to use."
-            )
-        seen, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
-        wanted = seen if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
-        linear = linearize(plant, measured=seen, actuated=driven, others=wanted, noise=noise, dt=dt, at=at, order=order)
+            raise ModelError("design() needs measured= and actuated=, names of outputs and inputs of the plant.")
+        sensed, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
+        goals = sensed if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
+        linear = linearize(
+            plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
+        )
         refuse_unmoved(linear, driven)
         if noise is None:
             columns = linear.columns(driven)
-            scale = _room(u_min, u_max, len(columns))
+            scale = _half_range(u_min, u_max, len(columns))
             if acceptable_control is not None:
                 scale = np.where(
                     np.isnan(scale), as_vector("acceptable_control", acceptable_control, len(scale)), scale
                 )
-            at_rest = np.maximum(np.abs(linear.u[columns]), 1.0)
-            usual = INPUT_NOISE * np.where(np.isnan(scale), at_rest, scale)
+            steady_size = np.maximum(np.abs(linear.u[columns]), 1.0)
+            usual = INPUT_NOISE * np.where(np.isnan(scale), steady_size, scale)
             noise = {linear.inputs[j]: std for j, std in zip(columns, usual, strict=True)}
-        model = linear.model(seen, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=disturbance)
-        rows, mean = linear.rows(wanted), linear.start
+        model = linear.model(
+            sensed, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=disturbance
+        )
+        rows, mean = linear.rows(goals), linear.start
         H = np.zeros((len(rows), model.states))
         H[:, : len(mean)] = linear.C[rows]
         if model.constant:
@@ -150,12 +152,12 @@ def design(
     refuse_undetectable(model)
     p = model.controls
     if isinstance(plant, FMU) and at is None:
-        compare_with_plant(model, plant, control=driven, measured=seen, at=mean, u_min=u_min, u_max=u_max)
+        compare_with_plant(model, plant, control=driven, measured=sensed, at=mean, u_min=u_min, u_max=u_max)
     low, high = as_vector("u_min", u_min, p, finite=False), as_vector("u_max", u_max, p, finite=False)
     if goal_covariance is None:
         goal_covariance = _squares("acceptable_error", acceptable_error, len(H))
     if control_covariance is None:
-        span = np.nan_to_num(_room(u_min, u_max, p), nan=1.0)
+        span = np.nan_to_num(_half_range(u_min, u_max, p), nan=1.0)
         control_covariance = _squares(
             "acceptable_control", span if acceptable_control is None else acceptable_control, p
         )
@@ -175,17 +177,17 @@ def design(
 
 
 def _named(plant: Identification, name: str) -> list[int]:
-    found = elements_of(name, plant.outputs)
-    if not found:
+    matches = elements_of(name, plant.outputs)
+    if not matches:
         raise UnknownNameError(f"The identified model has no output {name!r}; {did_you_mean(name, plant.outputs)}")
-    return [plant.outputs.index(element) for element in found]
+    return [plant.outputs.index(element) for element in matches]
 
 
-def _room(u_min: object, u_max: object, size: int) -> Floats:
-    """Return half of what its limits leave each control; NaN where there are none."""
+def _half_range(u_min: object, u_max: object, size: int) -> Floats:
+    """Return half the range between the limits of each control; NaN where a limit is infinite."""
     low, high = as_vector("u_min", u_min, size, finite=False), as_vector("u_max", u_max, size, finite=False)
     if (low > high).any():
-        raise ModelError(f"u_min {low.tolist()} lies above u_max {high.tolist()}; are they in each other's place?")
+        raise ModelError(f"u_min {low.tolist()} is greater than u_max {high.tolist()}; exchange them.")
     span = (high - low) / 2
     return np.where(np.isfinite(span), span, np.nan)
 
@@ -193,12 +195,12 @@ def _room(u_min: object, u_max: object, size: int) -> Floats:
 def _squares(name: str, value: object, size: int) -> Floats:
     vector = as_vector(name, value, size)
     if (vector <= 0).any():
-        raise ModelError(f"{name} is {vector.tolist()}; it must be positive.")
+        raise ModelError(f"{name} is {vector.tolist()}; give positive numbers.")
     return vector**2
 
 
 def _goal_rows(model: LinearModel, goal: Any) -> Floats:
-    """Return what the goals are of the state of a given model."""
+    """Return the rows that map the model's state to the goals."""
     quantities = model.quantities
     if goal is None:
         return np.asarray(quantities[sorted(np.unique(quantities, axis=0, return_index=True)[1])])
@@ -211,17 +213,17 @@ def _goal_rows(model: LinearModel, goal: Any) -> Floats:
         return np.asarray(rows, dtype=np.float64)
     numbers = np.atleast_1d(rows)
     if numbers.dtype.kind not in "iu" or (numbers < 0).any() or (numbers >= model.sensors).any():
-        raise ModelError(f"goal={goal!r} must be numbers of sensors, from 0 to {model.sensors - 1}.")
+        raise ModelError(f"goal is {goal!r}; give numbers of sensors, from 0 to {model.sensors - 1}.")
     return np.asarray(quantities[numbers])
 
 
 def _initial(model: LinearModel) -> Floats:
-    """Return a first belief: ten times as uncertain as it will be of the next sample."""
+    """Return the initial covariance: ten times that of the steady filter's predictions."""
     from scipy.linalg import LinAlgError, solve_discrete_are
 
     moving = model.moving
     A, C, Q, R = (moving.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
-    # A mode that no noise moves has no steady covariance of its own; a trace of noise on all states gives it one.
+    # A mode without noise has no steady covariance; a little noise on all states gives it one.
     spread = 1e-9 * max(float(np.trace(Q)), 1e-12)
     start = np.zeros((model.states, model.states))
     n = moving.states
@@ -230,7 +232,7 @@ def _initial(model: LinearModel) -> Floats:
         return as_covariance("The initial covariance", (start + start.T) / 2, model.states, singular=True)
     except (ModelError, LinAlgError, ValueError):
         raise ModelError(
-            "No steady Kalman filter exists for this model in double precision: its numbers are too far apart, or its sensors "
-            "hardly see how it moves. Measure an output that the control moves more, give a shorter or longer dt, or of an FMU "
-            "whose states are not seen a lower order=."
+            "No steady Kalman filter exists for this model in double precision: its numbers differ too much in size, or its "
+            "sensors hardly see its motion. Measure an output that the control moves more, give another dt, or, for an FMU whose "
+            "states are not accessible, give a smaller order=."
         ) from None

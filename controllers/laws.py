@@ -21,13 +21,13 @@ from bayesftc.cosim.types import Floats
 
 
 def _error(x_hat, goal, j):
-    """Return how far state `j` is from its goal; a goal that is not finite is none."""
+    """Return the error of state `j`; 0 if the goal is not finite."""
     d = goal[j] - x_hat[j]
     return select(d - d == 0.0, d, 0.0)
 
 
 def _feedback(i, x_hat, goal, gain, derivative_gain):
-    """Return the part of control `i` that has no memory."""
+    """Return the proportional and derivative part of control `i`."""
     g = gain.shape[1]
     total = gain[i, 0] * _error(x_hat, goal, 0)
     for j in range(1, g):
@@ -54,7 +54,7 @@ def _pid(x_hat, goal, integral, gain, derivative_gain, u_min, u_max, u):
 
 
 def _integrate(x_hat, goal, gain, derivative_gain, integral_gain, integral_limit, u_min, u_max, wind, integral):
-    """Take the integral to the next sample; ``wind`` is the sample time, whether to clamp, and the tracking rate per sample."""
+    """Advance the integral by a sample; ``wind`` has the sample time, the flag for clamping, and the tracking rate per sample."""
     for i in range(integral.shape[0]):
         total = _feedback(i, x_hat, goal, gain, derivative_gain) + integral[i]
         limited = maximum(minimum(total, u_max[i]), u_min[i])
@@ -70,21 +70,21 @@ def _integrate(x_hat, goal, gain, derivative_gain, integral_gain, integral_limit
 
 @dataclass(frozen=True)
 class ControlLaw(Block):
-    """Base of the laws that a scenario names by their ``kind``, which are listed in `bayesftc.controllers.registry`."""
+    """Base of the laws that scenarios select by ``kind``; `bayesftc.controllers.registry` lists them."""
 
 
 @dataclass(frozen=True)
 class Proportional(ControlLaw):
     """``u = gain (goal - x)``, where x are the first states, as many as the goal has elements.
 
-    Inputs ``x_hat`` (states) and ``goal``; output ``u``. A goal that is NaN counts as reached.
+    Inputs ``x_hat`` (states) and ``goal``; output ``u``. A goal of NaN gives no error.
 
     Parameters
     ----------
     gain : number, vector or matrix
         Controls x goals; a vector stands for a diagonal.
     states : int, optional
-        Number of states of ``x_hat``; by default as many as needed.
+        Number of states of ``x_hat``; by default as many as the law needs.
     u_min, u_max : number or vector
         Limits of the control.
 
@@ -106,7 +106,7 @@ class Proportional(ControlLaw):
         object.__setattr__(self, "gain", self._gain("gain"))
         object.__setattr__(self, "states", self._needs * self.goals if self.states is None else self.states)
         if isinstance(self.states, bool) or not isinstance(self.states, int | np.integer):
-            raise ModelError(f"{type(self).__name__} has states={self.states!r}; it must be a whole number.")
+            raise ModelError(f"{type(self).__name__} has states={self.states!r}; give a whole number.")
         if self._states < self._needs * self.goals:
             raise ModelError(
                 f"{type(self).__name__} reads {self._needs * self.goals} states for {self.goals} goals, but has "
@@ -116,11 +116,13 @@ class Proportional(ControlLaw):
             value = as_vector(f"{name} of {type(self).__name__}", getattr(self, name), self.controls, finite=False)
             object.__setattr__(self, name, tuple(value.tolist()))
         if (np.asarray(self.u_min) > np.asarray(self.u_max)).any():
-            raise ModelError(f"{type(self).__name__} has u_min={self.u_min} above u_max={self.u_max}; exchange them.")
+            raise ModelError(
+                f"{type(self).__name__} has u_min={self.u_min}, which is greater than u_max={self.u_max}; exchange them."
+            )
         if float("inf") in self.u_min or float("-inf") in self.u_max:  # type: ignore[operator]
             raise ModelError(
-                f"{type(self).__name__} has u_min={self.u_min} and u_max={self.u_max}, which no control can keep; take a finite "
-                "limit, or -inf for no lower and inf for no upper one."
+                f"{type(self).__name__} has u_min={self.u_min} and u_max={self.u_max}, which no control satisfies. Give finite "
+                "limits, or -inf for no lower and inf for no upper limit."
             )
 
     @property
@@ -135,7 +137,7 @@ class Proportional(ControlLaw):
 
     @property
     def goal_matrix(self) -> Floats:
-        """What each element of the goal is of ``x_hat``: the first states (goals x states)."""
+        """Matrix that maps ``x_hat`` to what has a goal, the first states (goals x states)."""
         return np.eye(self.goals, self._states)
 
     @property
@@ -160,7 +162,7 @@ class Proportional(ControlLaw):
         return {name: np.asarray(getattr(self, name), float) for name in ("gain", "u_min", "u_max")}
 
     def _gain(self, name: str) -> tuple[tuple[float, ...], ...]:
-        """Return a gain as rows: that of the error as it is given, the others of its size."""
+        """Return a gain as rows; all gains have the size of `gain`."""
         value: Any = as_numbers(
             f"The {name} of {type(self).__name__}",
             getattr(self, name),
@@ -179,7 +181,7 @@ class Proportional(ControlLaw):
 class ProportionalDerivative(Proportional):
     """``u = gain (goal - x) - derivative_gain v``, where v are the states after x: the rates of x, in the same order.
 
-    The goal is one of rest, so its own rate is taken for zero. Ports as those of `Proportional`.
+    The rate of the goal is assumed to be zero. Ports are those of `Proportional`.
 
     Parameters
     ----------
@@ -209,8 +211,8 @@ class ProportionalDerivative(Proportional):
 class PID(ProportionalDerivative):
     """`ProportionalDerivative` plus an integral ``dI/dt = integral_gain (goal - x)`` that does not wind up.
 
-    The integral is kept in units of the control. Ports as those of `Proportional`; without a derivative gain no rates are read
-    and ``x_hat`` needs none.
+    The integral has the units of the control. Ports are those of `Proportional`. Without a derivative gain ``x_hat`` needs no
+    rates.
 
     Parameters
     ----------
@@ -221,9 +223,9 @@ class PID(ProportionalDerivative):
     integral_limit : number or vector
         The integral stays within plus and minus this, in units of the control.
     anti_windup : {"clamping", "back-calculation", "both", "none"}
-        What a control at its limit does to the integral: it waits while it would drive the control further out, it is led
-        back at ``(limited control - control) / tracking_time`` (Astrom and Hagglund, *Advanced PID Control*, section 3.5),
-        both, or nothing.
+        Behaviour of the integral while a control is at its limit. "clamping": it stops while it would drive the control further
+        beyond. "back-calculation": it changes at ``(limited control - control) / tracking_time`` as well (Astrom and Hagglund,
+        *Advanced PID Control*, section 3.5). "both": both of these. "none": neither.
     tracking_time : float
         Time constant of the back-calculation in seconds, at least the sample time.
     """
@@ -239,14 +241,14 @@ class PID(ProportionalDerivative):
         limit = as_vector("integral_limit of PID", self.integral_limit, self.controls, finite=False)
         object.__setattr__(self, "integral_limit", tuple(limit.tolist()))
         if (limit < 0).any():
-            raise ModelError(f"PID has integral_limit={self.integral_limit}; it must not be negative.")
+            raise ModelError(f"PID has integral_limit={self.integral_limit}; give limits of at least 0.")
         if self.anti_windup not in ("clamping", "back-calculation", "both", "none"):
             raise ModelError(
-                f"PID has anti_windup={self.anti_windup!r}; it must be 'clamping', 'back-calculation', 'both' or 'none'."
+                f"PID has anti_windup={self.anti_windup!r}; give 'clamping', 'back-calculation', 'both' or 'none'."
             )
         time = self.tracking_time
         if not 0 < real(time) < math.inf:
-            raise ModelError(f"PID has tracking_time={time!r}; it must be a positive number of seconds.")
+            raise ModelError(f"PID has tracking_time={time!r}; give a positive number of seconds.")
 
     @property
     def _needs(self) -> int:  # type: ignore[override]
@@ -257,8 +259,8 @@ class PID(ProportionalDerivative):
         back = self.anti_windup in {"back-calculation", "both"}
         if back and self.tracking_time < float(step):
             raise ModelError(
-                f"PID has tracking_time={self.tracking_time:g} s at a sample time of {float(step):g} s; the integral would "
-                "overshoot: give at least the sample time."
+                f"PID has tracking_time={self.tracking_time:g} s at a sample time of {float(step):g} s, so the integral would "
+                "overshoot. Give at least the sample time."
             )
         wind = [
             float(step),

@@ -1,4 +1,4 @@
-"""The lists of all controllers, laws, precision learners and baselines: tests run over them, scenario files choose from them."""
+"""Lists of all controllers, laws, precision learners and baselines, for tests and for scenario files."""
 
 from bayesftc.controllers.active_inference.controller import UnbiasedActiveInference
 from bayesftc.controllers.bayesian.linear import BayesianController
@@ -22,10 +22,10 @@ CONTROLLERS: tuple[type[Block], ...] = (
     NonlinearBayesianController,
     UnbiasedActiveInference,
 )
-"""What can stand between sensors and plant: a block with the inputs ``y`` and ``goal`` and the output ``u``."""
+"""Blocks between sensors and plant: inputs ``y`` and ``goal``, output ``u``."""
 
 LAWS: tuple[type[Block], ...] = (Proportional, ProportionalDerivative, PID)
-"""To add a law, write a block with the inputs ``x_hat`` and ``goal`` and the output ``u``, and name it here."""
+"""To add a law, write a block with the inputs ``x_hat`` and ``goal`` and the output ``u``, and list it here."""
 
 LEARNERS: tuple[type[PrecisionLearner], ...] = (
     FixedPrecision,
@@ -40,4 +40,4 @@ LEARNERS: tuple[type[PrecisionLearner], ...] = (
     SwitchingPrecision,
     ExplicitDetection,
 )
-"""To add a learner, write it by the rules of `bayesftc.controllers.precision.base` and name it here."""
+"""To add a learner, follow the rules of `bayesftc.controllers.precision.base` and list it here."""

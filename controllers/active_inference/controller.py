@@ -229,11 +229,11 @@ class UnbiasedActiveInference(Block):
             **law.parameters, **sensing.parameters, **screen_parameters,
         }  # fmt: skip
         sizes: dict[str, tuple[int, ...]] = {
-            **dict.fromkeys(("expected", "heard", "e", "present", "used", "weighted"), (m,)),
+            **dict.fromkeys(("expected", "samples", "e", "present", "used", "weighted"), (m,)),
             **dict.fromkeys(("L", "inverse", "weights"), (m, m)),
             **dict.fromkeys(("G", "PG"), (m, n)),
             **dict.fromkeys(("pull_x", "slope"), (n,)),
-            **dict.fromkeys(("wanted", "pull_u"), (p,)),
+            **dict.fromkeys(("law_control", "pull_u"), (p,)),
             **dict.fromkeys(("D", "PD"), (p, n)),
             **dict.fromkeys(("H", "scaled", "squared"), (q, q)),
             "work": (learner.work, m, m),
@@ -379,12 +379,17 @@ class UnbiasedActiveInference(Block):
         G, nominal = jacobian_of(self._groups, mean), nominal_covariance(self._groups)
         S = np.diag(np.sqrt(weights_of(self._groups) * np.diag(nominal)))
         rates = h * np.asarray(self.belief_rate)
-        arrays = {"mean": np.array(mean), "goal": np.zeros(goals), "wanted": np.full(p, np.nan), "D": np.zeros((p, n))}
+        arrays = {
+            "mean": np.array(mean),
+            "goal": np.zeros(goals),
+            "law_control": np.full(p, np.nan),
+            "D": np.zeros((p, n)),
+        }
         law = self._embedded()
         run_once(law, "law_output", arrays)
-        if not np.isfinite(arrays["wanted"]).all():
+        if not np.isfinite(arrays["law_control"]).all():
             raise ModelError(
-                f"The control law gives {arrays['wanted'].tolist()} at the initial mean and a goal of zero; it must write "
+                f"The control law gives {arrays['law_control'].tolist()} at the initial mean and a goal of zero; it must write "
                 "finite numbers into all of u."
             )
         descends = self.control == "gradient"

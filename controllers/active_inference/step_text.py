@@ -10,7 +10,7 @@ from bayesftc.controllers.active_inference import curvature as _curvature, desce
 from bayesftc.controllers.estimation import absurd as _absurd, consistency as _consistency
 from bayesftc.controllers.estimation.absurd import Reading, Screen
 from bayesftc.controllers.estimation.belief import SAMPLE
-from bayesftc.controllers.estimation.consistency import SEERS
+from bayesftc.controllers.estimation.consistency import OBSERVER_BANK
 from bayesftc.controllers.precision.base import NAN, Trust
 from bayesftc.cosim.ops import select
 from bayesftc.cosim.stepping.records import named_alike, written
@@ -21,12 +21,12 @@ _STEP = """
 {measure}
 screen_samples(reading, sample, screen)
 count_doubts(reading, sample, screen)
-listen(reading, sample, screen)
+accept_confirmed(reading, sample, screen)
 read(heard, expected, limit, e, present)
 for i in range(e.shape[0]):
     innovation[i] = select(present[i] > 0.5, y[i] - expected[i], NAN)
 learn(sample, trust, memory, settings, work)
-blame(screen, fault_probability)
+mark_absurd(screen, fault_probability)
 report(memory, settings, nominal, first, outputs)
 alarm(doubts, outputs)
 log_determinant = weigh(R, used, sigma, gain, L, inverse, weights) + prior_log_determinant[0]
@@ -50,14 +50,14 @@ place(mean, 0, x_hat)
 """
 
 _WATCH = """
-check_consistency(heard, x_hat, G, seers)
-follow(applied, A, B, seer_row, seers)
+check_consistency(heard, x_hat, G, bank)
+follow(applied, A, B, seer_row, bank)
 """
 
 _DESCENT_BY_GRADIENT = """
 {law_output}
 {law_derivative}
-prior_error(control, wanted, eps_u)
+prior_error(control, law_control, eps_u)
 energy = energy + quadratic(eps_u, Pu, pull_u)
 add_control_gradient(pull_u, D, slope)
 curvature_of_control(D, Pu, PD, H)
@@ -73,7 +73,7 @@ descend(fraction, rate, slope, mean)
 
 _DECISION_BY_LAW = """
 {law_output}
-place(wanted, 0, control)
+place(law_control, 0, control)
 for i in range(eps_u.shape[0]):
     eps_u[i] = 0.0 * control[i]
 """
@@ -83,7 +83,7 @@ _RECORDS = {
     "sample": SAMPLE,
     "trust": named_alike(Trust),
     "screen": named_alike(Screen),
-    "seers": SEERS,
+    "bank": OBSERVER_BANK,
 }
 
 FUNCTIONS: dict[str, Any] = {
@@ -97,7 +97,7 @@ FUNCTIONS: dict[str, Any] = {
             "predict_state", "prior_error", "quadratic", "read", "weigh",
         )
     },
-    **{name: getattr(_absurd, name) for name in ("blame", "count_doubts", "listen", "screen_samples")},
+    **{name: getattr(_absurd, name) for name in ("mark_absurd", "count_doubts", "accept_confirmed", "screen_samples")},
     **{name: getattr(_consistency, name) for name in ("check_consistency", "follow")},
     **{name: getattr(_curvature, name) for name in ("curvature_of_belief", "curvature_of_control", "shortening")},
 }  # fmt: skip
@@ -118,7 +118,7 @@ def step_lines(calls: Mapping[str, str], *, descends: bool, watches: bool) -> li
         Whether the model is checked.
     """
     descent = (_DESCENT_BY_GRADIENT if descends else _DESCENT_OF_THE_BELIEF).format_map(calls).strip("\n")
-    known = {name: record for name, record in _RECORDS.items() if watches or name != "seers"}
+    known = {name: record for name, record in _RECORDS.items() if watches or name != "bank"}
     text = _STEP.format(
         records="\n".join(f"{name} = {written(record)}" for name, record in known.items()),
         measure=calls["measure"],

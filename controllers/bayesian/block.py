@@ -1,4 +1,4 @@
-"""What the Bayesian controllers for linear and for nonlinear models share: settings, their checks, and ports."""
+"""Settings, checks and ports that the Bayesian controllers for linear and for nonlinear models share."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ VARIANCE_CAP = 1e20
 
 
 def extended_mean(model: Any, values: Floats, mean: object) -> object:
-    """Return a mean for the plant's states with disturbances of zero, and a constant of one; any other `mean` as it is."""
+    """Extend a mean of the plant's states by zero disturbances and a constant of one; return any other `mean` unchanged."""
     plant = model.states - model.disturbances
     if model.disturbances and values.shape in {(plant,), (1,)}:
         others = np.zeros(model.disturbances)
@@ -46,20 +46,20 @@ def extended_mean(model: Any, values: Floats, mean: object) -> object:
 
 
 def known_constant(model: Any, covariance: Floats) -> Floats:
-    """Return a covariance in which the model's constant, if it has one, is known."""
+    """Return the covariance with zero variance for the model's constant, if it has one."""
     if not getattr(model, "constant", False):
         return covariance
-    known = np.array(covariance)
-    known[-1], known[:, -1] = 0.0, 0.0
-    return frozen(known)
+    fixed = np.array(covariance)
+    fixed[-1], fixed[:, -1] = 0.0, 0.0
+    return frozen(fixed)
 
 
 @dataclass(frozen=True, eq=False)
 class BayesianBlock(Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
 
-    The settings ``model, precision, goal_on, goal_covariance, control_covariance, control_mean, belief, u_min, u_max, u_rate,
-    initial_mean, initial_covariance, invalid, posterior_outputs`` are described by the controllers.
+    The docstrings of the controllers describe the settings ``model, precision, goal_on, goal_covariance, control_covariance,
+    control_mean, belief, u_min, u_max, u_rate, initial_mean, initial_covariance, invalid, posterior_outputs``.
     """
 
     model: Any
@@ -78,10 +78,10 @@ class BayesianBlock(Block, ABC):
     posterior_outputs: bool = field(default=False, kw_only=True)
 
     def _check_settings(self) -> None:
-        """Check all settings but the model, and turn numbers into arrays of their sizes."""
+        """Check all settings except the model, and expand numbers to arrays."""
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
-                f"precision must be a precision learner such as SwitchingPrecision(), not {self.precision!r}."
+                f"precision is {self.precision!r}; it must be a precision learner such as SwitchingPrecision()."
             )
         check_choice(self, "belief", "filtered", "joint")
         check_flags(self, "posterior_outputs")
@@ -97,60 +97,62 @@ class BayesianBlock(Block, ABC):
                 self.model, as_covariance("The initial_covariance", self.initial_covariance, n, singular=True)
             ),
         }
-        invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # wrong ones fail here
+        invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # raises for wrong values
         if self.control_covariance is not None:
             values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
         for name, value in values.items():
             object.__setattr__(self, name, value)
         if (values["u_min"] > values["u_max"]).any():
             raise ModelError(
-                f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them."
+                f"u_min {values['u_min'].tolist()} is greater than u_max {values['u_max'].tolist()}; exchange them."
             )
         if (values["u_rate"] <= 0).any():
             raise ModelError(
-                f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second)."
+                f"u_rate is {values['u_rate'].tolist()}; give positive rates, in units of the control per second."
             )
 
     def _check_reach(self, effect: Floats) -> None:
-        """Refuse a flat control prior under which the goal does not determine each control; ``effect`` is d x_t+1 / d u_t."""
+        """Refuse a flat control prior if the goal does not determine each control; ``effect`` is d x_t+1 / d u_t."""
         p = self.model.controls
         if self.control_covariance is None and (rank := np.linalg.matrix_rank(self.goal_matrix @ effect)) < p:
             raise ModelError(
-                f"With a flat control prior the goal must determine each of the {p} controls, but the goal reaches only "
-                f"{rank} of them in one step; give a control_covariance."
+                f"With a flat control prior the goal must determine each of the {p} controls. In one step the goal depends on "
+                f"only {rank} of them; give a control_covariance."
             )
 
     def _extended(self, mean: object) -> object:
-        # A mean for the plant's states alone is meant with disturbances of zero.
+        # A mean of the plant's states alone implies zero disturbances.
         values = np.atleast_1d(as_numbers("The initial_mean", mean, "it must be a number or a list of numbers"))
         return extended_mean(self.model, values, mean)
 
     @property
     def fault_kinds(self) -> tuple[str, ...]:
-        """Names of the kinds of sensor faults that the precision learner tells."""
+        """Names of the kinds of sensor faults that the precision learner distinguishes."""
         return self.precision.fault_kinds
 
     @property
     def goal_matrix(self) -> Floats:
-        """What each element of the goal is of the state (g x n)."""
+        """Matrix G that maps the state to what has a goal (g x n)."""
         n = self.model.states
         if isinstance(self.goal_on, str):
             if self.goal_on == "states":
                 return frozen(np.eye(n)[: n - self.model.disturbances])
             if self.goal_on == "outputs":
                 return frozen(self._distinct_outputs())
-            raise ModelError(f"goal_on is {self.goal_on!r}; it must be 'states', 'outputs' or a matrix.")
-        rows = as_numbers("The matrix goal_on", self.goal_on, "give a row of states for each element of the goal")
+            raise ModelError(f"goal_on is {self.goal_on!r}; give 'states', 'outputs' or a matrix.")
+        rows = as_numbers(
+            "The matrix goal_on", self.goal_on, "give a row for each element of the goal, with a column for each state"
+        )
         return as_matrix("The matrix goal_on", np.atleast_2d(rows), columns=n)
 
     def _distinct_outputs(self) -> Floats:
-        """Return what the sensors measure of the plant, each distinct quantity once."""
+        """Return the rows of the quantities that the sensors measure, each distinct one once."""
         rows = self.model.quantities
         return np.asarray(rows[sorted(np.unique(rows, axis=0, return_index=True)[1])])
 
     @property
     def goals(self) -> int:
-        """Number of values that the goal has."""
+        """Number of elements of the goal."""
         return len(self.goal_matrix)
 
     @property
@@ -171,11 +173,11 @@ class BayesianBlock(Block, ABC):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect`` and further ones."""
-        return *self._own_outputs, *self._learner().ports
+        """Outputs ``u, x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect`` and those of the learner."""
+        return *self._common_outputs, *self._learner().ports
 
     @property
-    def _own_outputs(self) -> tuple[Port, ...]:
+    def _common_outputs(self) -> tuple[Port, ...]:
         n, p, m = self.model.states, self.model.controls, self.model.sensors
         shapes: dict[str, tuple[int, ...]] = {
             "u": (p,),
@@ -216,11 +218,11 @@ class BayesianBlock(Block, ABC):
         )
 
     def _priors(self) -> tuple[Floats, Floats, Floats]:
-        """Return what the goal prior is about (of the state), its covariance, and the control prior's precision."""
+        """Return the goal's matrix, the goal prior's covariance, and the control prior's precision."""
         return self.goal_matrix, np.asarray(self.goal_covariance, float), self._prior_precision()
 
     def _densities(self) -> dict[str, Any]:
-        """Return the parameters of the free energy, if it is an output."""
+        """Return the parameters of the free energy; zeros if it is not an output."""
         if not self.posterior_outputs:
             return {"goal_noise": np.zeros((1, 1)), "constant": 0.0}
         constant = log_normaliser(self.model.matrix("process_covariance"))

@@ -1,4 +1,4 @@
-"""A Bayesian controller with a linear model, in sentences: model, precisions, gains, poles, expected accuracy."""
+"""The text of `BayesianController.describe`: model, precisions, gains, poles, expected accuracy."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from bayesftc.controllers.bayesian.linear import BayesianController
 
 LASTING = 1e-9
-"""Noise adds up for ever in a mode whose pole is nearer to the unit circle than this."""
+"""A mode whose pole is nearer to the unit circle than this counts as undamped: its noise accumulates."""
 
 
 def model_lines(controller: BayesianController) -> list[str]:
-    """Return what the model is, and what it says of the sensors."""
+    """Return lines about the model, the sensors' noise, goals and limits."""
     model = controller.model
     d = model.disturbances - model.constant
     states = f"{_count(model.states - model.disturbances, 'state')}" + (f" and {_count(d, 'disturbance')}" if d else "")
@@ -38,24 +38,24 @@ def model_lines(controller: BayesianController) -> list[str]:
 
 
 def learner_lines(controller: BayesianController) -> list[str]:
-    """Return how far sensors are trusted, and which faults the controller distinguishes."""
+    """Return lines about the precision learner and the faults that it distinguishes."""
     precision: Any = controller.precision
     changed = [each.name for each in fields(precision) if _differs(getattr(precision, each.name), each)]
     settings = (
         f", with {', '.join(f'{name}={brief(getattr(precision, name), 60)}' for name in changed)}" if changed else ""
     )
-    lines = [f"Trust in the sensors: {type(precision).__name__}{settings}."]
+    lines = [f"Precision learner: {type(precision).__name__}{settings}."]
     if modes := tuple(type(mode).__name__ for mode in getattr(precision, "modes", ())):
-        lines.append(f"Sensor faults that it distinguishes: {', '.join(modes)}.")
+        lines.append(f"Sensor faults that are distinguished: {', '.join(modes)}.")
     if controller.actuator_kinds:
-        lines.append(f"Actuator faults that it distinguishes: {', '.join(controller.actuator_kinds)}.")
+        lines.append(f"Actuator faults that are distinguished: {', '.join(controller.actuator_kinds)}.")
     if precision.why_no_probability:
         lines.append(f"There is no fault probability: {precision.why_no_probability}")
     return lines
 
 
 def gain_lines(controller: BayesianController) -> list[str]:
-    """Return the gains of filter and control in steady state."""
+    """Return lines about the gains of filter and control in steady state."""
     gains = controller.steady_gains()
     return [
         f"Gain of the filter, a row for each state: {_rows(gains.K)}.",
@@ -65,23 +65,21 @@ def gain_lines(controller: BayesianController) -> list[str]:
 
 
 def accuracy_lines(controller: BayesianController) -> list[str]:
-    """Return the standard deviations that the model expects of tracking and belief, without faults."""
-    found = expected_accuracy(controller)
-    if found is None:
-        return [
-            "Expected accuracy: none, because a mode of the loop does not die out, in which noise adds up for ever."
-        ]
-    tracking, belief = found
+    """Return lines about the expected standard deviations of tracking and belief without faults."""
+    accuracy = expected_accuracy(controller)
+    if accuracy is None:
+        return ["Expected accuracy: none. A mode of the loop is not damped, so its variance grows without bound."]
+    tracking, belief = accuracy
     return [
-        f"Expected standard deviation of what has a goal, at a goal that rests and without faults: {_numbers(tracking)}; "
-        f"of the belief about it: {_numbers(belief)}."
+        f"Expected standard deviation, at a constant goal and without faults, of the tracked quantities: {_numbers(tracking)}; "
+        f"of the belief about them: {_numbers(belief)}."
     ]
 
 
 def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] | None:
-    """Return the standard deviations in steady state of what has a goal, and of the belief about it; None if there are none.
+    """Return the steady standard deviations of what has a goal, and of the belief about it; None if they are infinite.
 
-    The model is the plant; disturbances of it are taken to rest at 0.
+    The plant is assumed to equal the model, with disturbances of 0.
     """
     from scipy.linalg import solve_discrete_lyapunov
 
@@ -106,19 +104,19 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] |
 
 
 def pole_lines(poles: Any) -> list[str]:
-    """Return the poles of plant and belief together."""
+    """Return a line with the poles of plant and filter together."""
     return [f"Poles of the closed loop, the filter's included: {listed(poles)}."]
 
 
 def listed(poles: Any) -> str:
-    """Return poles in words, the slowest first."""
+    """Return poles as text, the slowest first."""
     ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))
     slowest = abs(ordered[0]) if ordered else 0.0
     return ", ".join(shown(pole) for pole in ordered) + f"; the slowest of magnitude {slowest:.3f}"
 
 
 def _differs(value: Any, setting: Any) -> bool:
-    """Return whether a setting of a dataclass is another than its default."""
+    """Return whether a setting of a dataclass differs from its default."""
     default = setting.default if setting.default_factory is MISSING else setting.default_factory()
     return repr(value) != repr(default)
 

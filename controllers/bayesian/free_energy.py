@@ -1,13 +1,13 @@
-"""What a Bayesian controller knows of its control, and the free energy: outputs beside the control itself (paper, section 2.3).
+"""The covariance of a Bayesian controller's control, and the free energy (paper, section 2.3).
 
-Given the filtered belief N(x_hat, P), the goal measures u_t with the covariance S = G (A P A' + Q) G' + Sigma_goal, once x_t is
-integrated out. With W = S^-1 G B and Lambda = Pi_u + (G B)' W the joint posterior of u_t and x_t has ::
+Given the filtered belief N(x_hat, P) and with x_t integrated out, the goal measures u_t with the covariance
+S = G (A P A' + Q) G' + Sigma_goal. With W = S^-1 G B and Lambda = Pi_u + (G B)' W the joint posterior of u_t and x_t has ::
 
     Cov(u_t) = Lambda^-1,    Cov(u_t, x_t) = -Lambda^-1 W' G A P.
 
-The free energy is -L of eq. 8 as a density, F = -ln p(x_t, u_t, x_t+1, y_t, goal), where it is least: one half for each square,
-and the logarithms of the covariances with a positive sign (the paper's equation prints neither). Least over the states its
-squares are those of the innovation and of the goal's error, each in its own covariance.
+The free energy is the minimum of -L of eq. 8 as a density, F = -ln p(x_t, u_t, x_t+1, y_t, goal). Each square has the factor one
+half, and the logarithms of the covariances have a positive sign (the paper's equation prints neither). At the minimum over the
+states, the squares are those of the innovation and of the goal's error, each weighted by the inverse of its covariance.
 """
 
 import numpy as np
@@ -22,17 +22,17 @@ from bayesftc.cosim.ops import log, select
 from bayesftc.cosim.types import Floats
 
 
-def tell_nothing(first, outputs, u, est, control):
+def write_nothing(first, outputs, u, est, control):
     """Write no further outputs."""
 
 
-def tell_posterior(first, outputs, u, est, control):
-    """Write Cov(u_t), Cov(u_t, x_t) and the free energy into ``outputs`` from the place `first` on.
+def write_posterior(first, outputs, u, est, control):
+    """Write Cov(u_t), Cov(u_t, x_t) and the free energy into ``outputs`` from the index `first` on.
 
-    It comes after `decide`, whose ``GAP = G A P``, ``W``, factors ``SG`` of S and ``Lambda``, and error ``pull`` of the goal it
-    takes; ``SG`` and the last five are overwritten. NaN where neither goal nor control prior determines the control.
+    It uses the results of `decide`: ``GAP = G A P``, ``W``, the factors ``SG`` of S and of ``Lambda``, and ``goal_error``. It
+    overwrites ``SG`` and scratch space. NaN where neither goal nor control prior determines the control.
     """
-    sought, GBw, wanted, _, GAP, SG, pull, W, Lambda = control.decision
+    target, GBw, goal_given, _, GAP, SG, goal_error, W, Lambda = control.decision
     u_0, goal_noise, constant = control.densities
     prior_precision, covariance, effective = control.aim.prior_precision, est.belief.covariance, est.actuators.effective
     e, spread, R, used = est.sample.e, est.sample.spread, est.trust.R, est.trust.used
@@ -72,20 +72,20 @@ def tell_posterior(first, outputs, u, est, control):
     doubled = doubled + log_pseudo_determinant(J)
 
     for i in range(g):
-        error = pull[i]
+        error = goal_error[i]
         for j in range(p):
             error = error - GBw[i, j] * u[j]
-        sought[i] = select(wanted[i] > 0.5, error, 0.0)
-    doubled = doubled + squared_distance(SG, sought)
+        target[i] = select(goal_given[i] > 0.5, error, 0.0)
+    doubled = doubled + squared_distance(SG, target)
     for i in range(p):
         for j in range(p):
             doubled = doubled + (u[i] - u_0[i]) * prior_precision[i, j] * (u[j] - u_0[j])
     for i in range(g):
         for j in range(g):
             SG[i, j] = goal_noise[i, j]
-    keep_only(wanted, SG)
+    keep_only(goal_given, SG)
     cholesky(SG, SG)
-    outputs[first + p * p + p * n] = 0.5 * (doubled + log_determinant(SG, wanted))
+    outputs[first + p * p + p * n] = 0.5 * (doubled + log_determinant(SG, goal_given))
 
 
 def squared_distance(lower, error):
@@ -100,7 +100,7 @@ def squared_distance(lower, error):
 
 
 def log_determinant(lower, kept):
-    """Return ``ln |2 pi lower lower'|`` of those that are kept."""
+    """Return ``ln |2 pi lower lower'|`` over the elements that are kept."""
     total = 0.0 * kept[0]
     for i in range(lower.shape[0]):
         total = total + select(kept[i] > 0.5, LOG_2_PI + 2.0 * log(lower[i, i]), 0.0)
@@ -108,19 +108,19 @@ def log_determinant(lower, kept):
 
 
 def log_pseudo_determinant(lower):
-    """Return ``ln |2 pi lower lower'|`` of those that have a density of their own: the pivots that are not zero."""
+    """Return ``ln |2 pi lower lower'|`` over the nonzero pivots: a zero pivot has no density."""
     total = 0.0 * lower[0, 0]
     for i in range(lower.shape[0]):
-        known = lower[i, i] == 0.0
-        total = total + select(known, 0.0, LOG_2_PI + 2.0 * log(select(known, 1.0, lower[i, i])))
+        certain = lower[i, i] == 0.0
+        total = total + select(certain, 0.0, LOG_2_PI + 2.0 * log(select(certain, 1.0, lower[i, i])))
     return total
 
 
-def tell_linearised(found, first, outputs, T, R, problem, search, decision):
-    """Write the same for a nonlinear model, linearised at the minimum of its joint likelihood (Laplace's approximation).
+def write_linearised(determinate, first, outputs, T, R, problem, search, decision):
+    """Write these outputs for a nonlinear model, linearised at the minimum of the joint cost (Laplace's approximation).
 
-    ``T`` is the triangle of the equations there, of u_t and of x_t in units of ``root``, ``X`` what `marginal` left, ``cost`` the
-    sum of all squares. ``noise`` and ``E`` (controls x unknowns) are overwritten. NaN where no minimum was found.
+    ``T`` is the triangle of the equations at the minimum, of u_t and of x_t in units of ``root``; ``X`` is a result of
+    `marginal`; ``cost`` is the sum of squares. ``noise`` and ``E`` (controls x unknowns) are overwritten. NaN without a minimum.
     """
     root, kept, noise, cost = problem.root, problem.kept, problem.noise, search.cost
     X, E, goal_noise, constant = decision.X, decision.E, decision.goal_noise, decision.constant
@@ -134,25 +134,25 @@ def tell_linearised(found, first, outputs, T, R, problem, search, decision):
             total = 0.0
             for k in range(p + n):
                 total = total + E[i, k] * E[j, k]
-            outputs[first + i * p + j] = select(found, total, NAN)
+            outputs[first + i * p + j] = select(determinate, total, NAN)
         for j in range(n):
             total = 0.0
             for k in range(n):
                 total = total + E[i, p + k] * X[j, k]
-            outputs[first + p * p + i * n + j] = select(found, total, NAN)
+            outputs[first + p * p + i * n + j] = select(determinate, total, NAN)
     factorise(R, goal_noise, kept, noise)
     doubled = cost[0] + constant[0] + log_determinant(noise, kept) + log_pseudo_determinant(root)
-    outputs[first + p * p + p * n] = select(found, 0.5 * doubled, NAN)
+    outputs[first + p * p + p * n] = select(determinate, 0.5 * doubled, NAN)
 
 
-def tell_no_minimum(found, first, outputs, T, R, problem, search, decision):
+def write_nothing_more(determinate, first, outputs, T, R, problem, search, decision):
     """Write no further outputs."""
 
 
 def log_normaliser(covariance: Floats) -> float:
-    """Return ``ln |2 pi covariance|`` of the states that have a density of their own.
+    """Return ``ln |2 pi covariance|`` of the states that have a density.
 
-    States that are known, or functions of those before them, have none and are left out.
+    States that are certain, or linear functions of those before them, have none and are left out.
     """
     lower = np.zeros_like(covariance)
     cholesky_semidefinite(covariance, lower)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.controllers.bayesian.block import BayesianBlock
-from bayesftc.controllers.bayesian.free_energy import tell_nothing, tell_posterior
+from bayesftc.controllers.bayesian.free_energy import write_nothing, write_posterior
 from bayesftc.controllers.bayesian.steady import Gains, steady_gains
 from bayesftc.controllers.estimation import filter as _filter
 from bayesftc.controllers.estimation.absurd import alarm_of
-from bayesftc.controllers.estimation.belief import ESTIMATION, estimation, go_on, make_estimate, plan
+from bayesftc.controllers.estimation.belief import ESTIMATION, advance, estimation, make_estimate, plan
 from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, Limits, decide, limit
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
@@ -28,11 +28,11 @@ from bayesftc.cosim.types import Floats
 
 
 class UnstableLoopWarning(UserWarning):
-    """Plant and belief together do not settle: by the goal and control priors, or by a mode that no sensor sees."""
+    """The closed loop is not stable, because of the goal and control priors or of a mode that no sensor sees."""
 
 
-class Seeking(NamedTuple):
-    """How an `LQGController` finds a steady state: maps from goal and state to it, the goal that is held, and its control."""
+class SteadyTarget(NamedTuple):
+    """An `LQGController`'s steady state: maps to it from goal and state, the last goal, the control prior's mean."""
 
     x_target: Floats
     u_target: Floats
@@ -41,7 +41,7 @@ class Seeking(NamedTuple):
 
 
 class Densities(NamedTuple):
-    """What only the free energy needs: mean of the control prior, the goal's covariance, and a constant."""
+    """Parameters of the free energy: mean of the control prior, the goal's covariance, and a constant."""
 
     u_0: Floats
     goal_noise: Floats
@@ -49,13 +49,13 @@ class Densities(NamedTuple):
 
 
 class Control(NamedTuple):
-    """All that the control is inferred with."""
+    """All arrays from which the control is inferred."""
 
     aim: Aim
     decision: Decision
     limits: Limits
     folding: FoldingSpace
-    seeking: Seeking
+    steady: SteadyTarget
     densities: Densities
 
 
@@ -65,96 +65,104 @@ CONTROL = named_alike(
     decision=named_alike(Decision, GB="GBw"),
     limits=named_alike(Limits),
     folding=named_alike(FoldingSpace),
-    seeking=named_alike(Seeking),
+    steady=named_alike(SteadyTarget),
     densities=named_alike(Densities),
 )
-"""What all these arrays are called among the state, parameters and scratch space of the controller."""
+"""Names of these arrays among the controller's state, parameters and scratch space."""
 
 
 @cache
 def _make_step(
     estimate: Callable[..., None],
     fold: Callable[..., None],
-    seek: Callable[..., None],
-    tell: Callable[..., None],
+    set_target: Callable[..., None],
+    write: Callable[..., None],
     posterior: int,
 ) -> Callable[..., None]:
-    """Return the controller's step function for ways of estimating, carrying the belief, seeking the goal and telling.
+    """Return the controller's step function, made of the functions that estimate, carry the belief, set the target and report.
 
-    Among all outputs those of the posterior begin at the place `posterior`. The same functions give the same one, so that it is
-    looked through and compiled once for however many controllers.
+    The posterior's outputs begin at the index `posterior`. The result is cached, so that all controllers with the same functions
+    share one compiled step function.
     """
 
     def bayesian_controller(goal, u, outputs, est, control):
         estimate(outputs, est)
-        seek(goal, est.belief.x_hat, est.actuators, control)
+        set_target(goal, est.belief.x_hat, est.actuators, control)
         plan(est.actuators, control.aim.GB, control.decision)
         decide(est.belief, est.model.A, control.aim, control.decision, u)
-        tell(posterior, outputs, u, est, control)
+        write(posterior, outputs, u, est, control)
         limit(u, est.actuators.applied, control.limits)
         for i in range(control.aim.shift.shape[0]):
-            control.decision.pull[i] = control.decision.pull[i] - control.aim.shift[i]
+            control.decision.goal_error[i] = control.decision.goal_error[i] - control.aim.shift[i]
         fold(control.aim, control.decision, control.folding, est.belief)
-        go_on(est)
+        advance(est)
 
     return bayesian_controller
 
 
-def seek_goal(goal, x_hat, actuators, control):
-    """Seek the goal as it is given; the control prior stays what it is."""
-    for i in range(control.decision.sought.shape[0]):
-        control.decision.sought[i] = goal[i]
+def target_goal(goal, x_hat, actuators, control):
+    """Make the goal itself the target; leave the control prior as it is."""
+    for i in range(control.decision.target.shape[0]):
+        control.decision.target[i] = goal[i]
 
 
 @dataclass(frozen=True, eq=False)
 class BayesianController(BayesianBlock):
     """Infers the state and the control that brings the next state to the goal, from redundant and possibly faulty sensors.
 
-    At every sample the joint posterior of the state x_t, the control u_t and the next state x_t+1 is computed in closed form:
-    the prediction prior and the sensors give the belief p(x_t | y_1..t); the goal prior on x_t+1 and, if wanted, a control
-    prior give the control. How far each sensor is trusted is the precision learner's part.
+    At every sample the controller computes the joint posterior of the state x_t, the control u_t and the next state x_t+1 in
+    closed form. The prediction prior and the sensors give the belief p(x_t | y_1..t). The goal prior on x_t+1 and an optional
+    control prior give the control. The precision learner sets the weight of each sensor.
 
-    Inputs ``y`` (m samples; NaN is a missing one) and ``goal`` (of x_t+1; NaN is no goal, under which a flat control prior holds
-    the last control). Outputs ``u`` (p), ``x_hat`` (n), ``P`` (n x n),
-    ``R`` (m x m, the sensor covariance in use; infinite on the diagonal for a sensor that is left out), ``innovation`` (m;
-    ``y - C x_t|t-1``, the state estimation residual; NaN for a missing sample), ``precision`` (m), ``beta`` (m),
-    ``fault_probability`` (m; NaN while a sensor delivers no sample: that is known, not inferred), and those of the precision
-    learner (moments of the precision).
+    Inputs:
 
-    With ``posterior_outputs`` there are three more, of the joint posterior p(x_t, u_t | y_1..t, goal), before limits:
-    ``u_covariance`` (p x p), ``u_state_covariance`` (p x n, NaN like the former where nothing determines the control), and
-    ``free_energy``: -L of eq. 8 where it is least over x_t, u_t and x_t+1, with the sensor covariance ``R``, as a density:
-    ``F = -ln p(x_t, u_t, x_t+1, y_t, goal)`` (nats). Samples, goals and flat priors that are none have no part in it, nor
-    have states without uncertainty.
+    - ``y`` (m): samples; NaN is a missing one.
+    - ``goal``: for x_t+1; NaN is no goal. Without a goal a flat control prior keeps the last control.
+
+    Outputs, besides those of the precision learner (moments of the precision):
+
+    - ``u`` (p), ``x_hat`` (n), ``P`` (n x n).
+    - ``R`` (m x m): the sensor covariance in use; infinite on the diagonal for a sensor that is left out.
+    - ``innovation`` (m): ``y - C x_t|t-1``, the state estimation residual; NaN for a missing sample.
+    - ``precision`` (m), ``beta`` (m).
+    - ``fault_probability`` (m): NaN while a sensor delivers no sample, since nothing has to be inferred then.
+
+    With ``posterior_outputs`` there are three more, of the joint posterior p(x_t, u_t | y_1..t, goal) before limits:
+
+    - ``u_covariance`` (p x p).
+    - ``u_state_covariance`` (p x n). Both covariances are NaN where nothing determines the control.
+    - ``free_energy``: the minimum of -L (eq. 8) over x_t, u_t and x_t+1 with the sensor covariance ``R``, as a density:
+      ``F = -ln p(x_t, u_t, x_t+1, y_t, goal)`` (nats). Missing samples, missing goals, flat priors and states without
+      uncertainty contribute nothing.
 
     Parameters
     ----------
     model : LinearModel
-        What the controller believes about plant and sensors.
+        Model of plant and sensors.
     precision : PrecisionLearner
-        How far each sensor is trusted; by default `SwitchingPrecision`. With `FixedPrecision` the belief is a Kalman filter's.
+        Learns the sensors' precisions; by default `SwitchingPrecision`. With `FixedPrecision` the belief is a Kalman filter's.
     goal_on : {"states", "outputs"} or matrix
-        What the goal is given for: all states (disturbances excluded), one value for each distinct output (row of C), or
-        ``G x`` for a matrix G with a column for each state.
+        What the goal is given for: all states except disturbances; each distinct output (row of C); or ``G x`` for a matrix G
+        with a column for each state.
     goal_covariance : number, vector or matrix
-        Covariance of the goal prior. The smaller, the more aggressive, where a control prior stands against it.
+        Covariance of the goal prior. With a control prior, a smaller one makes the control more aggressive.
     control_covariance : number, vector, matrix or None
-        Covariance of the control prior; None is a flat one, which makes the control deadbeat.
+        Covariance of the control prior; None is a flat prior, which makes the control deadbeat.
     control_mean : number or vector
         Mean of the control prior.
     belief : {"filtered", "joint"}
-        Carry p(x_t | y_1..t), which is a Kalman filter's whatever the priors; or the marginal of the full joint, into which
-        the goal leaks (and `SwitchingPrecision` then judges sensor by sensor).
+        What is carried to the next step. "filtered": p(x_t | y_1..t), as in a Kalman filter, whatever the priors. "joint": the
+        marginal of the full joint posterior, into which the goal leaks; `SwitchingPrecision` then judges each sensor alone.
     u_min, u_max : number or vector
-        Limits of the control; the prediction uses the control that was applied.
+        Limits of the control. The prediction uses the limited control.
     u_rate : number or vector
-        Largest change of the control per second; the first step is measured from 0.
+        Largest change of the control per second; before the first step the control counts as 0.
     initial_mean, initial_covariance : optional
         Belief before the first sample; by default 0 and the identity.
     invalid : sequence of number, or of one for each sensor
-        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
+        Values that mark a missing sample, such as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
     posterior_outputs : bool
-        Whether the covariance of the control and the free energy are outputs as well. They cost some time at each sample.
+        Whether the covariance of the control and the free energy are outputs as well. They take some time at each sample.
 
     Raises
     ------
@@ -164,8 +172,8 @@ class BayesianController(BayesianBlock):
     Warns
     -----
     UnstableLoopWarning
-        If plant and belief together (fixed precision, no limits) have a pole on or outside the unit circle, constants that no
-        control moves (a sensor's bias as a state) left out.
+        If the closed loop (fixed precision, no limits) has a pole on or outside the unit circle. Poles of constants that no
+        control moves, such as a sensor's bias as a state, do not count.
     """
 
     model: LinearModel
@@ -173,30 +181,30 @@ class BayesianController(BayesianBlock):
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
             raise ModelError(
-                f"BayesianController needs a LinearModel, not {self.model!r}; see LinearModel.from_control."
+                f"BayesianController needs a LinearModel, but model is {self.model!r}; see LinearModel.from_control."
             )
         self._check_settings()
         self._check_reach(self.model.matrix("B"))
-        self._learner()  # settings that do not fit the model fail here, not in the loop
+        self._learner()  # raises now, not in the loop, for settings that do not fit the model
         self._warn_if_unstable()
 
     @property
     def actuator_kinds(self) -> tuple[str, ...]:
-        """Names of the ways in which actuators can fail that the precision learner tells."""
+        """Names of the kinds of actuator faults that the precision learner distinguishes."""
         return tuple(type(mode).__name__ for mode in self._precision.actuator_modes)
 
     @property
     def _precision(self) -> PrecisionLearner:
-        # With belief="joint" what the goal says counts as known of the state, by which no actuator can be judged.
-        who = "A BayesianController with belief='joint'"
-        return self.precision.apart(who) if self.belief == "joint" else self.precision
+        # With belief="joint" the goal moves the belief about the state, so that this belief cannot reveal actuator faults.
+        owner = "A BayesianController with belief='joint'"
+        return self.precision.apart(owner) if self.belief == "joint" else self.precision
 
     def _learner(self) -> Learner:
         return self._precision.learner(self.model)
 
     @property
     def measurement_matrix(self) -> Floats:
-        """What each sensor measures of ``x_hat``, its own errors left out (m x n)."""
+        """Matrix that maps ``x_hat`` to what each sensor measures, without the sensor's error (m x n)."""
         return self.model.quantities
 
     def define(self, step: Fraction) -> Definition:
@@ -206,17 +214,17 @@ class BayesianController(BayesianBlock):
         B = model.matrix("B")
         joint = self.belief == "joint"
         shared = self._shared_parameters(step)
-        state, known, space = estimation(self, model, learner, shared["largest"])
-        parameters = known | shared | {"GB": G @ B, "prior_precision": prior}
+        state, model_parameters, space = estimation(self, model, learner, shared["largest"])
+        parameters = model_parameters | shared | {"GB": G @ B, "prior_precision": prior}
         sizes: dict[str, tuple[int, ...]] = {
-            "wanted": (g,),
+            "goal_given": (g,),
             "GA": (g, n),
             "GAP": (g, n),
             "SG": (g, g),
-            "pull": (g,),
+            "goal_error": (g,),
             "W": (g, p),
             "Lambda": (p, p),
-            "sought": (g,),
+            "target": (g,),
             "GBw": (g, p),
         }
         folding = {
@@ -232,17 +240,17 @@ class BayesianController(BayesianBlock):
         }
         sizes |= {name: shape if joint else (1,) * len(shape) for name, shape in folding.items()}
         scratch = space | {name: np.zeros(shape) for name, shape in sizes.items()}
-        seek, constants, seeking = self._seeking(G @ B, prior)
+        set_target, constants, steady = self._target_rule(G @ B, prior)
         parameters |= constants
-        state |= seeking
+        state |= steady
         fold = _filter.fold_goal if joint else _filter.keep_belief
         parameters |= self._densities() | {"u_0": np.array(self.control_mean)}
-        tell = tell_posterior if self.posterior_outputs else tell_nothing
-        first = sum(port.size for port in self._own_outputs)
+        write = write_posterior if self.posterior_outputs else write_nothing
+        first = sum(port.size for port in self._common_outputs)
         posterior = first - sum(port.size for port in self._posterior_ports)
         infer = None if joint else learner.infer
         estimate = make_estimate(learner.step, infer, learner.report, alarm_of(learner, first), first)
-        kernel = _make_step(estimate, fold, seek, tell, posterior)
+        kernel = _make_step(estimate, fold, set_target, write, posterior)
         records = {"est": ESTIMATION, "control": CONTROL}
         return Definition(
             kernel,
@@ -253,8 +261,8 @@ class BayesianController(BayesianBlock):
             compiled=learner.compiled,
         )
 
-    def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
-        """Return the step function that takes the goal to what is sought of the next state, its parameters and state."""
+    def _target_rule(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
+        """Return the step function that turns the goal into the target of the next state, its parameters and its state."""
         mean = np.asarray(self.control_mean)
         constants = {"goal_shift": GB @ mean, "prior_pull": prior @ mean}
         unused = {
@@ -263,28 +271,28 @@ class BayesianController(BayesianBlock):
             "held": np.zeros(1),
             "u_prior": np.zeros(1),
         }
-        return seek_goal, constants | unused, {}
+        return target_goal, constants | unused, {}
 
     def linear_law(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the controller in steady state as a linear system (A, B, C, D), with nominal precisions and without limits.
+        """Return the controller in steady state as a linear system (A, B, C, D), at nominal precisions and without limits.
 
-        Its inputs are ``y`` and ``goal``, one after the other, its outputs ``u``, its states the predicted mean of the belief;
-        all of them are deviations from an operating point, so that the constant of a model (`LinearModel.about`) is none.
+        Inputs are ``y`` followed by ``goal``, outputs ``u``, states the predicted mean of the belief. All are deviations from
+        the operating point, so that the constant of a model (`LinearModel.about`) drops out.
         """
         model = self.model.moving
         A, B, C = (model.matrix(name) for name in "ABC")
         n = model.states
         K, L, M, T, F = self.steady_gains()
-        seen = np.eye(n) - K @ C  # x_hat = seen @ mean + K @ y
+        update = np.eye(n) - K @ C  # x_hat = seen @ mean + K @ y
         move = A @ T - B @ L  # mean at the next step = move @ x_hat + ... goal
-        return move @ seen, np.hstack([move @ K, A @ F + B @ M]), -L @ seen, np.hstack([-L @ K, M])
+        return move @ update, np.hstack([move @ K, A @ F + B @ M]), -L @ update, np.hstack([-L @ K, M])
 
     def closed_loop_poles(self) -> NDArray[np.complex128]:
-        """Return the poles of plant and belief together in steady state, at fixed precision and without limits.
+        """Return the poles of the closed loop (plant and filter) in steady state, at fixed precision and without limits.
 
-        With ``belief="filtered"`` estimation and control separate: these are the eigenvalues of A - B L, with L the control's
-        gain on the belief, and those of the filter. States of an estimated disturbance move on their own; of them only the
-        estimates are counted.
+        With ``belief="filtered"`` estimation and control separate: the poles are the eigenvalues of A - B L, with L the gain of
+        the control on the belief, and those of the filter. No control moves an estimated disturbance, so only the poles of its
+        estimate count.
         """
         return np.linalg.eigvals(self.closed_loop_matrix()).astype(np.complex128)
 
@@ -294,8 +302,8 @@ class BayesianController(BayesianBlock):
         A, B, C = (model.matrix(name) for name in "ABC")
         plant, m = model.states - model.disturbances, model.sensors
         A, B, C = A[:plant, :plant], B[:plant], C[:, :plant]
-        move, given, out, direct = self.linear_law()
-        return np.block([[A + B @ direct[:, :m] @ C, B @ out], [given[:, :m] @ C, move]])
+        move, input_matrix, out, direct = self.linear_law()
+        return np.block([[A + B @ direct[:, :m] @ C, B @ out], [input_matrix[:, :m] @ C, move]])
 
     def steady_gains(self) -> Gains:
         """Return the gains of filter and control in steady state, at the model's sensor covariance and without limits."""
@@ -303,10 +311,10 @@ class BayesianController(BayesianBlock):
         return self._steady_gains(A, B, C, self._priors()[0][:, : len(A)])
 
     def describe(self) -> str:
-        """Return in sentences what the controller expects and what the loop will do.
+        """Return a description of the controller and of the closed loop as text.
 
-        Poles, model, trust in the sensors and the faults that it tells, gains of filter and control in steady state, and the
-        standard deviations that the model expects of tracking and belief.
+        It has the poles, the model, the precision learner and the faults that it distinguishes, the gains of filter and control
+        in steady state, and the expected standard deviations of tracking and belief.
         """
         from bayesftc.controllers.bayesian import describing
 
@@ -316,7 +324,7 @@ class BayesianController(BayesianBlock):
     def _pole_lines(self) -> list[str]:
         from bayesftc.controllers.bayesian.describing import pole_lines
 
-        return pole_lines(self._poles_to_judge())
+        return pole_lines(self._relevant_poles())
 
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
         """Return the gains of filter and control in steady state."""
@@ -326,23 +334,23 @@ class BayesianController(BayesianBlock):
         return steady_gains(A, B, C, G, Q, R, goal_covariance, prior, start, joint=self.belief == "joint")
 
     def _warn_if_unstable(self) -> None:
-        poles = self._poles_to_judge()
+        poles = self._relevant_poles()
         size = float(np.abs(poles).max()) if len(poles) else 0.0
         if size >= 1.0 - 1e-9:
             poles = poles[np.argsort(-np.abs(poles))]
             shown = ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-12 else f"{p.real:.3g}{p.imag:+.3g}j" for p in poles)
             state = "unstable" if size > 1.0 + 1e-9 else "on the edge of stability"
             warnings.warn(
-                f"The closed loop is {state}: its poles are {shown}, the largest of magnitude {size:.3g}. Either the goal for "
-                "the next step alone is short-sighted: weaken it (goal_covariance), tighten the control prior "
-                "(control_covariance), or set goals only for what the control reaches in one step; or the control hardly acts: "
-                "loosen its prior; or no sensor sees an unstable mode of the model: add one.",
+                f"The closed loop is {state}: its poles are {shown}, the largest of magnitude {size:.3g}. There are three "
+                "possible causes. If the goal for the next step alone is short-sighted, increase goal_covariance, decrease "
+                "control_covariance, or set goals only for what the control reaches in one step. If the control hardly acts, "
+                "increase control_covariance. If no sensor sees an unstable mode of the model, add a sensor.",
                 UnstableLoopWarning,
                 stacklevel=4,
             )
 
-    def _poles_to_judge(self) -> NDArray[np.complex128]:
-        """Return the loop's poles without those that stand for a constant no control moves, such as a sensor's bias."""
+    def _relevant_poles(self) -> NDArray[np.complex128]:
+        """Return the loop's poles without those of constants that no control moves, such as a sensor's bias."""
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
         poles = self.closed_loop_poles()

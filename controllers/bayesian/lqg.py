@@ -1,4 +1,4 @@
-"""The Bayesian controller whose goal prior looks ahead without end: the linear quadratic Gaussian regulator."""
+"""The Bayesian controller with an infinite horizon: the linear quadratic Gaussian regulator."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from bayesftc.cosim.ops import maximum, select
 from bayesftc.cosim.types import Floats
 
 CERTAIN = 1e-13
-"""How much what the belief does not know weighs beside the goal prior: the law is the regulator's to this."""
+"""Weight of the belief's uncertainty relative to the goal prior; the law equals the regulator's to this accuracy."""
 
 
-def seek_steady_state(goal, x_hat, actuators, control):
-    """Seek the steady state at which the outputs are the goal, by the control that holds it there.
+def target_steady_state(goal, x_hat, actuators, control):
+    """Make the steady state at which the outputs equal the goal the target, and its control the control prior's mean.
 
-    A goal that is not finite is none: the last one is held. Of each control ``works`` arrives, and ``load`` is there without it.
+    A goal that is not finite keeps the last one. Each control acts with the effectiveness ``works`` and the offset ``load``.
     """
-    x_target, u_target, held, u_prior = control.seeking
+    x_target, u_target, held, u_prior = control.steady
     _, GB, _, prior_precision, prior_pull, goal_shift = control.aim
-    works, load, sought = actuators.works, actuators.load, control.decision.sought
+    works, load, target = actuators.works, actuators.load, control.decision.target
     r, n, p = goal.shape[0], x_hat.shape[0], u_prior.shape[0]
     for i in range(r):
         held[i] = select(goal[i] - goal[i] == 0.0, goal[i], held[i])
@@ -41,19 +41,19 @@ def seek_steady_state(goal, x_hat, actuators, control):
             total = total + u_target[j, i] * held[i]
         for i in range(n):
             total = total + u_target[j, r + i] * x_hat[i]
-        # An actuator that has lost nearly all of its effect is not asked for more than five times as much.
+        # A lost effect is compensated by at most five times the control.
         u_prior[j] = (total - load[1, j]) / maximum(works[1, j], 0.2)
     for j in range(p):
         prior_pull[j] = prior_precision[j, 0] * u_prior[0]
         for i in range(1, p):
             prior_pull[j] = prior_pull[j] + prior_precision[j, i] * u_prior[i]
-    for s in range(sought.shape[0]):
+    for s in range(target.shape[0]):
         total = x_target[s, 0] * held[0]
         for i in range(1, r):
             total = total + x_target[s, i] * held[i]
         for i in range(n):
             total = total + x_target[s, r + i] * x_hat[i]
-        sought[s] = total
+        target[s] = total
         goal_shift[s] = GB[s, 0] * u_prior[0]
         for j in range(1, p):
             goal_shift[s] = goal_shift[s] + GB[s, j] * u_prior[j]
@@ -63,50 +63,49 @@ def seek_steady_state(goal, x_hat, actuators, control):
 class LQGController(BayesianController):
     """Infers the state, and the control that is best in the long run for holding the outputs at the goal.
 
-    `BayesianController` wants the *next* state at the goal, which is short-sighted. Here the goal is one of the outputs, from
-    which a steady state (x_ss, u_ss) is computed at every sample, and the goal prior on the next state has as its precision the
-    Riccati equation's cost-to-go P about x_ss, the control prior is N(u_ss, R^-1). So the one-step posterior is the law of the
-    linear quadratic regulator,
+    `BayesianController` has a goal for the *next* state, which is short-sighted. Here the goal is one of the outputs. At every
+    sample the controller computes a steady state (x_ss, u_ss) from it. The goal prior on the next state has the mean x_ss, and
+    as its precision the Riccati equation's cost-to-go P; the control prior is N(u_ss, R^-1). The one-step posterior is then the
+    law of the linear quadratic regulator,
 
         u = u_ss - (R + B' P B)^-1 B' P A (x_hat - x_ss),
 
-    for the costs ``(y - goal)' goal_covariance^-1 (y - goal) + (u - u_ss)' control_covariance^-1 (u - u_ss)`` of each sample. A
-    common factor of both precisions changes nothing; it is taken so small that what the belief does not know does not weigh.
+    for the cost ``(y - goal)' goal_covariance^-1 (y - goal) + (u - u_ss)' control_covariance^-1 (u - u_ss)`` of each sample. A
+    common factor of both precisions changes nothing. It is so small that the uncertainty of the belief has no effect.
 
-    Integrators that the goals do not see (the position, of a goal on the speed) are left to themselves: A, B and P are those of
-    what is left, and so is the steady state.
+    Integrators that the goals do not see, such as the position for a goal on the speed, are not controlled. A, B, P and the
+    steady state are those of the remaining states.
 
-    Fewer goals than controls leave freedom: then u_ss is the cheapest one. Estimated disturbances
-    (`LinearModel.with_disturbance`) and faults of actuators that the precision learner finds count in (x_ss, u_ss), so that they
-    leave no steady error.
+    With fewer goals than controls, u_ss is the cheapest solution. Estimated disturbances (`LinearModel.with_disturbance`) and
+    actuator faults that the precision learner infers enter (x_ss, u_ss), so that they leave no steady error.
 
-    Ports are those of `BayesianController`, with one element of ``goal`` for each goal; an element that is NaN keeps its last
-    value, at first what the output is at the initial mean.
+    Ports are those of `BayesianController`, with one element of ``goal`` for each goal. An element that is NaN keeps its last
+    value; before the first value it is the output at the initial mean.
 
     Parameters
     ----------
     model : LinearModel
-        What the controller believes about plant and sensors.
+        Model of plant and sensors.
     precision : PrecisionLearner
-        How far each sensor is trusted; by default `SwitchingPrecision`. With `FixedPrecision` the belief is a Kalman filter's.
+        Learns the sensors' precisions; by default `SwitchingPrecision`. With `FixedPrecision` the belief is a Kalman filter's.
     goal_on : "outputs" or matrix
         What the goal is given for: each distinct output (row of C), or ``H x`` for a matrix H with a column for each state.
     goal_covariance : number, vector or matrix
-        Inverse of the cost of the outputs' errors. By Bryson's rule: the squares of the errors that are still acceptable.
+        Inverse of the cost of the outputs' errors. By Bryson's rule: squares of the largest acceptable errors.
     control_covariance : number, vector or matrix
-        Inverse of the cost of the controls: squares of acceptable deviations from what holds the goal.
+        Inverse of the cost of the controls: squares of the largest acceptable deviations from u_ss.
     control_mean : 0
-        Not used: the control prior's mean is u_ss.
+        Not used; the mean of the control prior is u_ss.
     belief, u_min, u_max, u_rate, initial_mean, initial_covariance, invalid
         See `BayesianController`.
     posterior_outputs : False
-        Only the ratio of the two priors means something here, so there is no covariance of the control and no free energy.
+        Must be False. Only the ratio of the two priors has a meaning: control covariance and free energy do not exist.
 
     Raises
     ------
     ModelError
-        If dimensions do not fit; if there are more goals than controls, or they cannot be held in steady state; if no control
-        moves or no sensor sees a mode that does not die out, which is named by its eigenvalue.
+        If dimensions do not fit; if there are more goals than controls; if the goals cannot be held in steady state; or if no
+        control moves or no sensor sees a mode that does not decay. The message gives the mode's eigenvalue.
 
     Examples
     --------
@@ -123,24 +122,26 @@ class LQGController(BayesianController):
     def __post_init__(self) -> None:
         if isinstance(self.goal_on, str) and self.goal_on == "states":
             raise ModelError(
-                "LQGController has goal_on='states', but not every state can be held at any value; take 'outputs' or the matrix "
-                "of what the goals are of the state."
+                "LQGController has goal_on='states', but not every state can be held at any value. Give 'outputs' or the matrix "
+                "that maps the state to what has a goal."
             )
         if self.control_covariance is None:
-            raise ModelError("LQGController needs a control_covariance, the inverse of what controls cost.")
+            raise ModelError("LQGController has control_covariance=None; give the inverse of the controls' cost.")
         if np.any(self.control_mean):
-            raise ModelError("LQGController computes the control prior's mean from the goal; leave control_mean out.")
+            raise ModelError(
+                "LQGController has a control_mean, but computes the control prior's mean from the goal; leave control_mean out."
+            )
         if self.posterior_outputs:
             raise ModelError(
-                "LQGController has posterior_outputs=True, but the scale of its goal and control priors is arbitrary: there is "
-                "neither a covariance of the control nor a free energy; take a BayesianController, or leave it out."
+                "LQGController has posterior_outputs=True, but the scale of its goal and control priors is arbitrary. There is "
+                "neither a covariance of the control nor a free energy; use BayesianController, or leave posterior_outputs out."
             )
         super().__post_init__()
 
     def _check_reach(self, effect: Floats) -> None:
         refuse_unstabilisable(self.model)
         refuse_undetectable(self.model)
-        self.regulator  # noqa: B018 - goals that cannot be held fail here
+        self.regulator  # noqa: B018 - raises for goals that cannot be held
 
     @cached_property
     def regulator(self) -> Regulator:
@@ -152,17 +153,17 @@ class LQGController(BayesianController):
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
         lines = [f"Closed-loop poles of the control: {listed(self.regulator.poles(A, B))}."]
-        lines.append(f"All poles, the filter's included: {listed(self._poles_to_judge())}.")
+        lines.append(f"All poles, the filter's included: {listed(self._relevant_poles())}.")
         lines.append(f"Without control: {listed(np.linalg.eigvals(A))}.")
         if self.regulator.drifting:
             lines.append(
-                f"The goals do not ask about {self.regulator.drifting} of the plant's integrators (as the position is one behind "
-                "a speed): they go where the rest takes them, and are not among the closed-loop poles."
+                f"The goals do not depend on {self.regulator.drifting} of the plant's integrators (such as the position behind a "
+                "speed). These are not controlled and are not among the closed-loop poles."
             )
         return lines
 
-    def _poles_to_judge(self) -> NDArray[np.complex128]:
-        poles = super()._poles_to_judge()
+    def _relevant_poles(self) -> NDArray[np.complex128]:
+        poles = super()._relevant_poles()
         return poles[np.argsort(np.abs(poles - 1.0))[self.regulator.drifting :]] if self.regulator.drifting else poles
 
     def _priors(self) -> tuple[Floats, Floats, Floats]:
@@ -172,15 +173,15 @@ class LQGController(BayesianController):
 
     @cached_property
     def _scaled(self) -> tuple[Floats, float]:
-        """The goal prior's matrix, and the factor by which both precisions are taken down."""
+        """The goal prior's matrix, and the factor by which both precisions are scaled down."""
         root = self.regulator.root
         plant = root.shape[1]
         A, Q = self.model.matrix("A")[:plant], self.model.matrix("process_covariance")[:plant, :plant]
-        unknown = A @ np.asarray(self.initial_covariance) @ A.T + Q
-        spread = float(np.trace(root @ unknown @ root.T))
+        prior_covariance = A @ np.asarray(self.initial_covariance) @ A.T + Q
+        spread = float(np.trace(root @ prior_covariance @ root.T))
         return root, CERTAIN / max(spread, 1e-100)
 
-    def _seeking(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
+    def _target_rule(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         regulator, H = self.regulator, self.goal_matrix
         root, plant = regulator.root, self.model.states - self.model.disturbances
         p, mean = self.model.controls, np.asarray(self.initial_mean)
@@ -189,7 +190,7 @@ class LQGController(BayesianController):
             "u_target": np.hstack([regulator.u_of_goal, np.zeros((p, plant)), regulator.u_of_others]),
         }
         state = {"held": H @ mean, "u_prior": np.zeros(p), "prior_pull": np.zeros(p), "goal_shift": np.zeros(len(root))}
-        return seek_steady_state, {name: frozen(value) for name, value in targets.items()}, state
+        return target_steady_state, {name: frozen(value) for name, value in targets.items()}, state
 
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
         gains, regulator = super()._steady_gains(A, B, C, G), self.regulator
@@ -198,5 +199,5 @@ class LQGController(BayesianController):
         return gains._replace(
             L=np.hstack([regulator.gain, -offset[:, :estimated]]),
             M=regulator.u_of_goal + regulator.gain @ regulator.x_of_goal,
-            F=np.zeros((len(A), self.goals)),  # the goal prior is too weak to tell the belief anything
+            F=np.zeros((len(A), self.goals)),  # the goal prior is too weak to change the belief
         )

@@ -1,15 +1,15 @@
 """Step functions of the nonlinear Bayesian controller: the joint likelihood as equations, and its minimisation.
 
-The unknowns are ``z = [u, v]``: the control, and the state in units of the prediction's own spread, ``x = mean + root v`` with
-``root root'`` its covariance (which may therefore be singular). Sensors measure x_t. The goal measures x_t+1, in which it is
-linear; so x_t+1 is minimised out exactly when the process's covariance is added to the goal's, ``G Q G' + Sigma_goal``.
+The unknowns are ``z = [u, v]``: the control, and the state in units of the prediction's spread, ``x = mean + root v`` with
+``root root'`` its covariance, which may be singular. Sensors measure x_t, the goal measures x_t+1. The goal is linear in x_t+1.
+Adding the process's covariance to the goal's, ``G Q G' + Sigma_goal``, therefore minimises over x_t+1 exactly.
 """
 
 from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
-from bayesftc.controllers.estimation.filter import doubt, keep_only
+from bayesftc.controllers.estimation.filter import keep_only, pivot_tolerance
 from bayesftc.controllers.linalg.dense import cholesky, multiply, whiten
 from bayesftc.controllers.linalg.least_squares import (
     Curvature,
@@ -24,26 +24,26 @@ from bayesftc.cosim.ops import both, maximum, negate, select
 from bayesftc.cosim.types import Floats
 
 ROUNDING = 1e-12
-"""Relative increase of the cost that counts as rounding: at the minimum a step is right although the cost cannot tell."""
+"""Relative increase of the cost that counts as rounding; at the minimum a right step may have such an increase."""
 
 FIRST_DAMPING = 3e-2
 """Damping after the first step that fails. Each failure multiplies it by 10, each success by 1/10."""
 
 LEAST_DAMPING = 1e-3
-"""A damping no larger than this is none after the next success."""
+"""A damping of at most this becomes 0 at the next success."""
 
 INFINITE = float("inf")
 
 DISTANT = 1e100
-"""A sample this many nominal standard deviations away moves no belief: squared it would no more be a number."""
+"""A sample at least this many nominal standard deviations away is left out, since its square would overflow."""
 
 
 SLOPES, SQUARES, VECTORS = 2, 5, 8
-"""How many arrays of scratch space the minimiser needs: equations x unknowns, unknowns x unknowns, unknowns."""
+"""Numbers of the minimiser's scratch arrays: equations x unknowns, unknowns x unknowns, unknowns."""
 
 
 class Ahead(NamedTuple):
-    """A nonlinear model at a state: what the sensors read, the next state, and their derivatives C, F (by the state) and B.
+    """A nonlinear model at a state: sensor readings, next state, and their derivatives C, F (by the state) and B.
 
     ``Q`` is the covariance of the process, ``slope`` scratch space.
     """
@@ -58,11 +58,11 @@ class Ahead(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What the joint cost is made of.
+    """The terms of the joint cost.
 
-    Samples ``y`` and ``goal``, those that are ``kept`` (1 or 0); the prediction's ``mean`` and the ``root`` of its covariance;
-    the factor of the ``noise`` of sensors and goal; the goal's matrix ``G``; root of the precision, and mean, of the control
-    prior.
+    Samples ``y`` and ``goal``, with ``kept`` 1 for those in use, else 0; the prediction's ``mean`` and the ``root`` of its
+    covariance; the Cholesky factor of the ``noise`` of sensors and goal; the goal's matrix ``G``; the control ``prior``'s root
+    of the precision and its mean.
     """
 
     y: Floats
@@ -77,7 +77,7 @@ class Problem(NamedTuple):
 
 
 class Search(NamedTuple):
-    """Where the minimiser is: ``z``, control and state in units of the prediction's root; ``cost``; the rest is scratch space."""
+    """The minimiser's current ``z`` (control, and state in units of the prediction's root) and ``cost``; else scratch space."""
 
     z: Floats
     point: Floats
@@ -91,7 +91,7 @@ class Search(NamedTuple):
 
 
 def leave_out_distant(e, nominal, used):
-    """Leave out sensors whose sample is too far away for its square to be a number."""
+    """Leave out sensors whose innovation is so large that its square would overflow."""
     for i in range(e.shape[0]):
         distance = e[i] / DISTANT
         used[i] = select(distance * distance < nominal[i, i], used[i], 0.0)
@@ -107,18 +107,18 @@ def locate(z, mean, root, x):
         x[i] = total
 
 
-def keep(used, goal, seeing, kept, wanted):
-    """Say which equations there are: those of the sensors in use, and, where ``seeing``, of the goals that are given."""
+def keep(used, goal, with_goal, kept, goal_given):
+    """Mark the equations in use: those of the sensors in use and, if ``with_goal``, of the goals that are given."""
     m = used.shape[0]
     for i in range(m):
         kept[i] = used[i]
     for i in range(goal.shape[0]):
-        wanted[i] = select(goal[i] - goal[i] == 0.0, 1.0, 0.0)
-        kept[m + i] = wanted[i] * seeing
+        goal_given[i] = select(goal[i] - goal[i] == 0.0, 1.0, 0.0)
+        kept[m + i] = goal_given[i] * with_goal
 
 
 def factorise(R, goal_noise, kept, noise):
-    """Write the Cholesky factor of the covariance of sensors and goal together, of those that are kept."""
+    """Write the Cholesky factor of the joint covariance of the sensors and goals that are kept."""
     m, g = R.shape[0], goal_noise.shape[0]
     for i in range(m + g):
         for j in range(m + g):
@@ -133,11 +133,11 @@ def factorise(R, goal_noise, kept, noise):
     cholesky(noise, noise)
 
 
-def determined(T, cost, wanted, controls):
-    """Return whether goal and prior determine each control, and all is a number."""
+def determined(T, cost, goal_given, controls):
+    """Return whether goal and prior determine each control and all numbers are finite."""
     good = is_finite(T, cost)
     for j in range(controls):
-        good = both(good, T[j, j] * T[j, j] > doubt(wanted) * squared_length(T, j))
+        good = both(good, T[j, j] * T[j, j] > pivot_tolerance(goal_given) * squared_length(T, j))
     return good
 
 
@@ -158,11 +158,12 @@ def make_minimiser(
 ) -> Callable[..., None]:
     """Return the step function that minimises the joint cost from ``z``, by Gauss-Newton steps with Marquardt's damping.
 
-    Where residuals stay large, Gauss-Newton converges slowly, for it leaves out their curvature: that is learned on the way.
+    Where residuals stay large, Gauss-Newton converges slowly, because it leaves out their curvature; the curvature is therefore
+    estimated from step to step.
 
-    It leaves in ``z`` the minimum, in ``squares[0]`` the triangle of the equations linearised there. The cost is twice the
-    negative log-likelihood but for a constant. A step is tried `iterations` times; one that would raise the cost, or lead where
-    something is no number, is not taken, and the next one is damped more.
+    On return ``z`` has the minimum and ``squares[0]`` the triangle of the equations linearised there. The cost is twice the
+    negative log-likelihood, up to a constant. There are `iterations` trial steps. A step is rejected if it would raise the cost
+    or lead to a value that is not finite; the next one is then damped more.
     """
 
     def equations(problem, ahead, trial, point, control, J, residual, row, T, b, cost):
@@ -186,16 +187,16 @@ def make_minimiser(
                     total = total + C[i, k] * root[k, j]
                 J[i, p + j] = select(kept[i] > 0.5, total, 0.0)
         for i in range(goal.shape[0]):
-            there = kept[m + i] > 0.5
+            in_use = kept[m + i] > 0.5
             error = goal[i]
             for k in range(n):
                 error = error - G[i, k] * following[k]
-            residual[m + i] = select(there, error, 0.0)
+            residual[m + i] = select(in_use, error, 0.0)
             for j in range(p + n):
                 total = 0.0
                 for k in range(n):
                     total = total + G[i, k] * (B[k, j] if j < p else slope[k, j - p])
-                J[m + i, j] = select(there, total, 0.0)
+                J[m + i, j] = select(in_use, total, 0.0)
         whiten(noise, J, residual)
         cost[0] = 0.0
         for i in range(p + n):

@@ -12,14 +12,14 @@ import numpy as np
 
 from bayesftc.controllers.bayesian.block import BayesianBlock
 from bayesftc.controllers.bayesian.extended_check import (
-    EXTENDED_SEERS,
+    FILTER_BANK,
     SQUARES as SQUARES_OF_CHECK,
     VECTORS as VECTORS_OF_CHECK,
-    ExtendedSeers,
+    FilterBank,
     extended_consistency,
     make_watch,
 )
-from bayesftc.controllers.bayesian.free_energy import tell_linearised, tell_no_minimum
+from bayesftc.controllers.bayesian.free_energy import write_linearised, write_nothing_more
 from bayesftc.controllers.bayesian.minimise import (
     DISTANT,
     SLOPES,
@@ -36,7 +36,7 @@ from bayesftc.controllers.bayesian.minimise import (
     make_look_ahead,
     make_minimiser,
 )
-from bayesftc.controllers.estimation.absurd import Reading, Screen, alarm_of, blame, screening
+from bayesftc.controllers.estimation.absurd import Reading, Screen, alarm_of, mark_absurd, screening
 from bayesftc.controllers.estimation.belief import SAMPLE, Learning
 from bayesftc.controllers.estimation.filter import MEAN_CAP, Belief, Limits, hold_variances, innovate, limit, restore
 from bayesftc.controllers.linalg.dense import cholesky_semidefinite, congruence
@@ -54,7 +54,7 @@ from bayesftc.cosim.types import Floats, Kernel
 
 
 class Bounds(NamedTuple):
-    """The largest variance of a belief, the sensors' nominal covariance, and the belief with which all begins."""
+    """The largest variance of a belief, the sensors' nominal covariance, and the initial belief."""
 
     largest: Floats
     nominal: Floats
@@ -63,7 +63,7 @@ class Bounds(NamedTuple):
 
 
 def stay(belief, applied, ahead):
-    """Predict that the state stays where it is (a random walk)."""
+    """Predict a constant state (a random walk)."""
     mean, covariance, x_hat, P = belief
     n = x_hat.shape[0]
     for i in range(n):
@@ -74,7 +74,7 @@ def stay(belief, applied, ahead):
 
 @cache
 def make_move(look_ahead: Kernel) -> Kernel:
-    """Return the step function that predicts by the model, its uncertainty by the model linearised at the estimate."""
+    """Return the step function that predicts the mean by the model, and the covariance by its linearisation at the estimate."""
 
     def move(belief, applied, ahead):
         look_ahead(belief.x_hat, applied, ahead.following, ahead.F, ahead.B)
@@ -87,7 +87,7 @@ def make_move(look_ahead: Kernel) -> Kernel:
 
 @cache
 def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
-    """Return the step function that takes the belief to the next step, with the control that was applied."""
+    """Return the step function that predicts the belief at the next step, with the control that was applied."""
 
     def predict(belief, applied, bounds, ahead):
         mean, covariance, x_hat, _ = belief
@@ -99,8 +99,8 @@ def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
             for j in range(n):
                 covariance[i, j] = covariance[i, j] + Q[i, j]
         hold_variances(covariance, largest)
-        # Where the model has no finite value, or all samples would be too far away to move the belief, nothing could be learned
-        # from any sample again: the belief begins anew.
+        # If the model has no finite value here, or all samples would be too distant to move the belief, no later sample could
+        # correct the belief. It is reset to the initial one.
         g(mean, reading)
         g_jacobian(mean, C)
         good = absolute(mean[0]) <= MEAN_CAP
@@ -121,23 +121,23 @@ def make_predict(g: Kernel, g_jacobian: Kernel, move: Kernel) -> Kernel:
     return predict
 
 
-def keep_filtered(found, point, spread_out, belief):
-    """Carry p(x_t | y_1..t): goal and control prior leave the belief alone (``belief="filtered"``)."""
+def keep_filtered(determinate, point, spread_out, belief):
+    """Carry p(x_t | y_1..t), on which goal and control prior have no effect (``belief="filtered"``)."""
 
 
-def take_joint(found, point, spread_out, belief):
-    """Carry the belief about x_t of the joint minimum, into which the goal leaks (``belief="joint"``)."""
+def take_joint(determinate, point, spread_out, belief):
+    """Carry the belief about x_t at the joint minimum, on which the goal has an effect (``belief="joint"``)."""
     n = belief.x_hat.shape[0]
     for i in range(n):
-        belief.x_hat[i] = select(found, point[i], belief.x_hat[i])
+        belief.x_hat[i] = select(determinate, point[i], belief.x_hat[i])
         for j in range(n):
-            belief.P[i, j] = select(found, spread_out[i, j], belief.P[i, j])
+            belief.P[i, j] = select(determinate, spread_out[i, j], belief.P[i, j])
 
 
 class Control(NamedTuple):
-    """All that the control is inferred with, besides the `Problem`."""
+    """All arrays from which the control is inferred, besides the `Problem`."""
 
-    wanted: Floats
+    goal_given: Floats
     goal_covariance: Floats
     prior_root: Floats
     limits: Limits
@@ -149,7 +149,7 @@ class Control(NamedTuple):
 
 
 class Nonlinear(NamedTuple):
-    """All that the estimator works with, besides the `Problem`."""
+    """All arrays of the estimator, besides the `Problem`."""
 
     reading: Reading
     sample: Sample
@@ -158,7 +158,7 @@ class Nonlinear(NamedTuple):
     applied: Floats
     learning: Learning
     screen: Screen
-    seers: ExtendedSeers
+    bank: FilterBank
     bounds: Bounds
     ahead: Ahead
     reach: Floats
@@ -174,15 +174,15 @@ RECORDS = {
         belief=named_alike(Belief),
         learning=named_alike(Learning),
         screen=named_alike(Screen),
-        seers=EXTENDED_SEERS,
+        bank=FILTER_BANK,
         bounds=named_alike(Bounds),
         ahead=named_alike(Ahead, slope="FP"),
     ),
-    "problem": named_alike(Problem, y="heard"),
+    "problem": named_alike(Problem, y="samples"),
     "search": named_alike(Search),
     "decision": named_alike(Control, goal_covariance="GQ", limits=named_alike(Limits)),
 }
-"""What all these arrays are called among the ports, state, parameters and scratch space of the controller."""
+"""Names of these arrays among the controller's ports, state, parameters and scratch space."""
 
 
 @cache
@@ -192,15 +192,15 @@ def _make_step(
     minimise: Kernel,
     carry: Kernel,
     predict: Kernel,
-    tell: Kernel,
+    write: Kernel,
     watch: Kernel,
     posterior: int,
     first: int,
 ) -> Callable[..., None]:
     """Return the controller's step function.
 
-    ``learning`` learns, reports and alarms, ``model`` is what the sensors read, and its derivatives. Among all outputs those of
-    the posterior begin at the place `posterior`, the learner's own at the place `first`.
+    ``learning`` has the functions that learn, report and alarm; ``model`` has the sensors' function and its derivatives. Among
+    the outputs, those of the posterior begin at the index `posterior`, those of the learner at `first`.
     """
     (learn, report, alarm), (g, g_jacobian) = learning, model
 
@@ -214,7 +214,7 @@ def _make_step(
         innovate(est.reading, sample, belief, est.screen, ahead.C, est.CP, est.bounds.largest, est.reach)
         learn(sample, trust, memory, settings, work)
         restore(est.reading, sample)
-        blame(est.screen, trust.fault_probability)
+        mark_absurd(est.screen, trust.fault_probability)
         report(memory, settings, sample.nominal, first, outputs)
         alarm(est.screen.doubts, outputs)
         leave_out_distant(sample.e, sample.nominal, trust.used)
@@ -224,11 +224,11 @@ def _make_step(
             z[i] = est.applied[i]
         for i in range(n):
             z[p + i] = 0.0
-        # First the belief, by the prediction and the sensors alone; from there the control, together with the state, by goal and
-        # control prior as well. A loop, for whatever is written twice is compiled twice.
+        # The first pass finds the belief from prediction and sensors. The second pass starts there and finds control and state
+        # from goal and control prior as well. It is one loop, because code that is written twice is compiled twice.
         for part in range(2):
             whole = 1.0 * part
-            keep(trust.used, problem.goal, whole, problem.kept, decision.wanted)
+            keep(trust.used, problem.goal, whole, problem.kept, decision.goal_given)
             factorise(trust.R, decision.goal_covariance, problem.kept, problem.noise)
             for i in range(p):
                 for j in range(p):
@@ -242,11 +242,11 @@ def _make_step(
                     belief.x_hat[i] = search.point[i]
                     for j in range(n):
                         belief.P[i, j] = select(good, decision.spread_out[i, j], belief.covariance[i, j])
-        found = determined(T, search.cost[0], decision.wanted, p)
+        determinate = determined(T, search.cost[0], decision.goal_given, p)
         for i in range(p):
-            u[i] = select(found, z[i], NAN)
-        tell(found, posterior, outputs, T, trust.R, problem, search, decision)
-        carry(found, search.point, decision.spread_out, belief)
+            u[i] = select(determinate, z[i], NAN)
+        write(determinate, posterior, outputs, T, trust.R, problem, search, decision)
+        carry(determinate, search.point, decision.spread_out, belief)
         limit(u, est.applied, decision.limits)
         predict(belief, est.applied, est.bounds, ahead)
         watch(sample.y, est, search.point, decision.spread_out)
@@ -258,45 +258,48 @@ def _make_step(
 class NonlinearBayesianController(BayesianBlock):
     """Infers the state and the control that brings the next state to the goal, for a nonlinear model.
 
-    At every sample the joint negative log-likelihood of the state x_t, the control u_t and the next state x_t+1 (paper, section
-    2.3) is minimised: prediction prior, sensors, process, goal prior, control prior. Gauss-Newton steps with
-    Levenberg-Marquardt damping start from the prediction and the last control; their number is fixed. The covariance is that of
-    the model linearised at the minimum (Laplace's approximation). For a linear model all this is `BayesianController`.
+    At every sample the controller minimises the joint negative log-likelihood of the state x_t, the control u_t and the next
+    state x_t+1 (paper, section 2.3). Its terms are prediction prior, sensors, process, goal prior and control prior. A fixed
+    number of Gauss-Newton steps with Levenberg-Marquardt damping starts from the prediction and the last control. The covariance
+    is that of the model linearised at the minimum (Laplace's approximation). For a linear model the result is that of
+    `BayesianController`.
 
-    Inputs and outputs are those of `BayesianController`: ``y``, ``goal``; ``u, x_hat, P, R, innovation, precision, beta,
-    fault_probability, model_suspect``, and those of the precision learner. ``innovation`` is ``y - g(x_t|t-1)``. With
-    ``posterior_outputs`` also ``u_covariance, u_state_covariance, free_energy``, of the model linearised at the minimum, and the
-    least value of -L itself.
+    Inputs and outputs are those of `BayesianController`; ``innovation`` is ``y - g(x_t|t-1)``. With ``posterior_outputs`` the
+    covariances ``u_covariance, u_state_covariance`` are those of the model linearised at the minimum, and ``free_energy`` is
+    the minimum of -L itself.
 
     Parameters
     ----------
     model : NonlinearModel or LinearModel
-        What the controller believes about plant and sensors.
+        Model of plant and sensors.
     precision : PrecisionLearner
-        How far each sensor is trusted; by default `SwitchingPrecision`, here always in its per-sensor form.
+        Learns the sensors' precisions; by default `SwitchingPrecision`, here always in its per-sensor form.
     goal_on : "states" or matrix
         What the goal is given for: all states, or ``G x`` for a matrix G with a column for each state.
     goal_covariance : number, vector or matrix
         Covariance of the goal prior.
     control_covariance : number, vector, matrix or None
-        Covariance of the control prior; None is a flat one.
+        Covariance of the control prior; None is a flat prior.
     control_mean : number or vector
         Mean of the control prior.
     belief : {"filtered", "joint"}
-        Carry the minimum of prediction and sensors alone, p(x_t | y_1..t); or that of the full joint, into which the goal leaks.
+        What is carried to the next step. "filtered": the minimum over prediction and sensors alone, p(x_t | y_1..t). "joint":
+        the minimum of the full joint likelihood, into which the goal leaks.
     u_min, u_max : number or vector
-        Limits of the control; the prediction uses the control that was applied.
+        Limits of the control. The prediction uses the limited control.
     u_rate : number or vector
-        Largest change of the control per second; the first step is measured from 0.
+        Largest change of the control per second; before the first step the control counts as 0.
     initial_mean, initial_covariance : optional
-        Belief before the first sample, by default 0 and the identity; also once it is lost where the model has no finite value.
+        Belief before the first sample; by default 0 and the identity. The controller returns to it where the model has no
+        finite value.
     prediction : {"model", "random walk"}
-        The prediction prior of the next sample: by f and the control that was applied; or the belief itself plus process noise.
+        The prediction prior of the next sample. "model": f at the belief and the control that was applied. "random walk": the
+        belief itself plus process noise.
     iterations : int
-        Number of steps of each of the two minimisations a sample (belief, control). A sample's cost in time is proportional to
-        it; with the default strongly nonlinear problems converge, too (docs/controllers.md has the shares).
+        Number of steps of each of the two minimisations of a sample (belief, control). The time of a sample is proportional to
+        it. The default suffices for strongly nonlinear problems (docs/controllers.md gives the shares that converge).
     invalid : sequence of number, or of one for each sensor
-        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
+        Values that mark a missing sample, such as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
     posterior_outputs : bool
         Whether the covariance of the control and the free energy are outputs as well.
 
@@ -316,18 +319,20 @@ class NonlinearBayesianController(BayesianBlock):
         if isinstance(self.model, LinearModel):
             object.__setattr__(self, "model", NonlinearModel.from_linear(self.model))
         if not isinstance(self.model, NonlinearModel):
-            raise ModelError(f"NonlinearBayesianController needs a NonlinearModel, not {self.model!r}.")
+            raise ModelError(f"NonlinearBayesianController needs a NonlinearModel, but model is {self.model!r}.")
         check_choice(self, "prediction", "model", "random walk")
         check_number(self, "iterations", least=1, most=1000, whole=True)
         self._check_settings()
         self._check_reach(self._start().matrix("B"))
-        self._learner()  # settings that do not fit the model fail here, not in the loop
+        self._learner()  # raises now, not in the loop, for settings that do not fit the model
 
     def _distinct_outputs(self) -> Floats:
-        raise ModelError("goal_on='outputs' is for linear models; give the matrix G of what the goal is of the state.")
+        raise ModelError(
+            "goal_on='outputs' is for linear models only; give the matrix G that maps the state to what has a goal."
+        )
 
     def _start(self) -> LinearModel:
-        # Learners know the sensors by a linear model: the one at the initial mean, where it is known to be finite.
+        # Learners need a linear model of the sensors. At the initial mean the linearisation was checked to be finite.
         return self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
 
     def _learner(self) -> Learner:
@@ -335,7 +340,7 @@ class NonlinearBayesianController(BayesianBlock):
 
     @property
     def measurement_matrix(self) -> Floats:
-        """What each sensor measures of ``x_hat``, its own errors left out (m x n); a row of NaN: no linear function."""
+        """Matrix that maps ``x_hat`` to what each sensor measures, without errors (m x n); NaN in rows of nonlinear sensors."""
         rows = linear_rows(self.model.g, self.model.sensors, self.model.states)
         plant = self.model.states - self.model.disturbances
         rows[:, plant:] = np.where(np.isfinite(rows[:, plant:]), 0.0, np.nan)
@@ -347,7 +352,7 @@ class NonlinearBayesianController(BayesianBlock):
         n, p, m, g = model.states, model.controls, model.sensors, self.goals
         of_f, of_g = model.derivatives
         look_ahead, iterations = make_look_ahead(model.f, of_f), int(self.iterations)
-        first = sum(port.size for port in self._own_outputs)
+        first = sum(port.size for port in self._common_outputs)
         move = make_move(look_ahead) if self.prediction == "model" else stay
         kernel = _make_step(
             (learner.step, learner.report, alarm_of(learner, first)),
@@ -355,12 +360,12 @@ class NonlinearBayesianController(BayesianBlock):
             make_minimiser(model.g, of_g, look_ahead, iterations),
             take_joint if self.belief == "joint" else keep_filtered,
             make_predict(model.g, of_g, move),
-            tell_linearised if self.posterior_outputs else tell_no_minimum,
+            write_linearised if self.posterior_outputs else write_nothing_more,
             make_watch(model.g, of_g, make_predict(model.g, of_g, make_move(look_ahead))),
             first - sum(port.size for port in self._posterior_ports),
             first,
         )
-        prior, told = self._prior_precision(), self.posterior_outputs
+        prior, with_posterior = self._prior_precision(), self.posterior_outputs
         start = self._start()
         screens, screen_parameters = screening(self, start)
         watching, constants = extended_consistency(
@@ -372,14 +377,19 @@ class NonlinearBayesianController(BayesianBlock):
         }  # fmt: skip
         unknowns, equations = p + n, m + g
         sizes: dict[str, tuple[int, ...]] = {
-            **dict.fromkeys(("heard", "e", "present", "used", "reading", "seer_error"), (m,)),
+            **dict.fromkeys(("samples", "e", "present", "used", "reading", "seer_error"), (m,)),
             **dict.fromkeys(("root", "F", "FP", "X", "spread_out"), (n, n)),
             **dict.fromkeys(("C", "CP"), (m, n)),
             **dict.fromkeys(("reach", "cost", "cost2"), (1,)),
             **dict.fromkeys(("point", "following"), (n,)),
             **dict.fromkeys(("kept", "residual"), (equations,)),
-            **{"spread": (m, m), "wanted": (g,), "noise": (equations, equations), "control": (p,), "B": (n, p)},
-            **{"prior": (p, p), "E": (p, p + n) if told else (1, 1), "z": (unknowns,), "work": (learner.work, m, m)},
+            **{"spread": (m, m), "goal_given": (g,), "noise": (equations, equations), "control": (p,), "B": (n, p)},
+            **{
+                "prior": (p, p),
+                "E": (p, p + n) if with_posterior else (1, 1),
+                "z": (unknowns,),
+                "work": (learner.work, m, m),
+            },
             "slopes": (SLOPES, equations, unknowns),
             "squares": (SQUARES, unknowns, unknowns),
             "vectors": (VECTORS, unknowns),

@@ -1,4 +1,4 @@
-"""A state estimator over recorded samples."""
+"""Run a state estimator over recorded samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bayesftc.controllers.bayesian.estimator import StateEstimator
 from bayesftc.cosim.types import Floats
 
 SHORT = 1000
-"""Steps up to which a recording is not worth the seconds that compiling takes."""
+"""Recordings of up to this many steps run interpreted by default, because compiling takes seconds."""
 
 
 def estimate(
@@ -21,21 +21,21 @@ def estimate(
     Parameters
     ----------
     estimator : StateEstimator
-        What runs.
+        The estimator.
     y, u : ndarray
         Samples and inputs, a row for each step.
     names : sequence of str
         The outputs.
     compiled : bool or None
-        Whether the compiled form runs; None: if the recording is long.
+        Whether to run compiled; None decides by the length of the recording.
     """
     step = estimator.online(compiled=len(y) > SHORT if compiled is None else compiled)
-    found = {name: np.empty((len(y), *estimator.port(name).shape)) for name in names}
+    recorded = {name: np.empty((len(y), *estimator.port(name).shape)) for name in names}
     for k in range(len(y)):
         out = step(y=y[k], u=u[k])
-        for name, values in found.items():
+        for name, values in recorded.items():
             values[k] = out[name]
-    return found
+    return recorded
 
 
 def innovation_covariances(estimator: StateEstimator, P: Floats) -> Floats:
@@ -44,9 +44,9 @@ def innovation_covariances(estimator: StateEstimator, P: Floats) -> Floats:
     Parameters
     ----------
     estimator : StateEstimator
-        What ran.
+        The estimator that ran.
     P : ndarray, steps x n x n
-        Its output of that name.
+        Its output ``P``.
     """
     model = estimator.model
     A, C = model.matrix("A"), model.matrix("C")

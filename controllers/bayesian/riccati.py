@@ -15,12 +15,12 @@ from bayesftc.cosim.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class Regulator:
-    """What an infinite horizon makes of a model and a stage cost.
+    """The infinite-horizon regulator of a model and a stage cost.
 
-    With x the plant's states, z what else the model has as states (disturbances, the constant), and r the goal: the steady state
-    is ``x_ss = x_of_goal r + x_of_others z``, ``u_ss = u_of_goal r + u_of_others z``, and the law ``u = u_ss - gain (x - x_ss)``.
-    Integrators that the goals do not see (the position behind a speed) are in motion all the while: ``regulated`` is what is
-    left of the plant's states without them, in which all else is computed; neither cost nor law depend on them.
+    Let x be the plant's states, z the model's other states (disturbances, the constant) and r the goal. The steady state is
+    ``x_ss = x_of_goal r + x_of_others z``, ``u_ss = u_of_goal r + u_of_others z``, and the law ``u = u_ss - gain (x - x_ss)``.
+    Integrators that the goals do not see (the position behind a speed) never settle. ``regulated`` is the plant's state space
+    without them. All else is computed in it, and neither cost nor law depends on them.
     """
 
     cost_to_go: Floats
@@ -38,7 +38,7 @@ class Regulator:
 
     @property
     def root(self) -> Floats:
-        """Return G with ``G' G = cost_to_go``, a row for each direction that costs anything."""
+        """Return G with ``G' G = cost_to_go``, a row for each direction with a cost."""
         cost = self.cost_to_go
         if self.regulated is not None:
             cost = self.regulated.back.T @ cost @ self.regulated.back
@@ -60,7 +60,7 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
     Raises
     ------
     ModelError
-        If the goals cannot be held in steady state, or there is no such law.
+        If the goals cannot be held in steady state, or no stabilising law exists.
     """
     from scipy.linalg import LinAlgError, solve_discrete_are
 
@@ -69,44 +69,44 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
     others = np.vstack([model.matrix("A")[:plant, plant:], -outputs[:, plant:]])
     if len(H) > B.shape[1]:
         raise ModelError(
-            f"There are {len(H)} goals but {B.shape[1]} controls: no more outputs can be held at values of their own than there "
-            "are controls; set goals for fewer outputs, or actuate further inputs."
+            f"There are {len(H)} goals but only {B.shape[1]} controls. Each goal needs a control of its own; set goals for fewer "
+            "outputs, or actuate further inputs."
         )
-    rest = without_integrators(A, H)
-    if rest is not None:
+    reduced = without_integrators(A, H)
+    if reduced is not None:
         A, B, H, others = (
-            rest.of(A),
-            rest.rows @ B,
-            H @ rest.back,
-            np.vstack([rest.rows @ others[:plant], others[plant:]]),
+            reduced.of(A),
+            reduced.rows @ B,
+            H @ reduced.back,
+            np.vstack([reduced.rows @ others[:plant], others[plant:]]),
         )
     refuse_unseen_by_goal(A, H)
     try:
         P = np.asarray(solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost))
     except (LinAlgError, ValueError) as error:
         raise ModelError(
-            f"No feedback law could be computed for these weights ({str(error).rstrip('.')}): bring the states, the goals' and "
-            "the controls' weights nearer to each other in size."
+            f"No feedback law could be computed for these weights ({str(error).rstrip('.')}). Bring the sizes of the states and "
+            "of the weights of goals and controls nearer to each other."
         ) from None
     P = (P + P.T) / 2
     to_goal, to_others = _steady(A, B, H, input_cost, others, _units(P))
     gain = np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A)
     n = len(A)
-    if rest is None:
+    if reduced is None:
         return Regulator(P, gain, to_goal[:n], to_others[:n], to_goal[n:], to_others[n:])
     return Regulator(
-        rest.rows.T @ P @ rest.rows,
-        gain @ rest.rows,
-        rest.back @ to_goal[:n],
-        rest.back @ to_others[:n],
+        reduced.rows.T @ P @ reduced.rows,
+        gain @ reduced.rows,
+        reduced.back @ to_goal[:n],
+        reduced.back @ to_others[:n],
         to_goal[n:],
         to_others[n:],
-        rest,
+        reduced,
     )
 
 
 def _units(P: Floats) -> Floats:
-    """Return of each state the deviation that costs 1: units in which rounding is the same whatever the user's are."""
+    """Return the deviation of each state that costs 1; in these units rounding does not depend on the user's units."""
     costs = np.diag(P)
     return np.asarray(1.0 / np.sqrt(np.where(costs > 0, costs, 1.0)))
 
@@ -116,8 +116,8 @@ def _steady(
 ) -> tuple[Floats, Floats]:
     """Return the maps from the goal and from the other states to the cheapest (x_ss, u_ss), one below the other.
 
-    ``x = A x + B u + ...`` and ``H x + ... = r`` leave as many directions free as there are controls beyond the goals; of all
-    solutions the one with the smallest ``u' input_cost u`` is taken, and among these that with the smallest x, in `units`.
+    ``x = A x + B u + ...`` and ``H x + ... = r`` leave as many directions free as there are more controls than goals. Of all
+    solutions the one with the smallest ``u' input_cost u`` is taken, and among these the one with the smallest x, in `units`.
     """
     n = len(A)
     root = np.linalg.cholesky(input_cost)
@@ -126,10 +126,10 @@ def _steady(
     M = np.block([[change, -effect], [H * units, np.zeros((len(H), B.shape[1]))]])
     scale = np.linalg.norm(M, axis=1)
     left, sizes, right = np.linalg.svd(M / np.where(scale > 0, scale, 1.0)[:, None])
-    if sizes[-1] <= 1e-8 * sizes[0]:  # models by pulse responses are right to about 1e-9
+    if sizes[-1] <= 1e-8 * sizes[0]:  # models by pulse responses are accurate to about 1e-9
         raise ModelError(
-            "The goals cannot be held in steady state, each at a value of its own: with the controls held, an output stays where "
-            "it is whatever they are (the plant has a zero at 1), or goals depend on each other; set goals for other outputs."
+            "The goals cannot each be held at a value of its own in steady state. Either a constant control does not move an "
+            "output (the plant has a zero at 1), or the goals depend on each other. Set goals for other outputs."
         )
     rhs = np.block([[np.zeros((n, len(H))), others[:n] / units[:, None]], [np.eye(len(H)), others[n:]]])
     whole = right[: len(sizes)].T @ ((left.T @ (rhs / scale[:, None])) / sizes[:, None])

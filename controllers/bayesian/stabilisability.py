@@ -1,4 +1,4 @@
-"""Which modes of a model no control moves and no sensor sees, by Popov, Belevitch and Hautus."""
+"""Tests by Popov, Belevitch and Hautus for modes of a model that no control moves or no sensor sees."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
 _EDGE = 1e-9
-"""A mode within this distance of the unit circle, or outside it, does not die out by itself."""
+"""A mode within this distance of the unit circle, or outside it, counts as not decaying."""
 
 _REACH = 1e-9
-"""A mode whose reach is smaller than this, relative to the model's own size, is out of reach."""
+"""A mode whose reach is smaller than this, relative to the model's size, counts as unreached."""
 
 
 def unreached(A: Floats, B: Floats, *, edge: float = _EDGE) -> list[complex]:
-    """Return the eigenvalues of A, each that does not die out, at which [lambda I - A, B] loses rank."""
+    """Return the eigenvalues of A that do not decay and at which [lambda I - A, B] loses rank."""
     from scipy.linalg import matrix_balance
 
-    # In units in which the states move each other alike, and each control as much as they do: no choice of units decides. Where
-    # states hardly move each other these may be as far apart as 1e27: then the mode must be out of reach in its own units, too.
-    with np.errstate(invalid="ignore"):  # of a permutation that SciPy reads out of the scales and nobody asked for
+    # In balanced units the states and controls have effects of equal size, so that the result does not depend on the user's
+    # units. Balanced units of weakly coupled states may differ by 1e27; the mode must then be unreached in the user's units, too.
+    with np.errstate(invalid="ignore"):  # SciPy also computes an unused permutation from the scales
         balanced, (units, _) = matrix_balance(A, permute=False, separate=True)
     forms = [(balanced, B / units[:, None]), (A, B)]
     return [
@@ -37,35 +37,35 @@ def _misses(eigenvalue: complex, A: Floats, B: Floats) -> bool:
 
 
 def refuse_unstabilisable(model: LinearModel) -> None:
-    """Refuse a model in which a mode that does not die out is moved by no control.
+    """Refuse a model with a mode that does not decay and that no control moves.
 
     Raises
     ------
     ModelError
-        That names the mode by its eigenvalue.
+        With the eigenvalue of the mode.
     """
     plant = model.states - model.disturbances
     lost = unreached(model.matrix("A")[:plant, :plant], model.matrix("B")[:plant])
     if lost:
         raise ModelError(
-            f"The model cannot be stabilised: no control moves {_modes(lost)}. Actuate a further input, or leave the part of the "
-            "plant to which this belongs out of the model."
+            f"The model cannot be stabilised: no control moves {_modes(lost)}. Actuate a further input, or leave that part of "
+            "the plant out of the model."
         )
 
 
 def refuse_undetectable(model: LinearModel) -> None:
-    """Refuse a model in which a mode that does not die out is seen by no sensor.
+    """Refuse a model with a mode that does not decay and that no sensor sees.
 
     Raises
     ------
     ModelError
-        That names the mode by its eigenvalue.
+        With the eigenvalue of the mode.
     """
     moving = model.moving
     lost = unreached(moving.matrix("A").T, moving.matrix("C").T)
     if lost:
         more = (
-            " If it is an estimated disturbance, there are more of them than the sensors can tell apart."
+            " If it is an estimated disturbance, there are more of them than the sensors can distinguish."
             if model.disturbances
             else ""
         )
@@ -75,17 +75,17 @@ def refuse_undetectable(model: LinearModel) -> None:
 
 
 def refuse_unseen_by_goal(A: Floats, H: Floats) -> None:
-    """Refuse goals that do not see a mode on the unit circle: nothing would be paid for its going on for ever.
+    """Refuse goals that do not see a mode on the unit circle: it would never decay and cost nothing.
 
     Raises
     ------
     ModelError
-        That names the mode by its eigenvalue.
+        With the eigenvalue of the mode.
     """
     lost = [mode for mode in unreached(A.T, H.T) if abs(abs(mode) - 1.0) <= 1e-6]
     if lost:
         raise ModelError(
-            f"The goals do not see {_modes(lost)}: it would go on for ever at no cost. Set a goal for a further output."
+            f"The goals do not see {_modes(lost)}. The control would never damp it; set a goal for a further output."
         )
 
 
@@ -102,12 +102,8 @@ def _modes(eigenvalues: list[complex]) -> str:
     for e in sorted(set(np.round(upper, 9)), key=abs, reverse=True):
         pair = " and its conjugate" if abs(e.imag) > 1e-12 else ""
         grows = abs(e) - 1.0
-        what = (
-            "stays"
-            if abs(grows) < 1e-6
-            else f"grows by {100 * grows:.3g} % a sample"
-            if grows > 0
-            else "hardly dies out"
+        behaviour = (
+            "stays" if abs(grows) < 1e-6 else f"grows by {100 * grows:.3g} % a sample" if grows > 0 else "hardly decays"
         )
-        words.append(f"the mode with the eigenvalue {shown(e)}{pair}, which {what}")
+        words.append(f"the mode with the eigenvalue {shown(e)}{pair}, which {behaviour}")
     return " and ".join(words)

@@ -1,7 +1,7 @@
-"""The gains of filter and control in steady state, which say whether the loop is stable.
+"""The gains of filter and control in steady state, from which stability is judged.
 
-They take a few hundred steps of the covariances, longer than all else of making a controller, and depend on the model and the
-priors only: a campaign over the settings of the precision learner, or over the plant, finds them once.
+They take a few hundred steps of the covariances, most of the time of making a controller. They depend on the model and the
+priors only, and are cached: a campaign over plants or over settings of the precision learner computes them once.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
 Packed = tuple[tuple[int, ...], bytes]
-"""A matrix as a key: its shape, and its elements."""
+"""A matrix as a cache key: its shape and its elements."""
 
 
-_NAMES = ("A", "B", "C", "what the goal is about", "the process covariance", "the sensors' covariance", "the goal's covariance",
+_NAMES = ("A", "B", "C", "the goal's matrix", "the process covariance", "the sensors' covariance", "the goal's covariance",
           "the control prior's precision", "the initial covariance")  # fmt: skip
 
 
@@ -35,7 +35,7 @@ class Gains(NamedTuple):
     M : ndarray, p x g
         Of the control, on the goal.
     T, F : ndarray, n x n and n x g
-        What a belief that knows the goal, too, makes of the belief's mean and of the goal; else T is the identity and F is 0.
+        Effect of belief and goal on the mean that is carried with ``belief="joint"``; else T is the identity and F is 0.
     """
 
     K: Floats
@@ -56,18 +56,18 @@ def steady_gains(
     A, B, C, Q, R : ndarray
         The model: x' = A x + B u + noise of covariance Q, y = C x + noise of covariance R.
     G, goal_covariance : ndarray
-        What the goal prior is about, G x, and its covariance.
+        Matrix G of the goal prior on G x, and its covariance.
     prior : ndarray
         The control prior's precision.
     start : ndarray
         Covariance of the initial belief.
     joint : bool
-        Whether what the goal says counts as known of the state.
+        Whether the belief is conditioned on the goal as well.
 
     Raises
     ------
     ModelError
-        If rounding leaves nothing of one of the matrices beside the others.
+        If the matrices differ so much in size that rounding makes one of them vanish.
     """
     matrices = (A, B, C, G, Q, R, goal_covariance, prior, start)
     try:
@@ -75,9 +75,9 @@ def steady_gains(
     except np.linalg.LinAlgError:
         sizes = {name: f"{np.abs(M).max(initial=0.0):.3g}" for name, M in zip(_NAMES, matrices, strict=True)}
         raise ModelError(
-            "The model's numbers are too far apart for filter and control to be computed in double precision: the largest are "
+            "The model's numbers differ too much in size to compute filter and control in double precision. The largest are "
             f"{', '.join(f'{size} in {name}' for name, size in sizes.items())}. Choose units in which they are closer, and "
-            "variances that are not negligible beside others (of two equal sensors at least 1e-12 of the state's)."
+            "variances that are not negligible beside others (for two equal sensors at least 1e-12 of the state's variance)."
         ) from None
     return Gains(*(gain.copy() for gain in gains))
 
@@ -89,11 +89,11 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
     N = G @ Q @ G.T + goal_covariance
     weight = np.linalg.solve(N, GB)
     V = np.linalg.inv(N) - weight @ np.linalg.solve(prior + GB.T @ weight, weight.T)
-    # What is steady does not depend on the start; beside a belief that knows nothing R would be lost to rounding.
+    # The steady state does not depend on the start, but a very uncertain start would lose R to rounding.
     start = start * min(1.0, 1e6 / max(1.0, float((np.diag(C @ start @ C.T) / np.diag(R)).max())))
     predicted = start + Q + 1e-9 * np.trace(R) * one
     largest = VARIANCE_CAP * np.trace(predicted)
-    for _ in range(2000):  # the covariances' own recursion, which an undetectable model makes grow without end
+    for _ in range(2000):  # the covariances' recursion, which diverges for an undetectable model
         K = np.linalg.solve(C @ predicted @ C.T + R, C @ predicted).T
         P = (one - K @ C) @ predicted @ (one - K @ C).T + K @ R @ K.T
         T = np.linalg.inv(one + P @ GA.T @ V @ GA) if joint else one
@@ -103,8 +103,8 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
         if change <= 1e-10 * np.abs(predicted).max() or np.trace(predicted) > largest:
             break
     weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
-    known = prior + GB.T @ weight
-    L, M = np.linalg.solve(known, weight.T @ GA), np.linalg.solve(known, weight.T)
+    information = prior + GB.T @ weight
+    L, M = np.linalg.solve(information, weight.T @ GA), np.linalg.solve(information, weight.T)
     F = T @ P @ GA.T @ V if joint else np.zeros((len(A), len(G)))
     return Gains(*(np.asarray(gain, float) for gain in (K, L, M, T, F)))
 

@@ -1,4 +1,4 @@
-"""The Kalman cross-check: our estimates beside those of filterpy's Kalman filter, fed the same samples and controls."""
+"""The Kalman check: compare estimates with those of filterpy's Kalman filter on the same samples and controls."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 INTERPRETED = 10_000
-"""Recordings of up to this many steps run interpreted, for compiling takes seconds."""
+"""Recordings of up to this many steps run interpreted, because compiling takes seconds."""
 
 
 @dataclass(frozen=True)
 class KalmanCheck:
-    """Largest differences between a controller's belief and filterpy's over a run.
+    """Largest differences between the beliefs of a controller and of filterpy's filter over a run.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class KalmanCheck:
 
 
 class Estimates(NamedTuple):
-    """What filterpy's filter makes of a recording.
+    """Estimates of filterpy's filter over a recording.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ def ser_reference(
     u : ndarray, steps x p
         The controls that were applied after each sample.
     threshold : float
-        A sample whose innovation exceeds this many of its standard deviations is left out; infinite for a plain Kalman filter.
+        A sample whose innovation exceeds this many standard deviations is left out; infinite for a plain Kalman filter.
     R : ndarray, steps x m x m, optional
         Sensor covariance at each step, instead of the model's; a sensor with an infinite variance is left out.
     initial_mean, initial_covariance
@@ -126,14 +126,14 @@ def check_kalman(
     """Compare a controller's recorded belief with filterpy's Kalman filter, step by step.
 
     filterpy gets the same samples, the controls that were applied, and at each step the sensor covariance that the controller
-    used (``R``), so the comparison also holds where precision is learned: it is then a check of everything but the learning.
-    Under `SERFDI` it gets the threshold instead, and decides for itself which sensors to ignore.
+    used (``R``). With a learned precision, this therefore checks everything except the learning. For `SERFDI` filterpy gets the
+    threshold instead, and its own innovations decide which sensors are left out.
 
     Parameters
     ----------
     signals : Result
-        Must hold ``u``, ``x_hat``, ``P`` and ``R`` of the controller and the samples it saw, at every step (decimation 1). With
-        its ``innovation``, samples that counted as missing are left out.
+        Must contain ``u``, ``x_hat``, ``P`` and ``R`` of the controller and its samples, at every step (decimation 1). If it
+        contains ``innovation``, samples that counted as missing are left out.
     controller : BayesianController
         The controller that ran, for its model and initial belief.
     y : str, optional
@@ -141,21 +141,21 @@ def check_kalman(
     name : str
         The controller's name in the diagram.
     most : int, optional
-        Number of samples that are compared, from the first one on; by default all.
+        Number of samples to compare, from the first one on; by default all.
 
     Returns
     -------
     KalmanCheck
-        The largest differences. With ``belief="filtered"`` they are rounding; with ``"joint"`` they need not be.
+        The largest differences. With ``belief="filtered"`` they are rounding errors; with ``"joint"`` they may be larger.
     """
     source = f"{name}.y" if y is None else y
     _check_recorded(signals, source, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R")))
     if getattr(signals, "decimation", 1) != 1:
-        raise ModelError("The Kalman check needs every step; run with decimation=1.")
+        raise ModelError("The Kalman check needs every step, but the run has a decimation; run with decimation=1.")
     learner = controller.precision
     threshold = learner.threshold if isinstance(learner, SERFDI) else None
     samples, innovation = np.asarray(signals[source]), f"{name}.innovation"
-    if innovation in signals:  # what counted as missing: absurd samples, and those of invalid values
+    if innovation in signals:  # NaN for absurd samples and invalid values as well
         samples = np.where(np.isnan(signals[innovation]), np.nan, samples)
     reference = ser_reference(
         controller.model,
@@ -172,14 +172,14 @@ def check_kalman(
 def sensor_by_sensor(
     signals: Mapping[str, Any], controller: BayesianController, *, y: str | None = None, name: str = "controller"
 ) -> tuple[dict[str, Any], BayesianController]:
-    """Return what the per-sensor form of a controller's learner makes of the samples and controls of a run.
+    """Estimate again, from a run's samples and controls, with the per-sensor form of the controller's learner.
 
-    A learner that infers state and faults together has no belief of a Kalman filter's; this form has.
+    The belief of a learner that infers state and faults together is not a Kalman filter's; that of this form is.
 
     Parameters
     ----------
     signals : Result
-        Must hold the samples, and ``u`` of the controller, at every step.
+        Must contain the samples, and ``u`` of the controller, at every step.
     controller, y, name
         See `check_kalman`.
 
@@ -188,12 +188,12 @@ def sensor_by_sensor(
     dict
         The signals that `check_kalman` needs.
     BayesianController
-        The controller with that form.
+        The controller with the per-sensor form.
 
     Raises
     ------
     ModelError
-        If the learner has no such form.
+        If the learner has no per-sensor form.
     """
     source, ports = f"{name}.y" if y is None else y, ("x_hat", "P", "R", "innovation")
     _check_recorded(signals, source, f"{name}.u")
@@ -202,21 +202,21 @@ def sensor_by_sensor(
         controller.model, learner, controller.initial_mean, controller.initial_covariance, invalid=controller.invalid
     )
     samples, u = np.asarray(signals[source]), np.asarray(signals[f"{name}.u"])
-    found = estimate(estimator, samples, u, ports, compiled=len(samples) > INTERPRETED)
-    known = {f"{name}.{port}": values for port, values in found.items()} | {source: samples, f"{name}.u": u}
-    return known, replace(controller, precision=learner)
+    estimated = estimate(estimator, samples, u, ports, compiled=len(samples) > INTERPRETED)
+    recorded = {f"{name}.{port}": values for port, values in estimated.items()} | {source: samples, f"{name}.u": u}
+    return recorded, replace(controller, precision=learner)
 
 
 def _check_recorded(signals: Mapping[str, Any], *names: str) -> None:
     for needed in names:
         if needed not in signals:
             raise UnknownNameError(
-                f"The Kalman check needs the signal {needed!r}, which was not recorded; add it to record=[...]."
+                f"The Kalman check needs the signal {needed!r}, which is not recorded; add it to record=[...]."
             )
 
 
 def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:
-    """Return the largest differences of recorded means (steps x n) and covariances (steps x n x n) from the reference's."""
+    """Return the largest differences of means (steps x n) and covariances (steps x n x n) from the reference's."""
     mean = np.linalg.norm(x_hat - reference.x_hat, axis=1)
     scale = np.maximum(np.linalg.norm(reference.x_hat, axis=1), np.sqrt(np.trace(reference.P, axis1=1, axis2=2)))
     covariance = np.linalg.norm(P - reference.P, axis=(1, 2))
@@ -231,6 +231,6 @@ def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:
 
 
 def _largest_ratio(difference: Floats, scale: Floats) -> float:
-    """Return the largest difference relative to its scale; equal zeros differ by nothing."""
+    """Return the largest difference relative to its scale; 0 over 0 is 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.max(np.where(difference == 0, 0.0, difference / scale)))

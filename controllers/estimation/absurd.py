@@ -1,15 +1,14 @@
-"""Samples that no fault of the model explains: they count as missing, and their sensor as faulty at that sample.
+"""The screen for absurd samples: they count as missing, and their sensor as faulty at that sample.
 
-A sample is absurd if its innovation is more than a million of its standard deviations: 1e20, the largest integer or float of a
-device, a value in other units. Weights can be capped, the innovation of such a sample cannot: it would move belief and learner
-for minutes. So the learner, the update and all else see a missing sample.
+A sample is absurd if its innovation exceeds a million standard deviations: 1e20, the largest integer or float of a device, a
+value in other units. Weights can be capped, but such an innovation would still move belief and learner for minutes. Learner and
+update therefore get a missing sample.
 
-The belief may be what is wrong, and then every sample is absurd. A sensor confirms its absurd samples by further ones that lie
-near the one before, but do not repeat it: a device that has failed repeats one value. A repetition confirms half a sample for
-a sensor that has sent no ordinary sample yet: a healthy sensor at rest repeats itself, and the initial mean is in doubt then.
-Nothing is confirmed while another sensor of the same quantity sends ordinary samples, nor beyond what is `CREDIBLE`. After
-`PATIENCE` the belief is taken for lost: it is widened until the sample is an ordinary one. A belief without a covariance takes
-the samples as they are, after the same time.
+If the belief is wrong, every sample is absurd. A sensor confirms its absurd samples by further ones that are near the one before
+but do not repeat it, because a failed device repeats one value. A repetition confirms half a sample if the sensor has sent no
+ordinary sample yet: a healthy sensor at rest repeats itself, and the initial mean may be wrong. Nothing is confirmed while
+another sensor of the same quantity sends ordinary samples, or beyond `CREDIBLE`. After `PATIENCE` the belief counts as lost: it
+is widened until the sample is an ordinary one. A belief without a covariance accepts the samples after the same time.
 """
 
 from __future__ import annotations
@@ -33,30 +32,30 @@ EXPLICABLE = 1e12
 """Largest squared innovation, in units of its variance, that a fault explains: a million standard deviations."""
 
 CREDIBLE = 1e30
-"""Largest squared sample, in the same units, that can confirm another: a larger double does not resolve its own noise."""
+"""Largest squared sample, in the same units, that can confirm another; a larger double does not resolve the noise."""
 
 NEAR = 0.1
-"""Largest change since the sample before, in units of the innovation, with which a sample confirms that one."""
+"""Largest change, in units of the innovation, with which a sample confirms the one before."""
 
 PATIENCE = 0.5
-"""Seconds for which a sensor must confirm its absurd samples until the belief is taken for lost."""
+"""Seconds for which a sensor must confirm its absurd samples until the belief counts as lost."""
 
 LEAST_SAMPLES = 10
-"""Least number of samples in that time: the sample time may be long."""
+"""Least number of samples in that time, for long sample times."""
 
 ALIKE = 0.99
 """Least squared cosine between the rows of two sensors that measure the same quantity."""
 
 REPEATED = 0.5
-"""What a repeated sample of a sensor confirms that has sent no ordinary one yet."""
+"""Samples that a repetition confirms, for a sensor without an ordinary sample yet."""
 
-COUNT, LAST, HEARD, ABSURD = range(4)
+COUNT, LAST, ORDINARY, ABSURD = range(4)
 """Rows of ``doubts``, with a column for each sensor: samples in a row that confirm each other, the last sample, whether there
-has been an ordinary one, and whether this one is absurd."""
+has been an ordinary sample, and whether the present one is absurd."""
 
 
 class Reading(NamedTuple):
-    """What the m sensors deliver, what the belief expects of them, and the difference as it is reported (NaN: no sample)."""
+    """Samples of the m sensors, the belief's predictions of them, and the reported innovation (NaN: no sample)."""
 
     y: Floats
     expected: Floats
@@ -64,24 +63,24 @@ class Reading(NamedTuple):
 
 
 class Screen(NamedTuple):
-    """What tells absurd samples.
+    """Parameters and state of the screen for absurd samples.
 
     Attributes
     ----------
     plant : ndarray of n
-        Which states are the plant's own (1 or 0), not a disturbance or a sensor's error.
+        1 for states of the plant, 0 for disturbances and sensors' errors.
     invalid : ndarray, m x any
-        Values that each device sends in place of a sample.
+        Values that mark a missing sample of each sensor.
     witnesses : ndarray, m x m
-        Which other sensors measure the same quantity (1 or 0).
+        1 for other sensors of the same quantity, else 0.
     patience : ndarray of 1
         Samples for which a sensor must confirm its absurd ones.
     certain : ndarray of 1
-        The probability of a fault of a sensor with an absurd sample.
+        Fault probability of a sensor with an absurd sample.
     doubts : ndarray, 4 x m
-        The state: rows `COUNT`, `LAST`, `HEARD`, `ABSURD`.
+        The state: rows `COUNT`, `LAST`, `ORDINARY`, `ABSURD`.
     widening : ndarray of 1
-        Factor by which the belief's standard deviations are widened next.
+        Factor of the belief's standard deviations at the next sample.
     """
 
     plant: Floats
@@ -94,26 +93,25 @@ class Screen(NamedTuple):
 
 
 def widen(covariance, screen):
-    """Multiply the standard deviations of the plant's states; those of disturbances and sensors' errors stay."""
+    """Multiply the standard deviations of the plant's states; leave those of disturbances and sensors' errors."""
     n = covariance.shape[0]
     for i in range(n):
-        own = 1.0 + screen.plant[i] * (screen.widening[0] - 1.0)
+        factor = 1.0 + screen.plant[i] * (screen.widening[0] - 1.0)
         for j in range(n):
-            covariance[i, j] = covariance[i, j] * (own * (1.0 + screen.plant[j] * (screen.widening[0] - 1.0)))
+            covariance[i, j] = covariance[i, j] * (factor * (1.0 + screen.plant[j] * (screen.widening[0] - 1.0)))
 
 
 def screen_samples(reading, sample, screen):
-    """Write the samples as they count: NaN for one that is absurd or has an ``invalid`` value.
+    """Write the samples with NaN for each one that is absurd or has an ``invalid`` value.
 
-    Once the belief has been
-    widened, the samples of sensors that were absurd and have not confirmed it stay absurd at that step: a wide belief explains
-    them as well.
+    When the belief has just been widened, the unconfirmed samples of sensors that were absurd remain absurd at that step, because
+    the wide belief would explain them as well.
     """
     for i in range(reading.y.shape[0]):
-        told = reading.y[i]
+        value = reading.y[i]
         for s in range(screen.invalid.shape[1]):
-            told = select(reading.y[i] == screen.invalid[i, s], NAN, told)
-        d = told - reading.expected[i]
+            value = select(reading.y[i] == screen.invalid[i, s], NAN, value)
+        d = value - reading.expected[i]
         unconfirmed = both(
             screen.widening[0] > 1.0,
             both(screen.doubts[ABSURD, i] > 0.5, screen.doubts[COUNT, i] <= screen.patience[0]),
@@ -121,17 +119,17 @@ def screen_samples(reading, sample, screen):
         absurd = either(d * d > EXPLICABLE * (sample.spread[i, i] + sample.nominal[i, i]), unconfirmed)
         absurd = both(d - d == 0.0, absurd)
         screen.doubts[ABSURD, i] = select(absurd, 1.0, 0.0)
-        sample.y[i] = select(absurd, NAN, told)
+        sample.y[i] = select(absurd, NAN, value)
 
 
 def count_doubts(reading, sample, screen):
-    """Count how long each sensor has confirmed its absurd samples, and compute by how much the belief is to be widened.
+    """Count how long each sensor has confirmed its absurd samples, and compute the widening of the belief.
 
     ``widening`` is a factor of standard deviations, 1 while no sensor has confirmed its samples for longer than ``patience``.
     """
     screen.widening[0] = 1.0 + 0.0 * screen.patience[0]
     for i in range(reading.y.shape[0]):
-        absurd, there = screen.doubts[ABSURD, i] > 0.5, sample.y[i] - sample.y[i] == 0.0
+        absurd, present = screen.doubts[ABSURD, i] > 0.5, sample.y[i] - sample.y[i] == 0.0
         contradicted = 0.0 * screen.patience[0]
         for j in range(reading.y.shape[0]):
             contradicted = select(
@@ -143,41 +141,41 @@ def count_doubts(reading, sample, screen):
             absolute(reading.y[i] - reading.expected[i]),
         )
         change = absolute(reading.y[i] - last)
-        repeated = count + select(screen.doubts[HEARD, i] > 0.5, 0.0, REPEATED)
+        repeated = count + select(screen.doubts[ORDINARY, i] > 0.5, 0.0, REPEATED)
         confirmed = select(change == 0.0, repeated, select(change <= NEAR * error, count + 1.0, 1.0))
         credible = reading.y[i] * reading.y[i] <= CREDIBLE * (sample.spread[i, i] + sample.nominal[i, i])
         confirmed = select(both(credible, contradicted < 0.5), confirmed, 0.0)
-        screen.doubts[COUNT, i] = select(absurd, confirmed, select(there, 0.0, count))
-        screen.doubts[LAST, i] = select(either(there, absurd), reading.y[i], last)
-        screen.doubts[HEARD, i] = select(there, 1.0, screen.doubts[HEARD, i])
+        screen.doubts[COUNT, i] = select(absurd, confirmed, select(present, 0.0, count))
+        screen.doubts[LAST, i] = select(either(present, absurd), reading.y[i], last)
+        screen.doubts[ORDINARY, i] = select(present, 1.0, screen.doubts[ORDINARY, i])
         lost = both(absurd, both(confirmed > screen.patience[0], sample.spread[i, i] > 0.0))
         screen.widening[0] = maximum(
             screen.widening[0], select(lost, error / sqrt(select(lost, sample.spread[i, i], 1.0)), 1.0)
         )
 
 
-def listen(reading, sample, screen):
-    """Let samples count that their sensor has confirmed for longer than ``patience``: for a belief without a covariance."""
+def accept_confirmed(reading, sample, screen):
+    """Accept samples that were confirmed for longer than ``patience``, for a belief without a covariance."""
     for i in range(reading.y.shape[0]):
         confirmed = both(screen.doubts[ABSURD, i] > 0.5, screen.doubts[COUNT, i] > screen.patience[0])
         sample.y[i] = select(confirmed, reading.y[i], sample.y[i])
         screen.doubts[ABSURD, i] = select(confirmed, 0.0, screen.doubts[ABSURD, i])
 
 
-def blame(screen, fault_probability):
-    """Give the sensors of absurd samples the probability ``certain``: 1, or NaN for a learner that gives no probability."""
+def mark_absurd(screen, fault_probability):
+    """Set the fault probability of sensors with absurd samples to ``certain``: 1, or NaN for a learner without probabilities."""
     for i in range(fault_probability.shape[0]):
         fault_probability[i] = select(screen.doubts[ABSURD, i] > 0.5, screen.certain[0], fault_probability[i])
 
 
 def raise_no_alarm(doubts, outputs):
-    """Leave the outputs as they are: the learner detects nothing."""
+    """Leave the outputs as they are, for a learner without detection."""
 
 
 @cache
 def _make_alarm(first: int) -> Kernel:
     def raise_alarm(doubts, outputs):
-        """Count the sensors of absurd samples as detected."""
+        """Set the detection of sensors with absurd samples."""
         for i in range(doubts.shape[1]):
             outputs[first + i] = select(doubts[ABSURD, i] > 0.5, 1.0, outputs[first + i])
 
@@ -185,14 +183,14 @@ def _make_alarm(first: int) -> Kernel:
 
 
 def alarm_of(learner: Learner, first: int) -> Kernel:
-    """Return the step function that sets the learner's output ``detected`` for absurd samples, if it has one.
+    """Return the step function that sets the learner's output ``detected``, if it exists, for absurd samples.
 
     Parameters
     ----------
     learner : Learner
-        What has the output.
+        The learner of the block.
     first : int
-        Where its outputs begin among all outputs.
+        Index of its first output among all outputs.
     """
     for port in learner.ports:
         if port.name == "detected":
@@ -202,14 +200,14 @@ def alarm_of(learner: Learner, first: int) -> Kernel:
 
 
 def screening(block: Any, model: LinearModel) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the state and the parameters that these step functions need.
+    """Return state and parameters of the screen.
 
     Parameters
     ----------
     block : controller or estimator
-        With the settings ``precision`` and ``invalid``.
+        It has the settings ``precision`` and ``invalid``.
     model : LinearModel
-        Of the sensors; of a nonlinear model, where it is linearised.
+        The model of the sensors; for a nonlinear model its linearisation.
     """
     m = model.sensors
     doubts = np.zeros((4, m))
@@ -226,9 +224,9 @@ def screening(block: Any, model: LinearModel) -> tuple[dict[str, Any], dict[str,
 
 
 def _witnesses(rows: Floats) -> Floats:
-    """Return for each sensor which other ones measure the same quantity (1 or 0), from their rows of states."""
+    """Return for each pair of sensors whether they measure the same quantity (1 or 0), from their rows of C."""
     lengths = np.linalg.norm(rows, axis=1)
     alike = (rows @ rows.T) ** 2 >= ALIKE * np.outer(lengths, lengths) ** 2
-    seen = np.outer(lengths, lengths) > 0
+    nonzero = np.outer(lengths, lengths) > 0
     np.fill_diagonal(alike, False)
-    return np.asarray(alike & seen, dtype=np.float64)
+    return np.asarray(alike & nonzero, dtype=np.float64)

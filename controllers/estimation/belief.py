@@ -1,4 +1,4 @@
-"""How a linear controller comes from the samples to its belief: precision learned and then used, or both inferred together."""
+"""The step from samples to belief for linear models: precision and state one after the other, or inferred together."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bayesftc.controllers.estimation.absurd import Reading, Screen, blame, screening
-from bayesftc.controllers.estimation.consistency import SEERS, Seers, check_consistency, consistency, follow
+from bayesftc.controllers.estimation.absurd import Reading, Screen, mark_absurd, screening
+from bayesftc.controllers.estimation.consistency import (
+    OBSERVER_BANK,
+    ObserverBank,
+    check_consistency,
+    consistency,
+    follow,
+)
 from bayesftc.controllers.estimation.filter import (
     Belief,
     ModelMatrices,
@@ -31,10 +37,10 @@ if TYPE_CHECKING:
 
 
 class Actuators(NamedTuple):
-    """The control that is ``applied``, and what of it arrives.
+    """The control that is ``applied``, and its effect on the plant.
 
-    Of each of the p controls ``works`` arrives, and ``load`` is there without it: their first row is what is expected, their
-    second one what the control counts on. ``effective`` is what arrives of the control that is applied.
+    Each of the p controls acts with the effectiveness ``works`` and the offset ``load``. Their first rows are the expected
+    values, their second rows those that the control law uses. ``effective`` is the effect of the applied control.
     """
 
     applied: Floats
@@ -44,7 +50,7 @@ class Actuators(NamedTuple):
 
 
 class Learning(NamedTuple):
-    """A precision learner's memory, settings and scratch space."""
+    """A precision learner's state, settings and scratch space."""
 
     memory: Floats
     settings: Floats
@@ -52,10 +58,10 @@ class Learning(NamedTuple):
 
 
 class Estimation(NamedTuple):
-    """All that an estimator for a linear model works with.
+    """All arrays of an estimator for a linear model.
 
-    ``largest`` is the largest variance that a belief may have, ``reach`` that of a hypothesis: negative where none goes on as it
-    was. ``CP`` is scratch space.
+    ``largest`` is the largest variance of a belief, ``reach`` that of a hypothesis, or negative if all hypotheses restart.
+    ``CP`` is scratch space.
     """
 
     reading: Reading
@@ -66,14 +72,14 @@ class Estimation(NamedTuple):
     actuators: Actuators
     learning: Learning
     screen: Screen
-    seers: Seers
+    bank: ObserverBank
     space: UpdateSpace
     largest: Floats
     reach: Floats
     CP: Floats
 
 
-SAMPLE = named_alike(Sample, y="heard")
+SAMPLE = named_alike(Sample, y="samples")
 ESTIMATION = named_alike(
     Estimation,
     reading=named_alike(Reading),
@@ -84,14 +90,14 @@ ESTIMATION = named_alike(
     actuators=named_alike(Actuators),
     learning=named_alike(Learning),
     screen=named_alike(Screen),
-    seers=SEERS,
+    bank=OBSERVER_BANK,
     space=named_alike(UpdateSpace, L="chol"),
 )
-"""What all these arrays are called among the ports, state, parameters and scratch space of a block."""
+"""Names of these arrays among the ports, state, parameters and scratch space of a block."""
 
 
-def learn_later(sample, trust, memory, settings, work):
-    """Leave it to the update: there precision and state are inferred together."""
+def skip_learning(sample, trust, memory, settings, work):
+    """Do nothing: the update infers precision and state together."""
 
 
 @cache
@@ -102,10 +108,10 @@ def make_estimate(
     alarm: Callable[..., None],
     first: int,
 ) -> Callable[..., None]:
-    """Return the step function from the samples to the belief, for a learner's functions (see `Learner`).
+    """Return the step function from samples to belief, for a learner's functions (see `Learner`).
 
-    Where it infers state and faults together, that takes the place of learning and of Kalman's update. The learner's own outputs
-    begin at the place `first` among all outputs.
+    A learner's `infer` infers state and faults together, in place of learning and Kalman's update. The learner's outputs begin
+    at the index `first` among all outputs.
     """
     if infer is None:
 
@@ -113,7 +119,7 @@ def make_estimate(
             measure(est.sample.e, est.trust.used, est.trust.R, est.model.C, est.belief, est.space)
 
     else:
-        learn = learn_later
+        learn = skip_learning
 
         def update(est):
             infer(est.sample, est.trust, est.belief, est.model, est.actuators, est.learning, est.reach)
@@ -124,49 +130,49 @@ def make_estimate(
         learn(est.sample, est.trust, est.learning.memory, est.learning.settings, est.learning.work)
         restore(est.reading, est.sample)
         update(est)
-        blame(est.screen, est.trust.fault_probability)
+        mark_absurd(est.screen, est.trust.fault_probability)
         report(est.learning.memory, est.learning.settings, est.sample.nominal, first, outputs)
         alarm(est.screen.doubts, outputs)
-        check_consistency(est.sample.y, est.belief.x_hat, est.model.C, est.seers)
+        check_consistency(est.sample.y, est.belief.x_hat, est.model.C, est.bank)
 
     return estimate
 
 
 def look_ahead(u, est):
-    """Take the belief to the next step with the input, or with the last one where it is not finite."""
+    """Predict the belief at the next step with the input, or with the last one where the input is not finite."""
     for i in range(u.shape[0]):
         est.actuators.applied[i] = select(u[i] - u[i] == 0.0, u[i], est.actuators.applied[i])
-    go_on(est)
+    advance(est)
 
 
-def go_on(est):
-    """Take the belief to the next step, with the control that is applied."""
-    arrive(est.actuators)
-    follow(est.actuators.effective, est.model.A, est.model.B, est.space.J[0], est.seers)
+def advance(est):
+    """Predict the belief at the next step, with the control that is applied."""
+    actuate(est.actuators)
+    follow(est.actuators.effective, est.model.A, est.model.B, est.space.J[0], est.bank)
     predict(est.belief, est.actuators.effective, est.model, est.largest, est.space.J)
 
 
 def estimation(
     block: Any, model: LinearModel, learner: Learner, largest: float
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Return state, parameters and scratch space of an estimator, but for its ports.
+    """Return state, parameters and scratch space of an estimator, without its ports.
 
     Parameters
     ----------
     block : controller or estimator
-        With the settings ``initial_mean``, ``initial_covariance``, ``precision`` and ``invalid``.
+        It has the settings ``initial_mean``, ``initial_covariance``, ``precision`` and ``invalid``.
     model : LinearModel
-        What is believed about plant and sensors.
+        Model of plant and sensors.
     learner : Learner
-        Of its precisions.
+        Learner of the precisions.
     largest : float
-        The largest variance that a belief may have.
+        The largest variance of a belief.
     """
     n, p, m = model.states, model.controls, model.sensors
-    doubts, told = screening(block, model)
+    doubts, screen_parameters = screening(block, model)
     watching, constants = consistency(model, block.initial_mean)
     scratch = {
-        "expected": (m,), "heard": (m,), "e": (m,), "present": (m,), "used": (m,), "spread": (m, m), "CP": (m, n),
+        "expected": (m,), "samples": (m,), "e": (m,), "present": (m,), "used": (m,), "spread": (m, m), "CP": (m, n),
         "reach": (1,), "chol": (m, m), "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n),
         "effective": (p,), "seer_error": (m,), "work": (learner.work, m, m),
     }  # fmt: skip
@@ -186,20 +192,20 @@ def estimation(
     }
     return (
         state | doubts | watching,
-        parameters | told | constants,
+        parameters | screen_parameters | constants,
         {name: np.zeros(shape) for name, shape in scratch.items()},
     )
 
 
 def plan(actuators, GB, decision):
-    """Leave to the control what is left to do, by what of it arrives and what is there without it."""
-    for i in range(decision.sought.shape[0]):
+    """Correct target and G B for the effectiveness and the offset of the actuators."""
+    for i in range(decision.target.shape[0]):
         for j in range(actuators.works.shape[1]):
-            decision.sought[i] = decision.sought[i] - GB[i, j] * actuators.load[1, j]
+            decision.target[i] = decision.target[i] - GB[i, j] * actuators.load[1, j]
             decision.GB[i, j] = GB[i, j] * actuators.works[1, j]
 
 
-def arrive(actuators):
-    """Compute what of the control arrives at the plant."""
+def actuate(actuators):
+    """Compute the effect of the applied control at the plant."""
     for j in range(actuators.applied.shape[0]):
         actuators.effective[j] = actuators.works[0, j] * actuators.applied[j] + actuators.load[0, j]

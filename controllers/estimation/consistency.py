@@ -1,9 +1,9 @@
 """The consistency check that runs beside a controller: whether all sensors disagree with the model in the same way.
 
-Each set of sensors has an observer of its own (`_observers`), which knows the control but nothing of what a precision learner
-believes. Of its whitened innovations three moments are kept and forgotten exponentially: mean, mean square, and the product
-with the one before. With the right model and healthy sensors mean and product are zero. Both are compared with the mean square,
-so that a wrong noise level raises nothing. The set that disagrees least decides: one faulty sensor spoils one set.
+Each set of sensors has an observer (`observers`), which uses the control but no result of the precision learner. Three moments
+of its whitened innovations are kept with exponential forgetting: mean, mean square, and product with the one before. With the
+right model and healthy sensors mean and product are zero. Both are compared with the mean square, so that a wrong noise level
+has no effect. The set with the least disagreement counts: one faulty sensor spoils one set only.
 """
 
 from __future__ import annotations
@@ -21,42 +21,42 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 WINDOW = 100.0
-"""Samples in which the moments forget."""
+"""Time constant of the moments' forgetting, in samples."""
 
 MEAN_LIMIT, PRODUCT_LIMIT = 25.0, 18.5
-"""Squared mean, and product with the one before (squared, where positive), in units of their variances with the right model, at
-which the model is suspect.
+"""Limits of the squared mean, and of the product with the one before (squared, where positive), at which the model is suspect, in
+units of their variances with the right model.
 
-Tuned on the seeds 1000 to 1023 of ``tests/controllers/diagnosis/wrong_models.py``, judged on the seeds 0 to 99."""
+They are tuned on the seeds 1000 to 1023 of ``tests/controllers/diagnosis/wrong_models.py`` and tested on the seeds 0 to 99."""
 
 STRICTER = MEAN_LIMIT / PRODUCT_LIMIT
-"""By how much the product is weighed more, so that both have the limit of the mean."""
+"""Factor of the product, so that the limit of the mean holds for both."""
 
 ABSURD = 1e6
-"""Standard deviations beyond which a sample says nothing of the model."""
+"""Standard deviations beyond which a sample is not used."""
 
 UNSEEN = 1e150
-"""Error in place of a missing sample's: absurd for its own set, and nothing where a zero multiplies it."""
+"""Error of a missing sample: absurd for its set, and without effect where it is multiplied by zero."""
 
 LEAST = 1e-200
-"""Where decay ends: numbers below the normal ones are slow, and have no reciprocal."""
+"""Lower limit of decaying numbers: subnormal numbers are slow and have no reciprocal."""
 
 
-class Seers(NamedTuple):
+class ObserverBank(NamedTuple):
     """The observers of all sets of sensors.
 
     Attributes
     ----------
     new : ndarray of 1
-        Decays from 1 while they are young.
+        Decays from 1 with each sample.
     mean, gain, whiten : ndarray
-        Each set's estimate, its observer's gain, and what whitens its innovations.
+        Estimate, gain and whitening matrix of each set's observer.
     error : ndarray of m
         Scratch space.
     white, moments : ndarray
-        Each set's whitened innovations, the last ones and these, and their moments.
+        Each set's last and present whitened innovations, and their moments.
     settings : ndarray
-        Weight of a sample, when they are no longer young, and for each set how its moments count.
+        Weight of a sample, the value of ``new`` from which samples count, and a factor for each set.
     suspect : ndarray of 1
         The output ``model_suspect``.
     """
@@ -72,28 +72,28 @@ class Seers(NamedTuple):
     suspect: Floats
 
 
-SEERS = named_alike(Seers, "seer_", suspect="model_suspect")
-"""What the arrays of the observers are called."""
+OBSERVER_BANK = named_alike(ObserverBank, "seer_", suspect="model_suspect")
+"""Names of the arrays of the observers."""
 
 
 def consistency(model: LinearModel, initial_mean: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the state and the parameters of the check for a model and a belief before the first sample."""
-    seers, n, m = observers(model), model.states, model.sensors
-    count = 1 if seers is None else len(seers)
-    gain = np.zeros((count, n, m)) if seers is None else seers.correction
-    whiten = np.zeros((count, m, m)) if seers is None else seers.whiten
-    state, settings = moments_of(seers, m)
+    """Return state and parameters of the check for a model and an initial mean."""
+    bank, n, m = observers(model), model.states, model.sensors
+    count = 1 if bank is None else len(bank)
+    gain = np.zeros((count, n, m)) if bank is None else bank.correction
+    whiten = np.zeros((count, m, m)) if bank is None else bank.whiten
+    state, settings = moments_of(bank, m)
     state["seer_mean"] = np.broadcast_to(np.asarray(initial_mean, float), (count, n)).copy()
     return state, {"seer_gain": gain, "seer_whiten": whiten, "seer_settings": settings}
 
 
-def moments_of(seers: Observers | None, m: int) -> tuple[dict[str, Any], list[float]]:
-    """Return the state of the moments of observers (None: there are none) of m sensors, and their settings."""
+def moments_of(bank: Observers | None, m: int) -> tuple[dict[str, Any], list[float]]:
+    """Return the state of the moments of observers (None: no observers) of m sensors, and their settings."""
     weight = 1.0 / WINDOW
-    sizes = np.array([np.nan] if seers is None else [len(chosen) for chosen in seers.sensors], float)
+    sizes = np.array([np.nan] if bank is None else [len(chosen) for chosen in bank.sensors], float)
     count = len(sizes)
-    settled = 1.0 if seers is None else (1.0 - weight) ** (float(seers.rest) - 0.5)
-    # The variances of the mean and of the mean product are those of so many scalars; where there are none all is NaN.
+    settled = 1.0 if bank is None else (1.0 - weight) ** (float(bank.rest) - 0.5)
+    # Mean and mean product have the variances of averages over so many scalars; without observers all is NaN.
     scalars = (2.0 - weight) / weight * sizes
     state = {
         "seer_new": np.ones(1),
@@ -105,81 +105,81 @@ def moments_of(seers: Observers | None, m: int) -> tuple[dict[str, Any], list[fl
     return state, [weight, settled, *(scalars / MEAN_LIMIT)]
 
 
-def check_consistency(y, x_hat, C, seers):
-    """Take the samples in: correct each observer, update its moments, and say how far the least doubtful set disagrees.
+def check_consistency(y, x_hat, C, bank):
+    """Correct each observer, update its moments, and write the disagreement of the set that disagrees least.
 
-    Where a sample of a set is missing or absurd, its observer takes the controller's estimate, and its moments stay.
+    If a sample of a set is missing or absurd, its observer takes the controller's estimate, and its moments remain.
     """
     m, n = y.shape[0], x_hat.shape[0]
-    counts = grow_old(seers)
+    counts = sample_weight(bank)
     least = 1e300 + 0.0 * counts
-    for s in range(seers.mean.shape[0]):
+    for s in range(bank.mean.shape[0]):
         for i in range(m):
             total = y[i]
             for j in range(n):
-                total = total - C[i, j] * seers.mean[s, j]
-            seers.error[i] = select(total - total == 0.0, total, UNSEEN)
+                total = total - C[i, j] * bank.mean[s, j]
+            bank.error[i] = select(total - total == 0.0, total, UNSEEN)
         for i in range(m):
-            total = seers.whiten[s, i, 0] * seers.error[0]
+            total = bank.whiten[s, i, 0] * bank.error[0]
             for j in range(1, i + 1):
-                total = total + seers.whiten[s, i, j] * seers.error[j]
-            seers.white[s, 1, i] = total
-        there = is_seen(s, seers.white)
-        least = minimum(least, disagreement(s, there, counts, seers))
+                total = total + bank.whiten[s, i, j] * bank.error[j]
+            bank.white[s, 1, i] = total
+        usable_now = usable(s, bank.white)
+        least = minimum(least, disagreement(s, usable_now, counts, bank))
         for j in range(n):
-            total = seers.mean[s, j]
+            total = bank.mean[s, j]
             for i in range(m):
-                total = total + seers.gain[s, j, i] * seers.error[i]
-            seers.mean[s, j] = select(there, total, x_hat[j])
-    seers.suspect[0] = least / (1.0 + least)
+                total = total + bank.gain[s, j, i] * bank.error[i]
+            bank.mean[s, j] = select(usable_now, total, x_hat[j])
+    bank.suspect[0] = least / (1.0 + least)
 
 
-def grow_old(seers):
-    """Count a sample, and return the weight that one has: none before the observers have forgotten where they began."""
-    # What decays has a state at rest, as python-control looks for; a count of samples has none.
-    counts = select(seers.new[0] <= seers.settings[1], seers.settings[0], 0.0)
-    seers.new[0] = maximum((1.0 - seers.settings[0]) * seers.new[0], LEAST)
+def sample_weight(bank):
+    """Count a sample, and return its weight: 0 until the observers have forgotten their initial state."""
+    # A decaying number has an equilibrium, which python-control needs; a count of samples has none.
+    counts = select(bank.new[0] <= bank.settings[1], bank.settings[0], 0.0)
+    bank.new[0] = maximum((1.0 - bank.settings[0]) * bank.new[0], LEAST)
     return counts
 
 
-def is_seen(s, white):
-    """Return whether all samples of a set are there and none is absurd."""
-    there = absolute(white[s, 1, 0]) < ABSURD
+def usable(s, white):
+    """Return whether all samples of a set are present and none is absurd."""
+    usable_now = absolute(white[s, 1, 0]) < ABSURD
     for i in range(1, white.shape[2]):
-        there = both(there, absolute(white[s, 1, i]) < ABSURD)
-    return there
+        usable_now = both(usable_now, absolute(white[s, 1, i]) < ABSURD)
+    return usable_now
 
 
-def disagreement(s, there, counts, seers):
-    """Update the moments of one set, and return how far it disagrees with the model: 1 is where that is suspect."""
-    m = seers.white.shape[2]
-    step = select(there, counts, 0.0)
+def disagreement(s, usable_now, counts, bank):
+    """Update the moments of one set, and return its disagreement with the model; from 1 on the model is suspect."""
+    m = bank.white.shape[2]
+    step = select(usable_now, counts, 0.0)
     square, product, far = 0.0 * step, 0.0 * step, 0.0 * step
     for i in range(m):
-        new = select(there, seers.white[s, 1, i], 0.0)
+        new = select(usable_now, bank.white[s, 1, i], 0.0)
         square = square + new * new
-        product = product + new * seers.white[s, 0, i]
-        seers.white[s, 0, i] = new
-        mean = seers.moments[s, i] + step * (new - seers.moments[s, i])
-        seers.moments[s, i] = mean
+        product = product + new * bank.white[s, 0, i]
+        bank.white[s, 0, i] = new
+        mean = bank.moments[s, i] + step * (new - bank.moments[s, i])
+        bank.moments[s, i] = mean
         far = far + mean * mean
-    square = maximum(seers.moments[s, m] + step * (square - seers.moments[s, m]), LEAST)
-    product = seers.moments[s, m + 1] + step * (product - seers.moments[s, m + 1])
-    seers.moments[s, m], seers.moments[s, m + 1] = square, product
+    square = maximum(bank.moments[s, m] + step * (square - bank.moments[s, m]), LEAST)
+    product = bank.moments[s, m + 1] + step * (product - bank.moments[s, m + 1])
+    bank.moments[s, m], bank.moments[s, m + 1] = square, product
     small, alike = 1.0 / square, maximum(product, 0.0)
-    return seers.settings[2 + s] * small * maximum(far, STRICTER * alike * alike * small)
+    return bank.settings[2 + s] * small * maximum(far, STRICTER * alike * alike * small)
 
 
-def follow(effective, A, B, row, seers):
-    """Take each observer to the next sample, with the control that arrives."""
+def follow(effective, A, B, row, bank):
+    """Predict each observer's state at the next sample, with the effective control."""
     n = A.shape[0]
-    for s in range(seers.mean.shape[0]):
+    for s in range(bank.mean.shape[0]):
         for i in range(n):
-            total = A[i, 0] * seers.mean[s, 0]
+            total = A[i, 0] * bank.mean[s, 0]
             for j in range(1, n):
-                total = total + A[i, j] * seers.mean[s, j]
+                total = total + A[i, j] * bank.mean[s, j]
             for j in range(B.shape[1]):
                 total = total + B[i, j] * effective[j]
             row[i] = total
         for i in range(n):
-            seers.mean[s, i] = row[i]
+            bank.mean[s, i] = row[i]

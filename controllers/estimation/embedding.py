@@ -25,11 +25,11 @@ class Embedded:
     Attributes
     ----------
     functions : mapping of str to function
-        The step functions to call: ``law_output``, and where there are, ``law_update`` and ``law_derivative``.
+        The step functions to call: ``law_output``, and if they exist ``law_update`` and ``law_derivative``.
     calls : mapping of str to str
-        For each of them the statement that calls it.
+        The statement that calls each of them.
     state, parameters : mapping of str to array
-        What the law keeps and knows, under names with a prefix.
+        State and parameters of the law, under names with a prefix.
     """
 
     functions: Mapping[str, Kernel]
@@ -39,7 +39,7 @@ class Embedded:
 
 
 def law_sizes(law: Any) -> tuple[int, int, int] | None:
-    """Return a law's number of states, goals and controls; None for a plain function, which does not know them.
+    """Return a law's number of states, goals and controls; None for a plain function, which has no sizes.
 
     Raises
     ------
@@ -49,38 +49,38 @@ def law_sizes(law: Any) -> tuple[int, int, int] | None:
     if isinstance(law, FunctionType):
         if len(argument_names(law)) != 3:
             raise ModelError(
-                f"The control law {law.__name__!r} must take three arguments: x_hat, goal, and u to write."
+                f"The control law {law.__name__!r} must have three arguments: x_hat, goal, and u, which it writes."
             )
         return None
     if law is None:
         raise ModelError(
-            'The controller lacks its law; give one such as law=Proportional(2.0), in a scenario law = { kind = "Proportional", '
+            'The controller lacks its law. Give one such as law=Proportional(2.0), in a scenario law = { kind = "Proportional", '
             "gain = 2.0 }, or a function (x_hat, goal, u)."
         )
     if not isinstance(law, Block):
-        raise ModelError(f"law must be a block such as Proportional(2.0), or a function (x_hat, goal, u), not {law!r}.")
+        raise ModelError(f"law is {law!r}; give a block such as Proportional(2.0), or a function (x_hat, goal, u).")
     inputs, outputs = {p.name: p.size for p in law.inputs}, {p.name: p.size for p in law.outputs}
     if set(inputs) != {"x_hat", "goal"} or set(outputs) != {"u"}:
         raise ModelError(
-            f"A control law has the inputs x_hat and goal and the output u; {type(law).__name__} has "
-            f"{', '.join(inputs)} and {', '.join(outputs)}. Put what differs into a block of your own."
+            f"A control law must have the inputs x_hat and goal and the output u, but {type(law).__name__} has "
+            f"{', '.join(inputs)} and {', '.join(outputs)}. Wrap it in a block with these ports."
         )
     return inputs["x_hat"], inputs["goal"], outputs["u"]
 
 
 def embed(law: Any, sizes: tuple[int, int, int], step: Fraction, *, differentiate: bool) -> Embedded:
-    """Return a law as a part of a controller whose arrays are called ``mean``, ``goal``, ``wanted`` (u) and ``D`` (du/dx)."""
+    """Embed a law in a controller with the arrays ``mean``, ``goal``, ``law_control`` (u) and ``D`` (du/dx)."""
     if isinstance(law, FunctionType):
         definition, ports = Definition(law), dict(zip(argument_names(law), ("x_hat", "goal", "u"), strict=True))
     else:
         definition, ports = law.define(step), {name: name for name in ("x_hat", "goal", "u")}
     if definition.output is None or not definition.compiled:
-        raise ModelError(f"The law {type(law).__name__} needs an output function that can be compiled.")
+        raise ModelError(f"The law {type(law).__name__} has no output function that can be compiled; give it one.")
     kept = {**definition.state, **definition.scratch}
     state, parameters = _arrays(kept), _arrays(definition.parameters)
     shapes = {name: array.shape for name, array in {**state, **parameters}.items()}
     shapes |= {name: (sizes[("x_hat", "goal", "u").index(port)],) for name, port in ports.items()}
-    here = {"x_hat": "mean", "goal": "goal", "u": "wanted"}
+    here = {"x_hat": "mean", "goal": "goal", "u": "law_control"}
     renamed = {name: PREFIX + name for name in (*state, *parameters)} | {n: here[p] for n, p in ports.items()}
     functions: dict[str, Kernel] = {"law_output": definition.output}
     if definition.update is not None:
@@ -90,18 +90,18 @@ def embed(law: Any, sizes: tuple[int, int, int], step: Fraction, *, differentiat
         unknown = [a for a in argument_names(function) if a not in {*renamed, "t", "k"}]
         if unknown:
             raise ModelError(
-                f"The law's step function {function.__name__!r} asks for {unknown[0]!r}; inside a controller a law has its "
-                "ports, states, parameters and scratch space by name, t and k."
+                f"The law's step function {function.__name__!r} has the argument {unknown[0]!r}. Inside a controller a law may "
+                "only have its ports, states, parameters and scratch space by name, t and k."
             )
         calls[name] = f"{name}({', '.join(renamed.get(a, a) for a in argument_names(function))})"
     if differentiate:
-        u, x = (next(name for name, port in ports.items() if port == wanted) for wanted in ("u", "x_hat"))
+        u, x = (next(name for name, port in ports.items() if port == port_name) for port_name in ("u", "x_hat"))
         if {"t", "k"} & set(argument_names(definition.output)):
-            raise ModelError("A law that depends on time is not differentiated; take control='law'.")
+            raise ModelError("A law that depends on time cannot be differentiated; use control='law'.")
         function = jacobian(definition.output, shapes, u, [x])
         functions["law_derivative"] = function
-        given = [renamed[a] for a in argument_names(function)[:-1]]
-        calls["law_derivative"] = f"law_derivative({', '.join([*given, 'D'])})"
+        derivative_arguments = [renamed[a] for a in argument_names(function)[:-1]]
+        calls["law_derivative"] = f"law_derivative({', '.join([*derivative_arguments, 'D'])})"
     return Embedded(
         functions,
         calls,
@@ -111,7 +111,7 @@ def embed(law: Any, sizes: tuple[int, int, int], step: Fraction, *, differentiat
 
 
 def run_once(embedded: Embedded, name: str, arrays: Mapping[str, Floats]) -> None:
-    """Call one of the law's functions in plain Python on the given arrays, with its own first state and parameters."""
+    """Call one of the law's functions in plain Python on the given arrays, with the law's initial state and parameters."""
     values = {**embedded.state, **embedded.parameters, **arrays, "t": np.float64(0.0), "k": np.int64(0)}
     names = embedded.calls[name].removeprefix(f"{name}(").removesuffix(")").split(", ")
     with np.errstate(all="ignore"):

@@ -55,10 +55,10 @@ class UpdateSpace(NamedTuple):
 
 
 class Aim(NamedTuple):
-    """Goal prior and control prior: ``G x_t+1`` is to be the goal.
+    """Goal prior (on ``G x_t+1``) and control prior.
 
-    ``GB`` is G B, ``GQ`` is G Q G' plus the goal's covariance; ``prior_precision`` and ``prior_pull`` are the control prior's
-    precision and its product with the prior mean (zeros for a flat prior), ``shift`` is G B times that mean.
+    ``GB`` is G B, ``GQ`` is G Q G' plus the goal's covariance. ``prior_precision`` is the control prior's precision,
+    ``prior_pull`` its product with the prior mean (zeros for a flat prior), ``shift`` is G B times that mean.
     """
 
     G: Floats
@@ -70,15 +70,15 @@ class Aim(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What is ``sought`` of the next state and what of G B the actuators let through; the rest `decide` leaves behind."""
+    """The ``target`` of the next state, G B times the actuators' effectiveness, and results of `decide`."""
 
-    sought: Floats
+    target: Floats
     GB: Floats
-    wanted: Floats
+    goal_given: Floats
     GA: Floats
     GAP: Floats
     SG: Floats
-    pull: Floats
+    goal_error: Floats
     W: Floats
     Lambda: Floats
 
@@ -106,12 +106,12 @@ class FoldingSpace(NamedTuple):
 
 
 def innovate(reading, sample, belief, screen, C, CP, largest, reach):
-    """Compute the innovation ``e = y - expected``, which samples there are, and its covariance ``spread = C P C'``.
+    """Compute the innovation ``e = y - expected``, which samples are present, and the covariance ``spread = C P C'``.
 
-    A sample that is not finite counts as none, and so does one of an ``invalid`` value and an absurd one (``absurd.py``);
-    these are NaN in ``sample.y``. Then ``e`` is 0, and the ``innovation`` that is reported NaN. A belief that was lost is widened
-    first. ``reach`` is the ``largest`` variance of a hypothesis, and negative then: no hypothesis goes on as it was. ``e`` is 0
-    as well then, for a learner, until `restore`: it is the belief that was wrong, not the sensors.
+    Samples that are not finite, ``invalid`` or absurd (``absurd.py``) count as missing and become NaN in ``sample.y``. For them
+    ``e`` is 0, and the reported ``innovation`` is NaN. A lost belief is widened first. Then ``reach``, else the ``largest``
+    variance of a hypothesis, is negative: all hypotheses restart. ``e`` is 0 for all sensors until `restore`, because the belief
+    was wrong and the learner must not attribute the error to the sensors.
     """
     widen(belief.covariance, screen)
     reach[0] = select(screen.widening[0] > 1.0, -1.0, largest[0])
@@ -128,13 +128,13 @@ def innovate(reading, sample, belief, screen, C, CP, largest, reach):
 
 
 def restore(reading, sample):
-    """Write the innovations as they are, after the learner has seen them."""
+    """Write the actual innovations after the learner's step."""
     for i in range(sample.e.shape[0]):
         sample.e[i] = select(sample.present[i] > 0.5, sample.y[i] - reading.expected[i], 0.0)
 
 
 def keep_only(kept, R):
-    """Leave of the covariance what belongs to those that are ``kept`` (1 or 0); the others become independent, of variance 1."""
+    """Keep the covariance of the elements that are ``kept`` (1 or 0); the others become independent with variance 1."""
     for i in range(R.shape[0]):
         for j in range(R.shape[0]):
             alone = 1.0 if i == j else 0.0
@@ -144,8 +144,8 @@ def keep_only(kept, R):
 def measure(e, used, R, C, belief, space):
     """Condition the belief on the sensors in use, one after the other, each by Kalman's update in Joseph's form.
 
-    The sensors' noise is whitened first by the Cholesky factor of its covariance (a row and column of the unused left out). One
-    by one, no matrix has to be inverted that becomes singular when the belief is far less certain than the sensors.
+    First the sensors' noise is whitened by the Cholesky factor of its covariance, without rows and columns of unused sensors.
+    Updates one by one invert no matrix, which could become singular if the belief is far less certain than the sensors.
     """
     mean, covariance, x_hat, P = belief
     L, D, whitened, v, gain, J, JP = space
@@ -185,69 +185,68 @@ def measure(e, used, R, C, belief, space):
                 P[i, j] = P[i, j] + gain[i] * gain[j]
 
 
-def doubt(wanted):
-    """Return how small a pivot, relative to its diagonal, leaves a control undetermined: rounding alone, with a goal missing."""
-    missing = 0.0 * wanted[0]
-    for i in range(wanted.shape[0]):
-        missing = missing + 1.0 - wanted[i]
+def pivot_tolerance(goal_given):
+    """Return the relative pivot size that leaves a control undetermined: nonzero, for rounding, only if a goal is missing."""
+    missing = 0.0 * goal_given[0]
+    for i in range(goal_given.shape[0]):
+        missing = missing + 1.0 - goal_given[i]
     return select(missing > 0.5, 1e-12, 0.0)
 
 
 def decide(belief, A, aim, decision, u):
-    """Infer the control: the mean of p(u_t | belief, goal) when x_t+1 = A x_t + B u_t + q is pulled to the goal.
+    """Infer the control: the mean of p(u_t | belief, goal) for x_t+1 = A x_t + B u_t + q.
 
-    A goal that is not finite counts as none: its row
-    is left out (``wanted``). Leaves the goal's error in ``pull``.
+    A goal that is not finite counts as missing: its row is left out (``goal_given``). Writes the goal's error to ``goal_error``.
     """
     G, _, GQ, prior_precision, prior_pull, _ = aim
-    sought, GB, wanted, GA, GAP, SG, pull, W, Lambda = decision
+    target, GB, goal_given, GA, GAP, SG, goal_error, W, Lambda = decision
     _, _, x_hat, P = belief
     g, p = GB.shape[0], GB.shape[1]
     multiply(G, A, GA)
     for i in range(g):
-        wanted[i] = select(sought[i] - sought[i] == 0.0, 1.0, 0.0)
+        goal_given[i] = select(target[i] - target[i] == 0.0, 1.0, 0.0)
         for j in range(GA.shape[1]):
-            GA[i, j] = select(wanted[i] > 0.5, GA[i, j], 0.0)
+            GA[i, j] = select(goal_given[i] > 0.5, GA[i, j], 0.0)
         for j in range(p):
-            W[i, j] = select(wanted[i] > 0.5, GB[i, j], 0.0)
+            W[i, j] = select(goal_given[i] > 0.5, GB[i, j], 0.0)
     congruence(GA, P, GAP, SG)
     for i in range(g):
         for j in range(g):
             alone = 1.0 if i == j else 0.0
-            SG[i, j] = select(both(wanted[i] > 0.5, wanted[j] > 0.5), SG[i, j] + GQ[i, j], alone)
+            SG[i, j] = select(both(goal_given[i] > 0.5, goal_given[j] > 0.5), SG[i, j] + GQ[i, j], alone)
         expected = GA[i, 0] * x_hat[0]
         for j in range(1, GA.shape[1]):
             expected = expected + GA[i, j] * x_hat[j]
-        pull[i] = select(wanted[i] > 0.5, sought[i] - expected, 0.0)
+        goal_error[i] = select(goal_given[i] > 0.5, target[i] - expected, 0.0)
     cholesky(SG, SG)
     solve_columns(SG, W)
-    add_product(prior_precision, GB, W, Lambda)  # what prior and goal together know of the control
+    add_product(prior_precision, GB, W, Lambda)  # the control's precision given prior and goal
     for i in range(p):
         total = prior_pull[i]
         for s in range(g):
-            total = total + W[s, i] * pull[s]
+            total = total + W[s, i] * goal_error[s]
         u[i] = total
-    cholesky_determined(Lambda, doubt(wanted), Lambda)
+    cholesky_determined(Lambda, pivot_tolerance(goal_given), Lambda)
     solve_vector(Lambda, u)
 
 
 def limit(u, applied, limits):
-    """Limit the control's change since the last step, then the control itself, and remember what is applied.
+    """Limit the control's change since the last step, then the control itself, and store the applied control.
 
-    A control that is not finite (nothing determines it: no goal under a flat prior) becomes the last one.
+    A control that is not finite (no goal under a flat prior) becomes the last one.
     """
     for i in range(u.shape[0]):
-        asked = select(u[i] - u[i] == 0.0, u[i], applied[i])
-        asked = maximum(minimum(asked, applied[i] + limits.u_change[i]), applied[i] - limits.u_change[i])
-        u[i] = maximum(minimum(asked, limits.u_max[i]), limits.u_min[i])
+        request = select(u[i] - u[i] == 0.0, u[i], applied[i])
+        request = maximum(minimum(request, applied[i] + limits.u_change[i]), applied[i] - limits.u_change[i])
+        u[i] = maximum(minimum(request, limits.u_max[i]), limits.u_min[i])
         applied[i] = u[i]
 
 
 def predict(belief, u, model, largest, AP):
-    """Take the belief to the next step, with the control that was applied.
+    """Predict the belief at the next step, with the control that was applied.
 
-    Means beyond `MEAN_CAP` and variances beyond ``largest`` are held there: an unstable plant that no sensor has seen for
-    hundreds of steps then leaves a belief that knows nothing, not one that is not a number.
+    Means are limited to `MEAN_CAP` and variances to ``largest``. With an unstable plant that no sensor has seen for hundreds of
+    steps, the belief then becomes very uncertain but stays finite.
     """
     mean, covariance, x_hat, P = belief
     A, B, _, Q = model
@@ -266,10 +265,10 @@ def predict(belief, u, model, largest, AP):
 
 
 def hold_variances(covariance, largest):
-    """Hold variances beyond ``largest`` there."""
+    """Limit the variances to ``largest``."""
     n = covariance.shape[0]
     for i in range(n):
-        # A state beyond it is known to nobody: its correlations go too, or repeated steps would make them a false certainty.
+        # The correlations of such a state are removed as well, or repeated steps would turn them into false certainty.
         lost = covariance[i, i] > largest[0]
         for j in range(n):
             covariance[i, j] = select(lost, 0.0, covariance[i, j])
@@ -278,17 +277,17 @@ def hold_variances(covariance, largest):
 
 
 def keep_belief(aim, decision, folding, belief):
-    """Carry p(x_t | y_1..t): goal and control prior leave the belief alone (``belief="filtered"``)."""
+    """Carry p(x_t | y_1..t), on which goal and control prior have no effect (``belief="filtered"``)."""
 
 
 def fold_goal(aim, decision, folding, belief):
     """Condition the belief about x_t on the goal as well: the marginal of the paper's full joint (``belief="joint"``).
 
-    With N = GQ the goal's covariance given x_t and u_t, what the goal says about x_t once u_t is integrated out has the
-    information ``V = N^-1 - N^-1 GB (prior + GB' N^-1 GB)^-1 GB' N^-1``. With P = L L' the belief becomes
-    ``P <- L (I + L' GA' V GA L)^-1 L'``. ``pull`` is the goal's error at the belief's mean, control prior mean included.
+    N = GQ is the goal's covariance given x_t and u_t. With u_t integrated out, the goal's information about x_t is
+    ``V = N^-1 - N^-1 GB (prior + GB' N^-1 GB)^-1 GB' N^-1``. With P = L L' the belief becomes
+    ``P <- L (I + L' GA' V GA L)^-1 L'``. ``goal_error`` is the goal's error at the means of belief and control prior.
     """
-    _, GB, wanted, GA, _, _, pull, W, Lambda = decision
+    _, GB, goal_given, GA, _, _, goal_error, W, Lambda = decision
     N, V, Wt, L, GL, VGL, M, X, h = folding
     _, _, x_hat, P = belief
     GQ, prior_precision = aim.GQ, aim.prior_precision
@@ -296,17 +295,17 @@ def fold_goal(aim, decision, folding, belief):
     for i in range(g):
         for j in range(g):
             V[i, j] = 1.0 if i == j else 0.0
-            N[i, j] = select(both(wanted[i] > 0.5, wanted[j] > 0.5), GQ[i, j], V[i, j])
+            N[i, j] = select(both(goal_given[i] > 0.5, goal_given[j] > 0.5), GQ[i, j], V[i, j])
         for j in range(p):
-            W[i, j] = select(wanted[i] > 0.5, GB[i, j], 0.0)
+            W[i, j] = select(goal_given[i] > 0.5, GB[i, j], 0.0)
     cholesky(N, N)
     solve_columns(N, V)
     solve_columns(N, W)
-    add_product(prior_precision, GB, W, Lambda)  # what prior and goal together know of the control
+    add_product(prior_precision, GB, W, Lambda)  # the control's precision given prior and goal
     for i in range(p):
         for j in range(g):
             Wt[i, j] = W[j, i]
-    cholesky_determined(Lambda, doubt(wanted), Lambda)
+    cholesky_determined(Lambda, pivot_tolerance(goal_given), Lambda)
     solve_columns(Lambda, Wt)
     for i in range(g):
         for j in range(g):
@@ -316,9 +315,9 @@ def fold_goal(aim, decision, folding, belief):
     multiply(GA, L, GL)
     multiply(V, GL, VGL)
     for i in range(n):
-        total = 0.0 * pull[0]
+        total = 0.0 * goal_error[0]
         for s in range(g):
-            total = total + VGL[s, i] * pull[s]
+            total = total + VGL[s, i] * goal_error[s]
         h[i] = total
         for j in range(n):
             total = 1.0 if i == j else 0.0
@@ -329,14 +328,14 @@ def fold_goal(aim, decision, folding, belief):
     cholesky(M, M)
     solve_vector(M, h)
     solve_columns(M, X)
-    # Where no goal is left to determine a control of flat prior, nothing is learned from it either, and M is not finite.
-    known = M[n - 1, n - 1] - M[n - 1, n - 1] == 0.0
+    # If no goal determines a control with a flat prior, M is not finite and the goal gives no information.
+    finite_result = M[n - 1, n - 1] - M[n - 1, n - 1] == 0.0
     for i in range(n):
         for j in range(n):
-            x_hat[i] = x_hat[i] + select(known, L[i, j] * h[j], 0.0)
+            x_hat[i] = x_hat[i] + select(finite_result, L[i, j] * h[j], 0.0)
         for j in range(i + 1):
             total = L[i, 0] * X[0, j]
             for s in range(1, n):
                 total = total + L[i, s] * X[s, j]
-            P[i, j] = select(known, total, P[i, j])
+            P[i, j] = select(finite_result, total, P[i, j])
             P[j, i] = P[i, j]

@@ -1,4 +1,4 @@
-"""What a sensor's innovation is: its variance without a fault, and how a filter of fixed gain answers a fault on the sensor."""
+"""A sensor's innovation: its variance without a fault, and the steady filter's response to a fault of the sensor."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 SETTLED = 1e-9
-"""A response that changes by no more in a step has settled."""
+"""A response has settled if it changes by at most this in a step."""
 
 MOST_STEPS = 50_000
 
 SLOWEST = 1.0 - 1e-6
-"""A filter with a slower pole counts as one that never comes to rest."""
+"""A filter with a slower pole counts as one without a steady state."""
 
 
 class Response(NamedTuple):
-    """What becomes of a fault that begins at step 0; after the last step given both stay as they are.
+    """Response to a fault that begins at step 0; both arrays remain constant after their last step.
 
     Attributes
     ----------
     mean : ndarray, shape (steps,)
         Mean of the innovation under an offset of 1.
     variance : ndarray, shape (steps,)
-        What further noise of variance 1 on the sensor adds to the variance of the innovation.
+        Variance that additional noise of variance 1 on the sensor adds to the innovation.
     """
 
     mean: Floats
@@ -49,7 +49,7 @@ class Response(NamedTuple):
 
 
 ABSENT = Response(np.ones(1), np.ones(1))
-"""Of a stream whose innovations are the samples themselves, less something that the fault does not touch."""
+"""Response of a stream whose innovations are its samples less something on which the fault has no effect."""
 
 
 def steady_covariance(model: LinearModel) -> Floats:
@@ -65,25 +65,25 @@ def steady_covariance(model: LinearModel) -> Floats:
     A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     try:
         P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
-        size = float(np.abs(np.linalg.eigvals(_memory(A, C, P, R)[0])).max())
-    except (np.linalg.LinAlgError, ValueError):  # also where P is no number
+        size = float(np.abs(np.linalg.eigvals(_error_transition(A, C, P, R)[0])).max())
+    except (np.linalg.LinAlgError, ValueError):  # also if P is not finite
         size = np.inf
     if not size < SLOWEST:
         raise ModelError(
-            "The model's filter has no steady state, so no threshold holds for ever: a state is neither seen by a sensor nor "
-            "stable, or is a constant without process noise, of which the filter grows ever more certain; give it a little "
-            "process_covariance, or leave it out."
+            "The model's filter has no steady state, so no constant threshold exists. Either a state is neither stable nor seen "
+            "by a sensor, or it is a constant without process noise, of which the filter becomes ever more certain. Give that "
+            "state a little process_covariance, or leave it out."
         )
     return np.asarray((P + P.T) / 2, dtype=np.float64)
 
 
 def response(model: LinearModel, sensor: int) -> Response:
-    """Return how the Kalman filter in steady state answers a fault on one sensor.
+    """Return the response of the Kalman filter in steady state to a fault of one sensor.
 
     The prediction error d = x_t|t-1 - x obeys d <- A (I - K C) d + A K (eta + f) - q, and the innovation is C (-d) + eta + f.
     """
     A, C, R = (model.matrix(name) for name in ("A", "C", "sensor_covariance"))
-    F, K = _memory(A, C, steady_covariance(model), R)
+    F, K = _error_transition(A, C, steady_covariance(model), R)
     column, row = A @ K[:, sensor], C[sensor]
     d, D = np.zeros(len(A)), np.zeros_like(A)
     means, variances = [], []
@@ -101,11 +101,11 @@ def response(model: LinearModel, sensor: int) -> Response:
 def slowest(model: LinearModel) -> float:
     """Return the magnitude of the slowest pole of the filter in steady state."""
     A, C, R = (model.matrix(name) for name in ("A", "C", "sensor_covariance"))
-    return float(np.abs(np.linalg.eigvals(_memory(A, C, steady_covariance(model), R)[0])).max())
+    return float(np.abs(np.linalg.eigvals(_error_transition(A, C, steady_covariance(model), R)[0])).max())
 
 
-def _memory(A: Floats, C: Floats, P: Floats, R: Floats) -> tuple[Floats, Floats]:
-    """Return what is left of a prediction error a step later, A (I - K C), and the gain K."""
+def _error_transition(A: Floats, C: Floats, P: Floats, R: Floats) -> tuple[Floats, Floats]:
+    """Return the transition matrix of the prediction error, A (I - K C), and the gain K."""
     K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
     return np.asarray(A @ (np.eye(len(A)) - K @ C)), np.asarray(K, dtype=np.float64)
 

@@ -1,8 +1,8 @@
-"""Observers of disjoint sets of sensors: what all of them miss is the model's fault, what one of them misses is its sensor's.
+"""Observers of disjoint sets of sensors: an error of all of them is the model's, an error of one is its sensor's.
 
-Each observer is the steady Kalman filter of one set (a dedicated observer; Clark, IEEE Trans. AES 14, 1978). It gets the control
-that was applied and trusts its sensors as the model says, so its innovations are white and of known covariance wherever the
-model is right and its sensors are healthy, whatever a precision learner believes meanwhile.
+Each observer is the steady Kalman filter of one set (a dedicated observer; Clark, IEEE Trans. AES 14, 1978). It uses the applied
+control and the model's sensor covariance. If the model is right and its sensors are healthy, its innovations are therefore white
+and of known covariance, whatever a precision learner infers.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 MOST_SETS = 3
-"""Sets of sensors: two tell one faulty sensor from a wrong model, three tell two of them."""
+"""Largest number of sets: two separate one faulty sensor from a wrong model, three separate two."""
 
 LONGEST_REST = 300
-"""Samples within which an observer must forget where it began; a slower one gets some process noise on every state."""
+"""Samples within which an observer must forget its initial state; a slower one gets some process noise on every state."""
 
 FORGOTTEN = 0.02
-"""Share of the initial error that an observer may still have when its innovations begin to count."""
+"""Share of the initial error that may remain when an observer's innovations begin to count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +38,13 @@ class Observers:
     sensors : tuple of tuple of int
         The sensors of each set.
     gain, correction : ndarray, shape (K, n, m)
-        A K and K: what the next prediction and the estimate take from each innovation; zero for sensors of other sets.
+        A K and K, the gains of next prediction and estimate on each innovation; zero for sensors of other sets.
     whiten : ndarray, shape (K, m, m)
-        What makes an observer's innovations white and of variance 1; zero rows and columns for sensors of other sets.
+        Matrix that whitens an observer's innovations to variance 1; zero rows and columns for sensors of other sets.
     noise : ndarray, shape (K, n, n)
-        Process covariance of which each is the filter.
+        Process covariance of each filter.
     rest : int
-        Samples in which the slowest observer forgets where it began.
+        Samples in which the slowest observer forgets its initial state.
     """
 
     sensors: tuple[tuple[int, ...], ...]
@@ -52,30 +52,30 @@ class Observers:
     correction: Floats
     whiten: Floats
     noise: Floats
-    rest: int
+    settling: int
 
     def __len__(self) -> int:
         return len(self.sensors)
 
 
 def observers(model: LinearModel, sets: tuple[tuple[int, ...], ...] | None = None) -> Observers | None:
-    """Return the observers of as many sets of sensors as each see all that does not die out; None if not even all do together.
+    """Return observers of as many sets as can each see all undamped modes; None if all sensors together cannot.
 
-    Sensors of the same quantity go to different sets, so that each set sees as much of the plant as it can.
+    Sensors of the same quantity go to different sets, so that each set sees as much of the plant as possible.
 
     Parameters
     ----------
     model : LinearModel
         The model.
     sets : tuple of tuple of int, optional
-        The sets; by default they are chosen.
+        The sets; by default chosen here.
     """
     if sets is not None:
         return _of_sets(model, sets)
     for count in range(min(MOST_SETS, max(map(len, model.alike))), 0, -1):
         chosen = tuple(tuple(sorted(i for group in model.alike for i in group[k::count])) for k in range(count))
-        if (found := _of_sets(model, chosen)) is not None:
-            return found
+        if (bank := _of_sets(model, chosen)) is not None:
+            return bank
     return None
 
 
@@ -84,25 +84,23 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     n, m = moving.states, moving.sensors
     correction, whiten = np.zeros((len(sets), model.states, m)), np.zeros((len(sets), m, m))
     noise = np.zeros((len(sets), model.states, model.states))
-    rest = 1
+    settling = 1
     for k, chosen in enumerate(map(list, sets)):
         R = moving.matrix("sensor_covariance")[np.ix_(chosen, chosen)]
         filtered = _filter(replace(moving, C=moving.matrix("C")[chosen], sensor_covariance=R, names=None))
         if filtered is None:
             return None
-        correction[k, :n, chosen], root, noise[k, :n, :n], needed = filtered[0].T, *filtered[1:]
+        correction[k, :n, chosen], root, noise[k, :n, :n], samples = filtered[0].T, *filtered[1:]
         whiten[k][np.ix_(chosen, chosen)] = np.linalg.inv(root)
-        rest = max(rest, needed)
-    return Observers(sets, model.matrix("A") @ correction, correction, whiten, noise, rest)
+        settling = max(settling, samples)
+    return Observers(sets, model.matrix("A") @ correction, correction, whiten, noise, settling)
 
 
 def _filter(model: LinearModel) -> tuple[Floats, Floats, Floats, int] | None:
-    """Return the gain K, the root of the innovations' covariance, the process covariance, and how many samples it remembers.
+    """Return the gain K, the root of the innovations' covariance, the process covariance, and the samples to forget the start.
 
-    None if that has no end.
-
-    Where no noise moves a mode that does not die out (a place that only drifts), the filter would remember it for ever: then all
-    states get a little noise, as much as it takes.
+    None if no filter has a steady state. A mode that neither decays nor has noise (a position that only drifts) would be
+    remembered for ever. All states then get as little noise as suffices.
     """
     A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     size = max(float(np.trace(Q)) / len(A), 1e-12)
@@ -116,8 +114,8 @@ def _filter(model: LinearModel) -> tuple[Floats, Floats, Floats, int] | None:
         S = C @ P @ C.T + R
         gain = np.linalg.solve(S, C @ P).T
         slowest = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
-        rest = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
-        best = np.asarray(gain), np.asarray(np.linalg.cholesky(S)), noise, max(rest, 1)
-        if rest <= LONGEST_REST:
+        settling = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
+        best = np.asarray(gain), np.asarray(np.linalg.cholesky(S)), noise, max(settling, 1)
+        if settling <= LONGEST_REST:
             break
     return best

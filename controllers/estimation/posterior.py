@@ -1,8 +1,8 @@
 """The sensors' errors after the update, for learners that iterate between belief and sensor covariance within one sample.
 
-Learners see the prediction through the sensors only: the innovations e and their spread C P C'. That is enough. With
-``C P C' = F F'`` the prediction of the sensors is F z with z standard normal, and Kalman's update of z by the samples is the
-update of the belief as far as sensors can see it.
+A learner sees the prediction only through the sensors: the innovations e and their spread C P C'. That suffices. With
+``C P C' = F F'`` the predicted samples are F z with z standard normal. Kalman's update of z by the samples is the update of the
+belief as far as the sensors see it.
 """
 
 from bayesftc.controllers.estimation.filter import Belief, UpdateSpace, measure
@@ -11,14 +11,14 @@ from bayesftc.controllers.precision.base import ERROR_CAP
 from bayesftc.cosim.ops import maximum, minimum, sqrt
 
 WORK = 14
-"""How many m x m matrices `errors_after` needs; it leaves its results in the first of them."""
+"""Number of m x m matrices that `errors_after` needs; its result is in the first one."""
 
 MOST_ITERATIONS = 20
-"""So many in a sample, as a step function is compiled for their number."""
+"""Largest number of iterations a sample; a step function is compiled for each number."""
 
 
 def prepare(e, spread, nominal, work):
-    """Take in the innovations and their spread. Innovations beyond 1e12 standard deviations are held there."""
+    """Prepare a sample's innovations and their spread. Innovations are limited to 1e12 standard deviations."""
     for i in range(e.shape[0]):
         largest = ERROR_CAP * sqrt(nominal[i, i])
         work[2][0, i] = maximum(minimum(e[i], largest), -largest)
@@ -28,8 +28,8 @@ def prepare(e, spread, nominal, work):
 def errors_after(present, R, work):
     """Update the belief with the sensor covariance `R`, and write ``E[(y - C x)(y - C x)']`` under it into ``work[0]``.
 
-    That is r r' + C P C' with the residual r = y - C x_hat. `prepare` comes first, once a sample; rows and columns of missing
-    sensors mean nothing.
+    It is r r' + C P C' with the residual r = y - C x_hat. Call `prepare` first, once a sample. Rows and columns of missing
+    sensors have no meaning.
     """
     m = R.shape[0]
     F, identity, zero, P = work[1], work[3], work[4], work[5]

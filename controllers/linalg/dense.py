@@ -1,4 +1,4 @@
-"""Dense linear algebra in scalar loops, for step functions: nothing is allocated, every result goes into a given array."""
+"""Dense linear algebra in scalar loops, for step functions: results go into given arrays, without allocation."""
 
 from bayesftc.cosim.ops import maximum, select, sqrt
 
@@ -72,7 +72,7 @@ def cholesky(a, lower):
 
 
 def cholesky_determined(a, tolerance, lower):
-    """As `cholesky`, but NaN throughout where a pivot is no more than `tolerance` times its diagonal: `a` is singular."""
+    """As `cholesky`, but all NaN if a pivot is at most `tolerance` times its diagonal: `a` is singular."""
     for j in range(a.shape[0]):
         least = tolerance * a[j, j]
         d = a[j, j]
@@ -109,7 +109,7 @@ def cholesky_semidefinite(a, lower):
 
 
 def whiten(lower, rows, values):
-    """Replace the equations ``rows @ x = values``, whose noise has the factor `lower`, by some with independent unit noise."""
+    """Replace the equations ``rows @ x = values`` with noise of the factor `lower` by ones with independent unit noise."""
     for i in range(lower.shape[0]):
         for k in range(i):
             values[i] = values[i] - lower[i, k] * values[k]

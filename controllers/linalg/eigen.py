@@ -3,14 +3,14 @@
 from bayesftc.cosim.ops import absolute, select, sqrt
 
 SWEEPS = 8
-"""Sweeps over all pairs. Convergence is quadratic: what is left off the diagonal is rounding, up to 20 rows."""
+"""Sweeps over all pairs. Convergence is quadratic: up to 20 rows only rounding remains off the diagonal."""
 
 NEGLIGIBLE = 1e-36
-"""Square of an element that is as good as zero, relative to those on the diagonal (Demmel and Veselic 1992)."""
+"""Square of an element that counts as zero, relative to those on the diagonal (Demmel and Veselic 1992)."""
 
 
 def diagonalise(a, vectors):
-    """Turn the symmetric `a` into the diagonal matrix of its eigenvalues, and write the eigenvectors as columns."""
+    """Transform the symmetric `a` into the diagonal matrix of its eigenvalues, and write the eigenvectors as columns."""
     n = a.shape[0]
     for i in range(n):
         for j in range(n):

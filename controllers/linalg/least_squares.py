@@ -1,8 +1,8 @@
-"""Least squares in step functions, by Givens rotations; and the secant correction that makes nonlinear ones converge fast.
+"""Least squares in step functions by Givens rotations, and the secant correction for fast nonlinear convergence.
 
-Equations ``row @ z = value`` are absorbed one by one into a triangle ``T z = b`` that stands for all of them: the square root of
-their information. Unlike the normal equations this squares no condition number, and it is done with a huge equation (a sharp
-sensor) before a tiny one (a vague prior) could drown in it.
+Equations ``row @ z = value`` are absorbed one by one into an equivalent triangle ``T z = b``, the square root of their
+information. Unlike the normal equations this squares no condition number, and a tiny equation (a vague prior) is not lost beside
+a huge one (a sharp sensor).
 """
 
 from typing import NamedTuple
@@ -12,11 +12,11 @@ from bayesftc.cosim.ops import absolute, both, minimum, select, sqrt
 from bayesftc.cosim.types import Floats
 
 LEAST_BEND = 0.7
-"""Share of the curvature along a step that is left at least; Powell has 0.2, with which random problems need more steps."""
+"""Least remaining share of the curvature along a step. With Powell's 0.2 random problems need more steps."""
 
 
 def absorb(T, b, row, value):
-    """Absorb the equation ``row @ z = value`` into the triangle; `row` is used up. A row of zeros changes nothing."""
+    """Absorb the equation ``row @ z = value`` into the triangle; `row` is overwritten. A row of zeros changes nothing."""
     n = T.shape[0]
     for j in range(n):
         length = sqrt(T[j, j] * T[j, j] + row[j] * row[j])
@@ -33,7 +33,7 @@ def absorb(T, b, row, value):
 
 
 def squared_length(T, j):
-    """Return the squared length of column `j`: of the triangle, and so of all equations that it stands for."""
+    """Return the squared length of column `j` of the triangle, which is that of all absorbed equations."""
     total = T[0, j] * T[0, j]
     for i in range(1, j + 1):
         total = total + T[i, j] * T[i, j]
@@ -41,9 +41,9 @@ def squared_length(T, j):
 
 
 def damp(T, b, damping, D, d, row):
-    """Write into ``D, d`` the triangle with a pull of each unknown to zero, `damping` times its column's squared length.
+    """Write into ``D, d`` the triangle with an equation ``z = 0`` for each unknown, weighted by `damping`.
 
-    An unknown of which no equation speaks is pulled to zero, too.
+    The weight is `damping` times the squared length of the unknown's column, or 1 if it has no equation.
     """
     n = T.shape[0]
     for i in range(n):
@@ -70,9 +70,9 @@ def divide(A, T, first, X):
 
 
 def solve_curved(D, d, S, M, step):
-    """Solve ``(D'D + S) step = D'd`` for a triangle and a symmetric correction; without S where the sum is not positive definite.
+    """Solve ``(D'D + S) step = D'd`` for a triangle and a symmetric S; without S if the sum is not positive definite.
 
-    It is solved as ``(I + D'^-1 S D^-1) (D step) = d``, so that without a correction no condition number is squared.
+    The form ``(I + D'^-1 S D^-1) (D step) = d`` squares no condition number if S is zero.
     """
     n = D.shape[0]
     divide(S, D, 0, M)
@@ -99,7 +99,7 @@ def solve_curved(D, d, S, M, step):
 
 
 def turn(T, moved, turned):
-    """Write ``T'T moved``, by how much the equations turn the gradient, and return ``moved' T'T moved``."""
+    """Write ``T'T moved``, the linear equations' change of the gradient, and return ``moved' T'T moved``."""
     n = T.shape[0]
     squared = 0.0
     for i in range(n):
@@ -118,7 +118,7 @@ def turn(T, moved, turned):
 
 
 class Curvature(NamedTuple):
-    """What is learned of the residuals' own curvature ``S``; ``M`` and three vectors are scratch space."""
+    """Estimate ``S`` of the residuals' curvature; ``M`` and three vectors are scratch space."""
 
     S: Floats
     M: Floats
@@ -128,12 +128,12 @@ class Curvature(NamedTuple):
 
 
 def curve(changed, z, z2, T2, J, J2, values, least, curvature):
-    """Learn from the step to `z2` what Gauss and Newton leave out of the Hessian: ``S``, the residuals' own curvature.
+    """Update ``S``, the residuals' curvature, which Gauss-Newton leaves out of the Hessian, from the step to `z2`.
 
-    The structured secant update of Dennis, Gay and Welsch (ACM Trans. Math. Softw. 7, 1981), with their sizing. Where the cost
-    curves less along the step than a share `LEAST_BEND` of what ``T'T + S`` says, or downwards, only so much of it is learned as
-    leaves that share (Powell, Lect. Notes Math. 630, 1978): the sum stays positive along the step, and steps grow. Nothing is
-    learned where it has not `changed`, or where the step is so short (`least`) that only rounding would be learned from.
+    It is the structured secant update of Dennis, Gay and Welsch (ACM Trans. Math. Softw. 7, 1981), with their sizing. If the cost
+    curves less along the step than the share `LEAST_BEND` of ``T'T + S``, or downwards, the update is reduced until that share
+    remains (Powell, Lect. Notes Math. 630, 1978): the sum stays positive along the step, and steps grow. There is no update if
+    the point has not `changed`, or if the step is so short (`least`) that its differences are rounding.
     """
     S, M, moved, turned, bent = curvature
     n = z.shape[0]
@@ -141,7 +141,7 @@ def curve(changed, z, z2, T2, J, J2, values, least, curvature):
         moved[i] = z2[i] - z[i]
     squared = turn(T2, moved, turned)
     bend = 0.0
-    known = 0.0
+    previous = 0.0
     for i in range(n):
         total = 0.0  # the change of the gradient that is due to the residuals' curvature
         for k in range(values.shape[0]):
@@ -149,15 +149,15 @@ def curve(changed, z, z2, T2, J, J2, values, least, curvature):
         bent[i] = total
         bend = bend + moved[i] * total
         for j in range(n):
-            known = known + moved[i] * S[i, j] * moved[j]
-    # A correction with which the cost would not curve upwards along the step is forgotten.
-    sound = squared + known > 0.0
-    known = select(sound, known, 0.0)
-    size = select(known == 0.0, 1.0, minimum(1.0, absolute(bend) / absolute(known)))
+            previous = previous + moved[i] * S[i, j] * moved[j]
+    # Reset S if the cost would not curve upwards along the step.
+    sound = squared + previous > 0.0
+    previous = select(sound, previous, 0.0)
+    size = select(previous == 0.0, 1.0, minimum(1.0, absolute(bend) / absolute(previous)))
     size = select(sound, size, 0.0)
-    model = squared + known
+    model = squared + previous
     flat = squared + bend < LEAST_BEND * model
-    share = select(flat, (1.0 - LEAST_BEND) * model / (known - bend), 1.0)
+    share = select(flat, (1.0 - LEAST_BEND) * model / (previous - bend), 1.0)
     along = 0.0  # moved' (T'T + S) moved with the new S
     for i in range(n):
         total = 0.0
@@ -193,6 +193,6 @@ def is_finite(T, cost):
 
 
 def marginal(T, root, first, X, P):
-    """Write ``P = root S root'`` where S is the covariance of the unknowns from `first` on, of unit information ``T'T``."""
+    """Write ``P = root S root'``, where S is the covariance of the unknowns from `first` on, and ``T'T`` their information."""
     divide(root, T, first, X)
     multiply_transposed(X, X, P)

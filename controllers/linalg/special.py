@@ -1,11 +1,11 @@
-"""Special functions in step functions, from the operations that every form of them has."""
+"""Special functions for step functions, from operations that exist in every engine."""
 
 LOG_2_PI = 1.8378770664093453
-"""Of the logarithm of a normal density."""
+"""Constant in the logarithm of a normal density."""
 
 
 def squared_gamma_half_step(a):
-    """Return ``(Gamma(a + 1/2) / Gamma(a))**2`` for positive `a`, to 1e-12 of it.
+    """Return ``(Gamma(a + 1/2) / Gamma(a))**2`` for positive `a`, with a relative error of 1e-12.
 
     By the recurrence of the gamma function up to a + 8, its factors taken in pairs, and from there by its asymptotic series
     (Abramowitz and Stegun 6.1.47), the exponential of which is so near one that five terms give it.

@@ -200,7 +200,7 @@ def test_integrators_that_no_goal_sees_in_any_units(seed):
     )
     found = controller.regulator.poles(model.A, model.B)
     np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(poles)), atol=1e-8)
-    assert np.abs(controller._poles_to_judge()).max() < 1
+    assert np.abs(controller._relevant_poles()).max() < 1
     x = rng.normal(size=n + k)
     out = controller.online(compiled=False)(y=back @ x, goal=[2.0])
     price = np.block([[np.zeros((n, n + p))], [np.zeros((p, n)), np.eye(p)]])
