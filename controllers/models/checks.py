@@ -1,4 +1,4 @@
-"""Checks of settings and matrices, with sentences that name the culprit."""
+"""Checks of settings and matrices, with errors that name the wrong one."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     Matrix = ArrayLike
-else:  # at run time the form that a scenario file is checked against
+else:  # at run time, the form that a scenario file may have
     Matrix = float | Sequence[float] | Sequence[Sequence[float]]
-"""What a user may give where a matrix is meant: rows, a diagonal, or one number."""
+"""A matrix as a user may give it: rows, a diagonal, or one number."""
 
 
 LARGEST, SMALLEST = 1e50, 1e-100
-"""No model has larger entries or smaller variances: of products of some more even double precision has no number."""
+"""Largest entry and smallest variance of a model; products of several beyond these overflow or vanish in double precision."""
 
 
-ROWS = "it must be a matrix of numbers: give its rows, as [[1, 0.1], [0, 1]]"
+ROWS = "give the rows of a matrix of numbers, as [[1, 0.1], [0, 1]]"
 
 
 def frozen(array: Floats) -> Floats:
@@ -39,7 +39,7 @@ def as_numbers(name: str, value: object, example: str) -> Floats:
     Raises
     ------
     ModelError
-        If it holds text or anything else that is no number, or rows of different lengths; `example` is what to give instead.
+        If it contains text or anything else that is not a number, or rows of different lengths; `example` says what to give.
     """
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -63,10 +63,10 @@ def as_matrix(name: str, value: object, rows: int | None = None, columns: int | 
     if array.ndim < 2:
         array = array.reshape(-1, 1)
     if array.ndim != 2 or not array.size:
-        raise ModelError(f"{name} has the shape {array.shape}; it must be a matrix with rows and columns.")
-    wanted = (rows if rows is not None else array.shape[0], columns if columns is not None else array.shape[1])
-    if array.shape != wanted:
-        raise ModelError(f"{name} is {_size(array.shape)}; here it must be {_size(wanted)}.")
+        raise ModelError(f"{name} has the shape {array.shape}; give a matrix with rows and columns.")
+    required = (rows if rows is not None else array.shape[0], columns if columns is not None else array.shape[1])
+    if array.shape != required:
+        raise ModelError(f"{name} is {_size(array.shape)}; it must be {_size(required)}.")
     if not np.isfinite(array).all():
         raise ModelError(f"{name} has entries that are NaN or infinite; check where it was computed.")
     _refuse_huge(name, array)
@@ -79,11 +79,11 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
     Parameters
     ----------
     name : str
-        What it is, for the error.
+        Title of the value in errors.
     value : number, vector or matrix
         The covariance.
     size : int
-        Rows and columns it must have.
+        Number of rows and columns.
     singular : bool
         Whether zero eigenvalues are allowed (a state without process noise).
 
@@ -101,15 +101,15 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
     scale = float(np.abs(matrix).max())
     if np.abs(matrix - matrix.T).max() > 1e-9 * scale:
         raise ModelError(
-            f"{name} is not symmetric; a covariance must be: use (M + M.T) / 2 if the difference is rounding."
+            f"{name} is not symmetric; a covariance must be. Use (M + M.T) / 2 if the difference is rounding."
         )
     tiny = np.diag(matrix)[(np.diag(matrix) > 0) & (np.diag(matrix) < SMALLEST)]
     if tiny.size:
         raise ModelError(
-            f"{name} has a variance of {tiny[0]:.3g}, but models have none below {SMALLEST:g}: give "
+            f"{name} has a variance of {tiny[0]:.3g}, below the smallest allowed one of {SMALLEST:g}; give "
             f"{'0 if there is no noise, or ' if singular else ''}a larger one."
         )
-    # Judged in units of each variance's own size: a pressure in pascals may stand beside a position in metres.
+    # The test uses the correlation matrix, because units may differ: a pressure in pascals beside a position in metres.
     variances = np.diag(matrix)
     units = np.sqrt(np.where(variances > 0, variances, 1.0))
     correlation = float(np.linalg.eigvalsh(matrix / np.outer(units, units))[0])
@@ -118,7 +118,7 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
         smallest = min(smallest, float(variances.min()))
         kind = "positive semi-definite (no negative eigenvalue)" if singular else "positive definite"
         raise ModelError(
-            f"{name} is not {kind}: its smallest eigenvalue is {smallest:.3g}. A variance must be above zero."
+            f"{name} is not {kind}: its smallest eigenvalue is {smallest:.3g}. Variances must be above zero."
         )
     return frozen((matrix + matrix.T) / 2)
 
@@ -129,13 +129,13 @@ def as_vector(name: str, value: object, size: int, *, finite: bool = True) -> Fl
     Raises
     ------
     ModelError
-        If it has another length, or is not finite where it must be.
+        If it has another length, or is not finite although `finite` is True.
     """
     array = as_numbers(name, value, "it must be a number or a list of numbers")
     if array.ndim == 0:
         array = np.full(size, float(array))
     if array.shape != (size,):
-        raise ModelError(f"{name} has the shape {array.shape}; here it must be a vector of {size}.")
+        raise ModelError(f"{name} has the shape {array.shape}; give a vector of {size}.")
     if np.isnan(array).any() or (finite and not np.isfinite(array).all()):
         raise ModelError(f"{name} is {array.tolist()}; its entries must be {'finite ' if finite else ''}numbers.")
     if finite:
@@ -155,27 +155,27 @@ def as_number(
     finite: bool = True,
     also: str = "",
 ) -> float:
-    """Return `value` as a float between the bounds; NaN, text and truth values are no numbers.
+    """Return `value` as a float between the bounds; NaN, text and truth values are refused.
 
-    A finite number must have a square that a float holds, and an inverse of its square: many settings are squared.
+    A finite number must have a finite square and a finite inverse of it, because many settings are squared.
 
     Parameters
     ----------
     title : str
-        What it is, for the error: ``"SERFDI has threshold"``.
+        Title of the value in errors: ``"SERFDI has threshold"``.
     value : object
-        What the user gave.
+        The user's value.
     above, least, below, most : float, optional
-        Bounds; `above` and `below` are no values of their own.
+        Bounds; `above` and `below` are themselves excluded.
     whole, finite : bool
         Whether it must be a whole number, or finite.
     also : str
-        What else the caller allows, for the end of the sentence.
+        What else the caller allows, at the end of the message.
 
     Raises
     ------
     ModelError
-        If it is no such number.
+        If it is not such a number.
     """
     bounds = [
         (above, "above", lambda v: v > above),
@@ -183,21 +183,21 @@ def as_number(
         (below, "below", lambda v: v < below),
         (most, "at most", lambda v: v <= most),
     ]
-    given = [(f"{word} {bound:g}", holds) for bound, word, holds in bounds if bound is not None]
+    limits = [(f"{word} {bound:g}", holds) for bound, word, holds in bounds if bound is not None]
     number = real(value)
     proper = not np.isnan(number) and (np.isfinite(number) or not (finite or whole))
-    if proper and (not whole or number.is_integer()) and all(holds(number) for _, holds in given):
+    if proper and (not whole or number.is_integer()) and all(holds(number) for _, holds in limits):
         size = abs(number)
         if LARGEST < size < np.inf or 0 < size < SMALLEST:
             change = "smaller" if size > LARGEST else "larger"
             raise ModelError(
-                f"{title}={brief(value)}; its size must be between {SMALLEST:g} and {LARGEST:g}, or zero: choose a unit in "
+                f"{title}={brief(value)}; its size must be between {SMALLEST:g} and {LARGEST:g}, or zero; choose a unit in "
                 f"which it is {change}."
             )
         return number
     kind = "whole number" if whole else "finite number" if finite else "number"
-    wanted = " and ".join(text for text, _ in given)
-    raise ModelError(f"{title}={brief(value)}; it must be a {kind} {wanted}".rstrip() + f"{also}.")
+    required = " and ".join(text for text, _ in limits)
+    raise ModelError(f"{title}={brief(value)}; it must be a {kind} {required}".rstrip() + f"{also}.")
 
 
 def check_number(owner: object, name: str, *, optional: bool = False, **bounds: Any) -> None:
@@ -206,7 +206,7 @@ def check_number(owner: object, name: str, *, optional: bool = False, **bounds: 
     Raises
     ------
     ModelError
-        If it is no such number.
+        If it is not such a number.
     """
     value = getattr(owner, name)
     if not (optional and value is None):
@@ -223,8 +223,8 @@ def check_choice(owner: object, name: str, *choices: str) -> None:
     """
     value = getattr(owner, name)
     if not isinstance(value, str) or value not in choices:
-        wanted = " or ".join(map(repr, choices))
-        raise ModelError(f"{type(owner).__name__} has {name}={value!r}; it must be {wanted}.")
+        required = " or ".join(map(repr, choices))
+        raise ModelError(f"{type(owner).__name__} has {name}={value!r}; it must be {required}.")
 
 
 def check_flags(owner: object, *names: str) -> None:
@@ -241,7 +241,7 @@ def check_flags(owner: object, *names: str) -> None:
 
 
 def refuse_missing(name: str, rows: Floats) -> None:
-    """Refuse rows of samples in which a number is missing; `name` is what the user calls them.
+    """Refuse rows of samples with a missing number; `name` is the user's name for them.
 
     Raises
     ------
@@ -260,8 +260,8 @@ def _refuse_huge(name: str, array: Floats) -> None:
     largest = float(np.abs(array).max(initial=0.0))
     if largest > LARGEST:
         raise ModelError(
-            f"{name} has an entry of {largest:.3g}, but models have none beyond {LARGEST:g}: choose a unit in "
-            "which it is smaller."
+            f"{name} has an entry of {largest:.3g}, above the largest allowed one of {LARGEST:g}; choose a unit in which it is "
+            "smaller."
         )
 
 

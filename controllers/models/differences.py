@@ -1,4 +1,4 @@
-"""Derivatives of a function of which nothing is known but its values."""
+"""Derivatives of a function by differences of its values."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
 STEPS = 10.0 ** -np.arange(1, 11)
-"""Steps that are tried, as shares of an element's size."""
+"""Steps to try, as shares of an element's size."""
 
 
 def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
-    """Return the derivative of a function at a point by central differences, with a step for each of its elements that suits it.
+    """Return the derivative of a function at a point by central differences, with a suitable step for each element.
 
-    The larger a step, the more the function bends; the smaller, the more is lost to rounding. Neither the units of the elements
-    nor the function's own tell how large that is, so several are tried, and that counts which differs least from the next larger
-    one, what rounding may do included. Where the function cannot be had, a step does not count.
+    Large steps suffer from nonlinearity, small ones from rounding. The best size depends on units and function, so several are
+    tried. The step counts that differs least from the next larger one, rounding included. A step at which the function cannot be
+    evaluated does not count.
 
     Raises
     ------
     ModelError
-        If it is nowhere to be had beside the point.
+        If the function cannot be evaluated near the point.
 
     Warns
     -----
     PoorFitWarning
-        If the function goes on otherwise on one side than on the other: there is a kink.
+        If the slopes on both sides differ: the function has a kink.
     """
     here = np.asarray(f(at), dtype=np.float64)
     whole, kink = np.full((len(here), len(at)), np.nan), False
@@ -42,27 +42,27 @@ def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
             above, below = (_value(f, at, j, sign * step) for sign in (1.0, -1.0))
             if above is None or below is None:
                 continue
-            step = ((at[j] + step) - (at[j] - step)) / 2  # what is left of it beside the element
-            found, bend = (above - below) / (2 * step), np.abs(above - 2 * here + below) / step
+            step = ((at[j] + step) - (at[j] - step)) / 2  # the step after rounding beside the element
+            slope, bend = (above - below) / (2 * step), np.abs(above - 2 * here + below) / step
             if before is not None:
                 rounding = 4 * np.finfo(np.float64).eps * np.abs(here) / step
-                lost |= (found == 0) & (before[0] != 0) & (bend <= rounding)  # too small a step to be seen at all
-                error = np.abs(found - before[0]) + rounding
+                lost |= (slope == 0) & (before[0] != 0) & (bend <= rounding)  # the step is too small to have an effect
+                error = np.abs(slope - before[0]) + rounding
                 better = (error < least) & ~lost
-                whole[better, j], least[better] = found[better], error[better]
-                # A smooth function bends by a tenth, if the step is a tenth.
-                sharp = (bend > 0.5 * before[1]) & (bend > BENDS * np.abs(found)) & (bend > 1e3 * rounding)
+                whole[better, j], least[better] = slope[better], error[better]
+                # For a smooth function a tenth of the step gives a tenth of the bend.
+                sharp = (bend > 0.5 * before[1]) & (bend > BENDS * np.abs(slope)) & (bend > 1e3 * rounding)
                 kinks[better] = sharp[better]
-            before = found, bend
+            before = slope, bend
         kink |= bool(kinks.any())
     if not np.isfinite(whole).all():
         raise ModelError(
-            "The equations cannot be evaluated beside the operating point, or jump there; give another one (at=...)."
+            "The equations cannot be evaluated near the operating point, or jump there; give another one (at=...)."
         )
     if kink:
         warnings.warn(
-            "The equations have a kink at the operating point, where a linear model is right on neither side; give a point "
-            "beside it (at=...).",
+            "The equations have a kink at the operating point, where no linear model fits both sides; give another point "
+            "(at=...).",
             PoorFitWarning,
             stacklevel=6,
         )

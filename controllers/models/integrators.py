@@ -1,4 +1,4 @@
-"""Integrators that nothing asks about, such as the position behind a speed: what is left of a plant without them."""
+"""Removal of integrators that no output sees, such as the position behind a speed."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from bayesftc.cosim.types import Floats
 
 _EXACT = 1e-8
-"""A direction in which the plant stays, and which nothing sees, does so to this part of the other directions."""
+"""Relative size below which a direction counts as constant and unseen."""
 
 
 @dataclass(frozen=True, eq=False)
 class Quotient:
-    """What is left of the state, ``z = rows x``; ``x = back z`` is one of the states of which it is left.
+    """The remaining state ``z = rows x``; ``x = back z`` is one of the states that have it.
 
-    ``dropped`` has a column for each direction that is not in z. It is invariant under A, so that z moves on its own.
+    ``dropped`` has a column for each direction that is not in z. It is invariant under A, so that z does not depend on it.
     """
 
     rows: Floats
@@ -31,38 +31,37 @@ class Quotient:
 def without_integrators(A: Floats, H: Floats) -> Quotient | None:
     """Return the plant's state without the integrators that the outputs ``H x`` do not see; None if there is none.
 
-    An integrator is a direction in which ``A - I`` is zero, and what in turn drives only such ones: a position, and the speed
-    behind it where only an acceleration is seen. They are the largest space within the kernel of H that ``A - I`` takes to
-    nothing if applied often enough, found one power after the other. States that are integrators by themselves are left out as
-    they are; else what is left is a mixture.
+    An integrator is a direction in which ``A - I`` is zero, or that drives only such directions: a position, and the speed behind
+    it if only an acceleration is seen. Together they are the largest space within the kernel of H on which ``A - I`` is
+    nilpotent, found power by power. If whole states are integrators, only these are removed; else z is a mixture of states.
     """
     from scipy.linalg import matrix_balance
 
     n = len(A)
-    with np.errstate(invalid="ignore"):  # of a permutation that SciPy reads out of the scales and nobody asked for
+    with np.errstate(invalid="ignore"):  # SciPy also computes an unused permutation from the scales
         balanced, (units, _) = matrix_balance(A, permute=False, separate=True)
-    seen = H * units
-    sizes = np.linalg.norm(seen, axis=1)
-    seen = seen / np.where(sizes > 0, sizes, 1.0)[:, None]
+    visible = H * units
+    sizes = np.linalg.norm(visible, axis=1)
+    visible = visible / np.where(sizes > 0, sizes, 1.0)[:, None]
     change = balanced - np.eye(n)
-    # Each state in the unit in which it does as much as the others, so that no choice of units decides; not what does nothing.
-    does = np.linalg.norm(np.vstack([seen, change]), axis=0)
-    own = 1.0 / np.where(does > 1e-12, does, 1.0)
-    seen, change = seen * own, change * own / own[:, None]
-    found = np.zeros((n, 0))
+    # Scaled to equal effects of all states, the result does not depend on units; states without effect keep theirs.
+    effect = np.linalg.norm(np.vstack([visible, change]), axis=0)
+    unit = 1.0 / np.where(effect > 1e-12, effect, 1.0)
+    visible, change = visible * unit, change * unit / unit[:, None]
+    space = np.zeros((n, 0))
     while True:
-        _, sizes, right = np.linalg.svd(np.vstack([seen, change - found @ (found.T @ change)]))
+        _, sizes, right = np.linalg.svd(np.vstack([visible, change - space @ (space.T @ change)]))
         following = right[np.append(sizes, np.zeros(n - len(sizes))) <= _EXACT].T
-        if following.shape[1] <= found.shape[1]:
+        if following.shape[1] <= space.shape[1]:
             break
-        found = following
-    if not found.shape[1]:
+        space = following
+    if not space.shape[1]:
         return None
-    scale = units * own
-    sizes = np.linalg.norm(found, axis=1)
+    scale = units * unit
+    sizes = np.linalg.norm(space, axis=1)
     alone = sizes > _EXACT
-    if alone.sum() == found.shape[1]:
+    if alone.sum() == space.shape[1]:
         one = np.eye(n)
         return Quotient(one[~alone], one[:, ~alone], one[:, alone])
-    left = np.linalg.svd(found)[0][:, found.shape[1] :]
-    return Quotient(left.T / scale, scale[:, None] * left, scale[:, None] * found)
+    left = np.linalg.svd(space)[0][:, space.shape[1] :]
+    return Quotient(left.T / scale, scale[:, None] * left, scale[:, None] * space)

@@ -1,4 +1,4 @@
-"""The linear Gaussian model that a controller believes in."""
+"""The linear Gaussian model of plant and sensors."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 
 def sizes_of(model: Any) -> str:
-    """Return how many states, controls and sensors a model has, and its sample time, as a text."""
+    """Return the numbers of states, controls and sensors of a model, and its sample time, as text."""
     parts = [f"{getattr(model, name)} {name}" for name in ("states", "controls", "sensors")]
     return f"{', '.join(parts)}, dt = {float(model.step):g} s"
 
 
 @dataclass(frozen=True)
 class SignalNames:
-    """Names of the signals of a model, as they are in python-control or the FMU.
+    """Names of the signals of a model, as in python-control or the FMU.
 
     Parameters
     ----------
     controls, sensors, states : sequence of str
-        One for each control, each sensor, and each of the plant's states (disturbances left out). Sensors may share a name.
+        A name for each control, each sensor, and each state of the plant (without disturbances). Sensors may share a name.
     """
 
     controls: tuple[str, ...]
@@ -57,7 +57,7 @@ class LinearModel:
     B : matrix, n x p
         Effect of the controls.
     C : matrix, m x n
-        What each sensor reads; redundant sensors are equal rows.
+        Maps the state to the sensors; redundant sensors have equal rows.
     process_covariance : number, vector or matrix
         Covariance of ``q`` per step (n x n); a number or vector stands for a diagonal. May be singular.
     sensor_covariance : number, vector or matrix
@@ -65,13 +65,13 @@ class LinearModel:
     dt : float, str or Fraction
         Sample time in seconds.
     disturbances : int
-        How many states, the last ones, are estimated disturbances: of the inputs (`with_disturbance`) or of the sensors
-        (`with_sensor_errors`); goals do not concern them.
+        Number of states, the last ones, that are estimated disturbances: of the inputs (`with_disturbance`) or of the sensors
+        (`with_sensor_errors`). They have no goals.
     constant : bool
-        Whether the last of these states is the constant 1, by which a model of deviations speaks of values (`about`). It is known
-        and costs a belief nothing.
+        Whether the last disturbance is the constant 1, which turns a model of deviations into one of values (`about`). It has no
+        uncertainty.
     names : SignalNames, optional
-        Names of controls, sensors and the plant's states, for `to_control` and for sentences.
+        Names of controls, sensors and the plant's states, for `to_control` and for messages.
 
     Raises
     ------
@@ -93,7 +93,9 @@ class LinearModel:
         A = as_matrix("The model's A", self.A)
         n = A.shape[0]
         if A.shape != (n, n):
-            raise ModelError(f"The model's A is {A.shape[0]} x {A.shape[1]}; it must be square, a row for each state.")
+            raise ModelError(
+                f"The model's A is {A.shape[0]} x {A.shape[1]}; give a square matrix, with a row for each state."
+            )
         C = as_matrix("The model's C", np.atleast_2d(as_numbers("The model's C", self.C, ROWS)), columns=n)
         values = {
             "A": A,
@@ -109,18 +111,18 @@ class LinearModel:
             object.__setattr__(self, name, value)
         if not 0 <= self.disturbances < n:
             raise ModelError(
-                f"The model has disturbances={self.disturbances} among {n} states; at least one must be the plant's."
+                f"The model has disturbances={self.disturbances} among {n} states; at least one state must be the plant's."
             )
-        if self.constant and (not self.disturbances or not _stays(self, n)):
+        if self.constant and (not self.disturbances or not _is_constant(self, n)):
             raise ModelError(
-                "The model has constant=True, but its last state is no constant: let about() make it, as the last thing."
+                "The model has constant=True, but its last state is not constant; use about(), as the last change of the model."
             )
         if self.names is not None:
             sizes = {"controls": self.controls, "sensors": self.sensors, "states": n - self.disturbances}
-            for what, size in sizes.items():
-                if len(given := getattr(self.names, what)) != size:
+            for kind, size in sizes.items():
+                if len(given := getattr(self.names, kind)) != size:
                     raise ModelError(
-                        f"The model has names for {len(given)} {what}, but {size} {what}; give each a name."
+                        f"The model has names for {len(given)} {kind}, but it has {size} {kind}; give each a name."
                     )
 
     @property
@@ -140,7 +142,7 @@ class LinearModel:
 
     @property
     def sizes(self) -> str:
-        """Numbers of states, controls and sensors, and the sample time, as a text."""
+        """Numbers of states, controls and sensors, and the sample time, as text."""
         return sizes_of(self)
 
     def _repr_html_(self) -> str:
@@ -154,14 +156,14 @@ class LinearModel:
 
     @property
     def quantities(self) -> Floats:
-        """What each sensor measures of the plant's states, disturbances (its own error is one) left out (m x n)."""
+        """Matrix that maps the plant's states to what each sensor measures, without disturbances and errors (m x n)."""
         rows = self.matrix("C").copy()
         rows[:, self.states - self.disturbances : self.states - self.constant] = 0.0
         return frozen(rows)
 
     @property
     def alike(self) -> tuple[tuple[int, ...], ...]:
-        """The sensors in groups of those that read the same quantity."""
+        """The sensors in groups that measure the same quantity."""
         groups: dict[bytes, list[int]] = {}
         for i, row in enumerate(self.quantities):
             groups.setdefault((row + 0.0).tobytes(), []).append(i)  # 0 and -0 are the same
@@ -169,7 +171,7 @@ class LinearModel:
 
     @property
     def moving(self) -> LinearModel:
-        """The model without its constant: that of deviations."""
+        """The model without its constant, for deviations from the operating point."""
         if not self.constant:
             return self
         return replace(
@@ -190,7 +192,7 @@ class LinearModel:
         """Return the model as a discrete-time `control.StateSpace` with its sample time and names.
 
         Outputs are the sensors; sensors of the same name become ``v[0]``, ``v[1]``. A model about an operating point (`about`)
-        gives the system of deviations from it. Covariances have no place there; `from_control` asks for them again.
+        gives the system of deviations from it. The system contains no covariances; `from_control` needs them as arguments.
 
         Examples
         --------
@@ -207,8 +209,8 @@ class LinearModel:
         sizes = {"u": model.controls, "y": model.sensors, "x": n - d}
         names = self.names or SignalNames(*(tuple(f"{x}[{i}]" for i in range(size)) for x, size in sizes.items()))
         sensors = names.sensors
-        again = {name for name in sensors if sensors.count(name) > 1}
-        outputs = [f"{name}[{sensors[:i].count(name)}]" if name in again else name for i, name in enumerate(sensors)]
+        repeated = {name for name in sensors if sensors.count(name) > 1}
+        outputs = [f"{name}[{sensors[:i].count(name)}]" if name in repeated else name for i, name in enumerate(sensors)]
         return control.ss(
             *(model.matrix(name) for name in "ABC"),
             np.zeros((model.sensors, model.controls)),
@@ -233,30 +235,30 @@ class LinearModel:
         Parameters
         ----------
         system : control.StateSpace or control.TransferFunction
-            Continuous (then discretised by zero-order hold at `dt`) or discrete. Its outputs must not depend directly on its
-            inputs (D = 0).
+            A continuous system (discretised by zero-order hold at `dt`) or a discrete one. Its outputs must not depend on its
+            inputs at the same instant (D = 0).
         process_covariance : number, vector or matrix
             Covariance of the process noise per step.
         sensor_covariance : number, vector or matrix
             Covariance of the sensors' noise.
         dt : float, str or Fraction, optional
-            Sample time in seconds; needed for a continuous system.
+            Sample time in seconds; required for a continuous system.
         sensors : int, optional
-            Number of sensors, a multiple of the system's outputs: sensor i reads output i modulo their number. By default one
-            a output, or as many as `sensor_covariance` has rows.
+            Number of sensors, a multiple of the system's outputs: sensor i measures output i modulo their number. By default the
+            number of rows of `sensor_covariance`, or one sensor an output.
 
         Returns
         -------
         LinearModel
-            With the system's names of inputs, outputs and states.
+            The model, with the system's names of inputs, outputs and states.
         """
         import control
 
         linear = control.ss(system)
-        states = linear.state_labels  # a system that is sampled loses them
+        states = linear.state_labels  # lost when the system is sampled
         if linear.isctime(strict=True) or linear.dt is None or linear.dt == 0:
             if dt is None:
-                raise StepSizeError("The system is continuous; give dt= in seconds, at which it is to be controlled.")
+                raise StepSizeError("The system is continuous; give the controller's sample time dt= in seconds.")
             linear = control.sample_system(linear, float(rational_step(dt)), method="zoh")
             step = rational_step(dt)
         else:
@@ -266,11 +268,11 @@ class LinearModel:
             step = rational_step(float(given)) if not isinstance(given, str | Fraction) else rational_step(given)
             if dt is not None and rational_step(dt) != step:
                 raise StepSizeError(
-                    f"The system's sample time is {float(step):g} s, but dt={dt!r} was asked; resample it first."
+                    f"The system's sample time is {float(step):g} s, but dt={dt!r} is given; resample the system first."
                 )
         if np.any(linear.D != 0):
             raise ModelError(
-                "The system has direct feedthrough (D is not 0), which the model y = C x cannot express; delay the input."
+                "The system has direct feedthrough (D is not 0), which the model y = C x cannot represent; delay the input."
             )
         outputs = linear.C.shape[0]
         if sensors is None:
@@ -278,7 +280,7 @@ class LinearModel:
             sensors = rows.shape[0] if rows.ndim else outputs
         if sensors % outputs:
             raise ModelError(
-                f"{sensors} sensors cannot be shared evenly by {outputs} outputs; give C= to LinearModel itself."
+                f"{sensors} sensors are not a multiple of {outputs} outputs; use LinearModel(...) with C=."
             )
         C = np.tile(linear.C, (sensors // outputs, 1))
         names = SignalNames(
@@ -301,57 +303,57 @@ class LinearModel:
         sensor_std: float | Sequence[float] = 0.01,
         disturbance: Matrix | None = None,
     ) -> LinearModel:
-        """Return the model of an FMU about a steady state, in the FMU's own values.
+        """Return the model of an FMU about a steady state, in the FMU's values.
 
-        *Model exchange* (also where the file can do both): the state at which the derivatives are zero is sought from the start
-        values, with the inputs held or, if there is none, with those free that are actuated and not given in `at`. If there is
-        none either, a steady motion will do, in which states on which nothing depends (a car's position) go on at a constant
-        rate. There the FMU's directional derivatives are taken, or central differences where it has none, and sampled exactly
-        (zero-order hold). States are the FMU's, but for integrators that no output sees, which are left out.
+        *Model exchange* (also where the file supports both): the steady state is searched from the start values, with the inputs
+        held. If there is none, actuated inputs that `at` does not give may change. If there is still none, a steady motion
+        suffices, in which states on which nothing depends (a car's position) change at a constant rate. The model uses the FMU's
+        directional derivatives, or central differences if it has none, with exact sampling (zero-order hold). States are those
+        of the FMU, without integrators that no output sees.
 
-        *Co-simulation*, whose states nobody sees: the FMU is run from its start until its outputs stay where they are; from
-        there it answers short pulses of each input, up and down, of several sizes, of which those count that agree best. The
-        eigensystem realisation of the responses (python-control's `era`) is the model; its order is the number of singular values
-        above what the responses are uncertain by. Each experiment starts from a saved state, or in a new instance where the FMU
-        saves none. States are balanced and mean nothing by themselves; a mode that no input moves is not in it.
+        *Co-simulation*, without access to states: the FMU runs from its start until its outputs are constant. Then it gets short
+        pulses of each input, up and down, of several sizes; the sizes with the best agreement count. The model is the eigensystem
+        realisation of the responses (python-control's `era`). Its order is the number of singular values above the uncertainty
+        of the responses. Each experiment starts from a saved state, or in a new instance if the FMU cannot save its state. States
+        are balanced and have no physical meaning. A mode that no input moves is not in the model.
 
-        A plant that never rests needs a recording instead: `identify`.
+        For a plant that never reaches a steady state use `identify` with a recording.
 
         Parameters
         ----------
         fmu : FMU or path
-            The plant; its parameters say where it starts.
+            The plant, whose parameters determine its start.
         measured, actuated : str or sequence of str
-            Names of the outputs that sensors read, and of the inputs that the controller drives. Of arrays of FMI 3 the name
-            stands for all elements, ``"y[1]"`` (of a matrix ``"T[0,1]"``) for one.
+            Names of the outputs that sensors measure, and of the inputs that the controller drives. The name of an array of FMI 3
+            stands for all its elements, ``"y[1]"`` (of a matrix ``"T[0,1]"``) for one.
         dt : float, str or Fraction, optional
             Sample time in seconds; by default the step size that the FMU recommends.
         at : mapping of input to number or vector, optional
             Inputs at the operating point; by default their start values.
         order : int, optional
-            Number of states, for a model by pulse responses (asked also of an FMU for model exchange if it is given).
+            Number of states of a model by pulse responses. With it, an FMU for model exchange gives such a model as well.
         noise : mapping of input to number or vector, optional
-            Where process noise comes in, and its standard deviation in each sample: any inputs of the FMU. By default the
-            actuated ones, with 5 % of their value at the operating point or of 1, whichever is larger.
+            Inputs of the FMU at which process noise acts, and its standard deviation in each sample. By default the actuated
+            inputs, with 5 % of their value at the operating point or of 1, whichever is larger.
         sensors : int, optional
-            Number of sensors, a multiple of the measured outputs: sensor i reads output i modulo their number. By default one
-            each.
+            Number of sensors, a multiple of the measured outputs: sensor i measures output i modulo their number. By default one
+            sensor an output.
         sensor_std : number or vector
-            Standard deviation of the sensors' noise: of all, of those of each output, or of each sensor.
+            Standard deviation of the sensors' noise: one for all, for each output, or for each sensor.
         disturbance : number, vector or matrix, optional
-            Estimate an unknown load on each control as well, a walk of this covariance in each sample: see `with_disturbance`.
+            Covariance per sample of an unknown load on each control, a random walk that is estimated: see `with_disturbance`.
 
         Raises
         ------
         ModelError
-            If there is no steady state, or an output depends at once on an input.
+            If there is no steady state, or an output depends directly on an input.
         FMUError
             If the FMU fails.
 
         Warns
         -----
         PoorFitWarning
-            If the model does not reproduce the responses of which it was made.
+            If the model does not reproduce the responses from which it is made.
 
         Examples
         --------
@@ -386,59 +388,59 @@ class LinearModel:
         held_out: float = 0.3,
         past: int | None = None,
     ) -> Identification:
-        """Return a model that is identified from a recording, in its `model`, with figures of how good it is.
+        """Identify a model from a recording; the result has it as `model`, with measures of its quality.
 
-        Subspace identification in predictor form (SSARX with canonical variables), which bears feedback, so that a plant that
-        must be held by a controller can be recorded as it runs; the inputs must be moved by something else as well (a changing
-        goal, a dither). From the innovations model come the covariances of process and sensors, each sensor's noise being its
-        own: those whose Kalman filter is nearest to it. Where fewer than (n + 1) / 2 outputs leave the process covariance of n
-        states undetermined, one of several equally good ones is taken. States are canonical variables of unit variance and mean
-        nothing by themselves.
+        The method is subspace identification in predictor form (SSARX with canonical variables), which also works with feedback:
+        a plant that must be held by a controller can be recorded in operation. Something else must move the inputs as well, such
+        as a changing goal or a dither. Process and sensor covariances, with independent noise of the sensors, are those whose
+        Kalman filter is nearest to the innovations model. Fewer than (n + 1) / 2 outputs do not determine the process covariance
+        of n states; one of several equally good ones is then taken. States are canonical variables of unit variance and have no
+        physical meaning.
 
-        Samples that are missing here and there are left out with all that needs them. Where less than half of the stretches are
-        whole, as with a sensor that delivers at every fifth sample, a Kalman filter bridges the gaps: the likelihood of what is
-        there is maximised by expectation and maximisation (Gibson and Ninness, Automatica 41, 2005), process and sensor noise
-        included, and the order is that of the best Bayesian information criterion.
+        A few missing samples are left out, with all rows that need them. If less than half of the stretches are complete, for
+        example with a sensor that delivers every fifth sample, a Kalman filter bridges the gaps. Expectation and maximisation
+        then maximise the likelihood of the present samples over model and noise (Gibson and Ninness, Automatica 41, 2005). The
+        order is that of the best Bayesian information criterion.
 
-        The last part of the recording is held out. On it are judged: the share of each output that is explained one sample ahead
-        and by simulation, whether residuals are white, and whether a long autoregression does better.
+        The last part of the recording is held out for tests: the share of each output that the model explains one sample ahead
+        and by simulation, the whiteness of residuals, and a comparison with a long autoregression.
 
         Parameters
         ----------
         data : Result, path of a CSV file, or pandas.DataFrame
-            The recording: evenly spaced rows, an input being that from its row to the next; empty cells are missing samples. A
-            slower sensor has a value in every fifth row, say.
+            The recording in evenly spaced rows. An input holds from its row to the next. Empty cells are missing samples; a
+            slower sensor has a value in every fifth row, for example.
         inputs, outputs : str or sequence of str
-            Columns of the controls and of the sensors. The name of a signal of several elements stands for all of them.
+            Columns of the controls and of the sensors. The name of a vector signal stands for all its elements.
         order : int, optional
-            Number of states; by default as many as the singular values tell (Bauer's criterion).
+            Number of states; by default from the singular values (Bauer's criterion).
         dt : float, str or Fraction, optional
-            Sample time in seconds; by default that of the column `time`.
+            Sample time in seconds; by default from the column `time`.
         time : str
             Name of the column of times in seconds.
         held_out : float
-            Share of the recording, its end, that the model is not made from.
+            Share of the recording, at its end, that is held out for tests.
         past : int, optional
-            Length of the autoregression behind it; by default Akaike's choice.
+            Length of the underlying autoregression; by default chosen by Akaike's criterion.
 
         Returns
         -------
         Identification
-            With ``model``, ``fit``, ``whiteness``, ``describe()``, ``plot()``; `design` takes it as a plant.
+            The model with ``model``, ``fit``, ``whiteness``, ``describe()``, ``plot()``; `design` accepts it as a plant.
 
         Raises
         ------
         ModelError
-            If there are too few samples (it tells how many are needed), or an input or output does not move.
+            If there are too few samples (the message gives the number needed), or an input or output is constant.
         StepSizeError
             If the times are not evenly spaced.
 
         Warns
         -----
         PoorFitWarning
-            If the inputs are not persistently exciting of twice the model's order (a single step, a sine), hardly move in
-            what is held out or follow from the outputs; if a long autoregression predicts held-out data better, residuals are
-            correlated, or nothing is explained.
+            If the inputs are not persistently exciting of twice the model's order (a single step, a sine), hardly move in the
+            held-out part, or follow from the outputs. Also if a long autoregression predicts the held-out part better, if
+            residuals are correlated, or if nothing is explained.
         """
         from bayesftc.controllers.identification.identify import identify
 
@@ -447,11 +449,11 @@ class LinearModel:
         )
 
     def with_disturbance(self, covariance: Matrix = 1e-4) -> LinearModel:
-        """Return the model extended by an unknown disturbance on each control, which the controller then estimates.
+        """Return the model with an unknown disturbance on each control, which the controller then estimates.
 
-        The disturbance ``d`` adds to the control, ``x_t+1 = A x_t + B (u_t + d_t) + q``, and drifts as a random walk, so that
-        under a flat control prior a constant load leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003). A proper
-        control prior pulls the control towards its own mean and leaves one.
+        The disturbance ``d`` adds to the control, ``x_t+1 = A x_t + B (u_t + d_t) + q``, and drifts as a random walk. Under a
+        flat control prior, a constant load then leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003). A proper
+        control prior moves the control towards the prior mean, which leaves a steady error.
 
         Parameters
         ----------
@@ -460,7 +462,7 @@ class LinearModel:
         """
         if self.disturbances:
             raise ModelError(
-                "The model has a disturbance already; apply with_disturbance() once, and before with_sensor_errors()."
+                "The model already has a disturbance; apply with_disturbance() once, and before with_sensor_errors()."
             )
         n, p = self.states, self.controls
         A = np.block([[self.matrix("A"), self.matrix("B")], [np.zeros((p, n)), np.eye(p)]])
@@ -479,40 +481,40 @@ class LinearModel:
         *,
         common: bool = False,
     ) -> LinearModel:
-        """Return the model extended by errors of the sensors that last from sample to sample, which are then estimated.
+        """Return the model with errors of the sensors that are correlated in time, which are then estimated.
 
         Each error is a first-order autoregressive process (Ornstein and Uhlenbeck's, sampled), ``c_t+1 = exp(-dt /
-        time_constant) c_t + w``, and adds to what its sensor reads: a coloured noise, or with a time constant far beyond the
-        recording a bias. What the sensor's own white noise is stays in `sensor_covariance`. Apply it several times for a sensor
-        with errors of several kinds. A constant that all sensors have in common cannot be told from the state itself.
+        time_constant) c_t + w``. It adds to the sensor's reading: coloured noise, or with a time constant far beyond the
+        recording a bias. `sensor_covariance` remains the sensor's white noise. Apply this method several times for a sensor with
+        several kinds of errors. An equal constant error of all sensors cannot be distinguished from the state.
 
         Parameters
         ----------
         std : number or vector
             Standard deviation of the error in the sensor's unit, for all sensors or for each of `sensors`.
         time_constant : number or vector
-            Seconds in which its autocorrelation falls to 1/e.
+            Seconds in which the autocorrelation falls to 1/e.
         sensors : sequence of int, optional
-            Which sensors have it; by default all.
+            Numbers of the sensors with the error; by default all.
         common : bool
-            Whether they all have the same error (wheels of one axle), `std` saying how much of it, instead of one each.
+            Whether all sensors have the same error (wheels of one axle), scaled by `std`, instead of one each.
         """
         return with_sensor_errors(self, std, time_constant, sensors, common)
 
     def about(self, x: ArrayLike, u: ArrayLike, y: ArrayLike, *, following: ArrayLike | None = None) -> LinearModel:
-        """Return this model of deviations from an operating point as one of values, with the constant 1 as its last state.
+        """Return this model of deviations from an operating point as a model of values; its last state is the constant 1.
 
-        Apply it last: further states stand before the constant.
+        Apply it last, because all other states stand before the constant.
 
         Parameters
         ----------
         x, u, y : vector
-            Where the deviations begin: state (of the plant, disturbances left out), control and readings.
+            Operating point: state of the plant (without disturbances), control and readings.
         following : vector, optional
             The state one step later; by default `x`, as at a steady state.
         """
         if self.constant:
-            raise ModelError("The model speaks of values already; apply about() once.")
+            raise ModelError("The model is already one of values; apply about() once.")
         n, plant = self.states, self.states - self.disturbances
         A, B, C = (self.matrix(name) for name in "ABC")
         x, u, y = (
@@ -537,8 +539,8 @@ class LinearModel:
         )
 
 
-def _stays(model: LinearModel, n: int) -> bool:
-    """Whether the last state keeps what it is, whatever happens."""
+def _is_constant(model: LinearModel, n: int) -> bool:
+    """Return whether the last state is constant."""
     last = np.eye(n)[-1]
     Q = model.matrix("process_covariance")
     return np.array_equal(model.matrix("A")[-1], last) and not (model.matrix("B")[-1].any() or Q[-1].any())

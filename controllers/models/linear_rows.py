@@ -1,4 +1,4 @@
-"""Which sensors of a measurement function read a linear function of the state, as an encoder beside a camera does."""
+"""Find sensors of a measurement function that are linear in the state, such as an encoder beside a camera."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from bayesftc.cosim.types import Floats, Kernel
 
 
 def linear_rows(function: Kernel, samples: int, states: int) -> Floats:
-    """Return a row for each sample that is linear in the state, and a row of NaN for each that is not (samples x states).
+    """Return the row of each sample that is linear in the state, and NaN for each other one (samples x states).
 
-    Judged by values: at zero, on each axis, and at points of several sizes in general position, where a function that is not
-    linear would agree with its row to 1e-9 by chance only.
+    The test is by values: at zero, on each axis, and at points of several sizes in general position. A nonlinear function agrees
+    with its row to 1e-9 there only by chance.
 
     Parameters
     ----------

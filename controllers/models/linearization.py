@@ -1,4 +1,4 @@
-"""The linear model of a plant that is given as equations or as a black box, about a steady state."""
+"""Linearise a plant, given as equations or as a black box, about a steady state."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from bayesftc.cosim.types import Floats
 Names = str | Sequence[str]
 
 INPUT_NOISE = 0.05
-"""Process noise where nothing is said: this share of each actuated input's scale, in every sample."""
+"""Default process noise: this share of each actuated input's scale, in every sample."""
 
 _NEGLIGIBLE = 1e-12
-"""A control that moves the states by less than this, of their own size or 1, moves them by rounding."""
+"""An effect of a control below this, relative to the states' size or 1, counts as rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Linearization:
     Attributes
     ----------
     A, B, C : ndarray
-        Transition in one step, effect of the inputs, and what the outputs are of the state.
+        Transition in one step, effect of the inputs, and map from the state to the outputs.
     x, u, y : ndarray
         The operating point: a steady state, or one of steady motion.
     start : ndarray
@@ -51,7 +51,7 @@ class Linearization:
     step : Fraction
         Sample time in seconds.
     following : ndarray or None
-        The state one step after x, where integrators (a position) go on all the while; None where it is x.
+        The state one step after x in a steady motion, where integrators (a position) change; None if it is x.
     """
 
     A: Floats
@@ -67,7 +67,7 @@ class Linearization:
     following: Floats | None = None
 
     def seen(self) -> Linearization:
-        """Return the same without integrators that none of the outputs see (a position where only the speed is of interest)."""
+        """Return the linearisation without integrators that no output sees, such as the position behind a speed."""
         rest = without_integrators(self.A, self.C)
         if rest is None:
             return self
@@ -80,11 +80,11 @@ class Linearization:
         )
 
     def rows(self, names: Sequence[str]) -> list[int]:
-        """Return the places of outputs; a vector's name stands for all its elements."""
+        """Return the indices of outputs; a vector's name stands for all its elements."""
         return _places(names, self.outputs, "output")
 
     def columns(self, names: Sequence[str]) -> list[int]:
-        """Return the places of inputs; a vector's name stands for all its elements."""
+        """Return the indices of inputs; a vector's name stands for all its elements."""
         return _places(names, self.inputs, "input")
 
     def model(
@@ -97,18 +97,18 @@ class Linearization:
         sensor_std: float | Sequence[float] = 0.01,
         disturbance: Matrix | None = None,
     ) -> LinearModel:
-        """Return the model of a controller, in the plant's own values; see `LinearModel.from_fmu`."""
+        """Return the model for a controller, in the plant's values; see `LinearModel.from_fmu`."""
         rows, columns = self.rows(measured), self.columns(actuated)
         count = len(rows) if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
         if count % len(rows):
             raise ModelError(
-                f"{count} sensors cannot be shared evenly by {len(rows)} measured outputs; sensor i reads output i modulo their "
-                "number."
+                f"{count} sensors are not a multiple of {len(rows)} measured outputs. Sensor i measures output i modulo the "
+                "number of outputs; give a multiple."
             )
         order = [rows[i % len(rows)] for i in range(count)]
         std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
         if (std < 0).any():
-            raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
+            raise ModelError(f"sensor_std is {std.tolist()}; give standard deviations of at least 0.")
         variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
         names = SignalNames(
             tuple(self.inputs[j] for j in columns),
@@ -121,7 +121,7 @@ class Linearization:
             model = model.with_disturbance(disturbance)
         if not (self.x.any() or self.u.any() or self.y.any()):
             return model
-        # Inputs that are not actuated stay as they are at the operating point, and so are part of what is steady.
+        # Inputs that are not actuated keep their values at the operating point, and belong to the steady state.
         return model.about(self.x, self.u[columns], self.y[order], following=self.following)
 
     def _noise(self, actuated: Sequence[int], noise: Mapping[str, float | Sequence[float]] | None) -> Floats:
@@ -146,12 +146,10 @@ def linearize(
     at: Mapping[str, float | Sequence[float]] | None = None,
     order: int | None = None,
 ) -> Linearization:
-    """Return a plant about a steady state; `others` are outputs that are to be in it beside those that are measured."""
+    """Linearise a plant about a steady state; `others` are outputs of the model besides the measured ones."""
     for name, given in (("noise", noise), ("at", at)):
         if not isinstance(given, Mapping | None):
-            raise ModelError(
-                f"{name} is {given!r}; it must be numbers by the names of inputs, as {name}={{'load': 0.02}}."
-            )
+            raise ModelError(f"{name} is {given!r}; give a number for each input by name, as {name}={{'load': 0.02}}.")
     inputs = list(dict.fromkeys([*names_of(actuated, "actuated"), *(noise or {})]))
     outputs = list(dict.fromkeys([*names_of(measured, "measured"), *([others] if isinstance(others, str) else others)]))
     if isinstance(plant, str | PathLike):
@@ -160,62 +158,62 @@ def linearize(
         return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
     block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
     if order is not None:
-        raise ModelError("order= is for an FMU whose states are not seen; leave it out.")
+        raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
         return _of_nonlinear(block, inputs, outputs, dt, at or {}).seen()
     return _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}).seen()
 
 
 def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
-    """Refuse controls that move nothing about the operating point, as a spring's stiffness where the spring is at rest.
+    """Refuse controls without effect at the operating point, such as a spring's stiffness where the spring is at rest.
 
     Raises
     ------
     ModelError
-        That names the control.
+        With the name of the control.
     """
     size = max(1.0, *(float(np.abs(v).max(initial=0.0)) for v in (linear.x, linear.y)))
     for j in linear.columns(actuated):
         if float(np.abs(linear.B[:, j]).max(initial=0.0)) * max(1.0, abs(linear.u[j])) <= _NEGLIGIBLE * size:
             raise ModelError(
-                f"{linear.inputs[j]} moves nothing about the operating point, so the plant is not controllable by it. Take "
-                "another input, or an operating point at which it has an effect (start values, or at=...)."
+                f"{linear.inputs[j]} has no effect about the operating point, so it cannot control the plant. Use another input, "
+                "or an operating point at which it has an effect (start values, or at=...)."
             )
 
 
-def names_of(given: Names, what: str) -> list[str]:
+def names_of(given: Names, kind: str) -> list[str]:
     """Return names as a list.
 
     Raises
     ------
     ModelError
-        If there is none, or one stands twice.
+        If there is no name, or one occurs twice.
     """
     names = [given] if isinstance(given, str) else list(given)
     if not names or len(set(names)) < len(names) or not all(isinstance(name, str) for name in names):
-        raise ModelError(f"{what}={given!r}; it must name at least one variable of the plant, each once.")
+        raise ModelError(f"{kind}={given!r}; give the name of at least one variable of the plant, each once.")
     return names
 
 
 def elements_of(name: str, known: Sequence[str]) -> list[str]:
-    """Return the elements that a name stands for: itself, or all of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
+    """Return the elements of a name: itself, or those of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
     return [name] if name in known else [element for element in known if element.startswith(f"{name}[")]
 
 
-def _places(names: Sequence[str], known: Sequence[str], what: str) -> list[int]:
+def _places(names: Sequence[str], known: Sequence[str], kind: str) -> list[int]:
     places: list[int] = []
     for name in names:
         found = [list(known).index(element) for element in elements_of(name, known)]
         if not found:
-            raise UnknownNameError(f"The plant has no {what} {name!r}; {did_you_mean(name, known)}")
+            raise UnknownNameError(f"The plant has no {kind} {name!r}; {did_you_mean(name, known)}")
         if set(found) & set(places):
-            raise ModelError(f"{what}s {', '.join(names)}: {name!r} names an element a second time; name each once.")
+            raise ModelError(f"{kind}s {', '.join(names)}: {name!r} repeats an element; name each once.")
         places += found
     return places
 
 
 def _spread(title: str, given: Mapping[str, Any], known: Sequence[str]) -> dict[int, float]:
-    """Return what is given by name by place; of a vector it is one number, or one for each element."""
+    """Return values given by name by index; a vector has one number, or one for each element."""
     found: dict[int, float] = {}
     for name, value in given.items():
         places = _places([name], known, "input")
@@ -225,16 +223,16 @@ def _spread(title: str, given: Mapping[str, Any], known: Sequence[str]) -> dict[
 
 
 def _operating(inputs: Sequence[str], start: Floats, at: Mapping[str, float | Sequence[float]]) -> Floats:
-    """Return the inputs at the operating point: their start values, but for those that are given."""
+    """Return the inputs at the operating point: the given values, else the start values."""
     u = np.array(start, dtype=np.float64)
     for place, value in _spread("The operating point", at, inputs).items():
         u[place] = as_number(f"The operating point has {inputs[place]}", value)
     return u
 
 
-def _chosen(names: Sequence[str], known: Sequence[str], what: str) -> tuple[list[int], tuple[str, ...]]:
-    """Return places and names of the elements that are meant, each once, though several names may stand for it."""
-    places = list(dict.fromkeys(place for name in names for place in _places([name], known, what)))
+def _chosen(names: Sequence[str], known: Sequence[str], kind: str) -> tuple[list[int], tuple[str, ...]]:
+    """Return indices and names of the elements of names, each once even if several names contain it."""
+    places = list(dict.fromkeys(place for name in names for place in _places([name], known, kind)))
     return places, tuple(known[place] for place in places)
 
 
@@ -250,7 +248,7 @@ def _of_linear(
     at: Mapping[str, float | Sequence[float]],
 ) -> Linearization:
     if at:
-        raise ModelError("A linear system is the same everywhere; leave at= out.")
+        raise ModelError("A linear system does not depend on the operating point; leave at= out.")
     a, b, c, d = system.matrices()
     columns, into = _chosen(inputs, system.input_names, "input")
     rows, out = _chosen(outputs, system.output_names, "output")
@@ -282,7 +280,7 @@ def _of_nonlinear(
         return change if system.dt == 0 else change - x
 
     def both(z: Floats) -> Floats:
-        """Return what follows from states and inputs, and the outputs."""
+        """Return dynamics and outputs of states and inputs."""
         moves, seen = (f(0.0, z[:n], z[n:], params) for f in (system.dynamics, system.output))
         return np.concatenate([np.ravel(moves), np.ravel(seen)]).astype(np.float64)
 
@@ -299,17 +297,17 @@ def _of_nonlinear(
     return Linearization(a, b[:, columns], c[rows], x, u[columns], y[rows], start, into, out, step, following)
 
 
-def _step(own: float | None, asked: float | str | Fraction | None) -> Fraction:
-    if own and own is not True:
-        step = rational_step(own)
-        if asked is not None and rational_step(asked) != step:
+def _step(default_step: float | None, dt: float | str | Fraction | None) -> Fraction:
+    if default_step and default_step is not True:
+        step = rational_step(default_step)
+        if dt is not None and rational_step(dt) != step:
             raise StepSizeError(
-                f"The system's sample time is {own:g} s, but dt={asked!r} was asked; resample it first."
+                f"The system's sample time is {default_step:g} s, but dt={dt!r} is given; resample the system first."
             )
         return step
-    if asked is None:
-        raise StepSizeError("Give dt= in seconds, at which the plant is to be controlled.")
-    return rational_step(asked)
+    if dt is None:
+        raise StepSizeError("Give the controller's sample time dt= in seconds.")
+    return rational_step(dt)
 
 
 # --- FMUs ------------------------------------------------------------------------------------------------------------
@@ -339,9 +337,9 @@ def _of_fmu(
     found = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
     if found.waited and not at:
         warnings.warn(
-            f"The plant {fmu.default_name!r} does not rest at its start; it was left alone for {show(found.waited)} s, and the "
-            f"model is about where it came to rest, at the outputs {found.y.tolist()}. If it is to be controlled elsewhere, "
-            "give other start values or inputs (at=...).",
+            f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(found.waited)} s without control, and the "
+            f"model is about the steady state that it reached, with the outputs {found.y.tolist()}. For another operating point "
+            "give start values or inputs (at=...).",
             stacklevel=4,
         )
     point = np.zeros(len(found.A)), u[columns], found.y, found.start
@@ -349,23 +347,23 @@ def _of_fmu(
 
 
 def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:
-    """Refuse an FMU that nothing goes into, or comes out of."""
+    """Refuse an FMU without inputs or without outputs."""
     known = fmu.description.variables
     if not any(v.causality == "input" or v.variability == "tunable" for v in known):
         raise ModelError(
-            f"The FMU {fmu.default_name!r} has no input, so there is nothing that could control it. Export it with an input; "
-            "as it is, it can be watched: give its sensors to a StateEstimator, or their recording to `bayesftc monitor`."
+            f"The FMU {fmu.default_name!r} has no input that could control it. Export it with an input. Without control, a "
+            "StateEstimator can monitor its sensors, and `bayesftc monitor` their recording."
         )
     local = {v.name for v in known if v.causality == "local"}
     if not any(v.causality == "output" for v in known) and not local.intersection(_variables(fmu, measured)):
         raise ModelError(
-            f"The FMU {fmu.default_name!r} has no output, so no sensor could see it. Export it with an output, or measure one of "
-            f"its local variables by name{': ' + ', '.join(sorted(local)[:8]) if local else ' (it has none either)'}."
+            f"The FMU {fmu.default_name!r} has no output that a sensor could measure. Export it with an output, or measure "
+            f"one of its local variables by name{': ' + ', '.join(sorted(local)[:8]) if local else ' (it has none either)'}."
         )
 
 
 def _variables(fmu: FMU, names: Sequence[str]) -> list[str]:
-    """Return the variables of an FMU that are named, in whole or by an element (``y[1]``), each once."""
+    """Return the FMU's variables for names of variables or of elements (``y[1]``), each once."""
     known = {variable.name for variable in fmu.description.variables}
     return list(dict.fromkeys(name if name in known else re.sub(r"\[[\d,]+\]$", "", name) for name in names))
 
@@ -385,8 +383,8 @@ def _of_equations(
     with ModelEquations(fmu) as model:
         if not len(model.x0):
             raise ModelError(
-                f"The FMU {fmu.default_name!r} has no state: its outputs follow its inputs at once (a relative degree of 0), so "
-                "there are no dynamics to control. Solve for the input, or put it in front of a plant that has."
+                f"The FMU {fmu.default_name!r} has no state. Its outputs depend directly on its inputs (a relative degree of 0), "
+                "so there are no dynamics to control. Solve for the input, or put the FMU in front of a plant with states."
             )
         x, u, rate = _rest(model.derivatives, model.x0, u, free, model.nominals)
         a, b, c, d = model.jacobians(x, u)
@@ -399,17 +397,15 @@ def _of_equations(
 
 def _fmu_step(fmu: FMU, dt: float | str | Fraction | None) -> Fraction:
     if dt is None:
-        own = fmu.description.default_experiment.get("stepSize")
-        if own is None:
-            raise StepSizeError(
-                "The FMU recommends no step size; give dt= in seconds, at which it is to be controlled."
-            )
-        dt = own
+        default_step = fmu.description.default_experiment.get("stepSize")
+        if default_step is None:
+            raise StepSizeError("The FMU has no default step size; give the controller's sample time dt= in seconds.")
+        dt = default_step
     return rational_step(dt)
 
 
 def _free(columns: Sequence[int], inputs: Sequence[str], at: Mapping[str, Any]) -> list[int]:
-    """Return which of the actuated inputs may take other values in a steady state: those of which none is given."""
+    """Return the actuated inputs that may change for a steady state: those without a given value."""
     given = _spread("The operating point", at, inputs)
     return [j for j in columns if j not in given]
 
@@ -417,15 +413,15 @@ def _free(columns: Sequence[int], inputs: Sequence[str], at: Mapping[str, Any]) 
 def _rest(
     residual: Any, x: Floats, u: Floats, free: Sequence[int], scale: Floats | None = None
 ) -> tuple[Floats, Floats, Floats | None]:
-    """Return a state and inputs at which nothing changes: where it starts, else near there, with other inputs if it must be.
+    """Find a steady state near the start, if necessary with other inputs.
 
-    If there is none, one of steady motion will do: states on whose values nothing depends (the position of a car) change at a
-    constant rate, which is the third of what is returned; else it is None.
+    If there is none, a steady motion suffices: states on which nothing depends (the position of a car) change at a constant rate.
+    The result is state, inputs and this rate; None if it is zero.
 
     Raises
     ------
     ModelError
-        If there is none either.
+        If there is neither.
     """
     from scipy.optimize import least_squares
 
@@ -448,7 +444,7 @@ def _rest(
     for start, f in ways:
         try:
             found = least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        except (ValueError, np.linalg.LinAlgError):  # where something is no number
+        except (ValueError, np.linalg.LinAlgError):  # a value is not finite
             continue
         if np.abs(found.fun).max() <= 1e-8:
             inputs = u.copy()
@@ -457,14 +453,14 @@ def _rest(
             rest = found.x[:n] * size
             return rest, inputs, None if f is change else np.where(still, residual(rest, inputs), 0.0)
     raise ModelError(
-        "No steady state was found: no state near the start at which nothing changes (integrators on which nothing depends left "
-        f"out){', whatever the actuated inputs' if len(free) else ''}. Give other start values, or other inputs (at=...)."
+        "No steady state was found near the start, even without integrators on which nothing depends"
+        f"{' and with any actuated inputs' if len(free) else ''}. Give other start values, or other inputs (at=...)."
     )
 
 
 def _refuse_direct(D: Floats) -> None:
     if np.any(D != 0):
         raise ModelError(
-            "An output depends at once on an input (D is not 0, a relative degree of 0), which the model y = C x cannot express; "
-            "measure another output, or delay the input."
+            "An output depends directly on an input (D is not 0, a relative degree of 0), which the model y = C x cannot "
+            "represent. Measure another output, or delay the input."
         )

@@ -19,29 +19,28 @@ from bayesftc.cosim.types import Floats, Kernel, argument_names
 
 @dataclass(frozen=True, eq=False)
 class Modality:
-    """Sensors that read ``y = g(x)`` plus Gaussian noise.
+    """Sensors that measure ``y = g(x)`` plus Gaussian noise.
 
     Parameters
     ----------
     name : str
-        What an error calls it.
+        Name in error messages.
     size : int, optional
         Number of samples; needed with a `function`.
     function : function, optional
-        A step function ``function(x, y)`` that writes what ideal sensors read of the state x into y.
+        A step function ``function(x, y)`` that writes the readings y of ideal sensors at the state x.
     matrix : matrix, optional
-        Instead of the function, a row of states for each sensor.
+        In place of the function: a row for each sensor, with a column for each state.
     std : number or vector
         Nominal standard deviation of each sensor's noise.
     covariance : number, vector or matrix, optional
         Nominal covariance of the noise, instead of `std`.
     precision : number or vector
-        What each sensor's prediction error is weighted with while the sensor is trusted as its nominal noise says. These are
-        weights against each other and against the state prior, in units that keep the belief's update stable; they need not
-        be inverse variances.
+        Weight of each sensor's prediction error while the sensor counts as healthy. It is relative to the other sensors and to
+        the state prior, in units that keep the belief's update stable, and need not be an inverse variance.
     jacobian : function, optional
-        A step function ``jacobian(x, y_x)`` that writes the derivatives of the function (size x states); by default it is
-        made from the function by automatic differentiation.
+        A step function ``jacobian(x, y_x)`` that writes the derivatives of the function (size x states). By default automatic
+        differentiation makes it from the function.
 
     Raises
     ------
@@ -60,39 +59,47 @@ class Modality:
 
     def __post_init__(self) -> None:
         if (self.function is None) == (self.matrix is None):
-            raise ModelError(f"{self._title} needs one of function= and matrix=, which say what it measures.")
+            raise ModelError(f"{self._title} needs exactly one of function= and matrix=.")
         if self.matrix is not None:
             if self.jacobian is not None:
-                raise ModelError(f"{self._title} has a matrix and a jacobian; the matrix is its jacobian.")
+                raise ModelError(
+                    f"{self._title} has a matrix and a jacobian; leave the jacobian out, as it is the matrix."
+                )
             rows = np.atleast_2d(
-                as_numbers(f"The matrix of {self._title}", self.matrix, "give a row of states for each sensor")
+                as_numbers(
+                    f"The matrix of {self._title}",
+                    self.matrix,
+                    "give a row for each sensor, with a column for each state",
+                )
             )
             matrix = as_matrix(f"The matrix of {self._title}", rows)
             if self.size not in {None, len(matrix)}:
-                raise ModelError(f"{self._title} has size={self.size}, but its matrix has {len(matrix)} rows.")
+                raise ModelError(
+                    f"{self._title} has size={self.size}, but its matrix has {len(matrix)} rows; leave size out."
+                )
             object.__setattr__(self, "matrix", matrix)
             object.__setattr__(self, "size", len(matrix))
         if isinstance(self.size, bool) or not isinstance(self.size, int | np.integer) or self.size < 1:
-            raise ModelError(f"{self._title} has size={self.size!r}; say how many samples it gives, at least 1.")
+            raise ModelError(f"{self._title} has size={self.size!r}; give its number of samples, at least 1.")
         for kind in ("function", "jacobian"):
             function = getattr(self, kind)
             if function is not None and (not isinstance(function, FunctionType) or len(argument_names(function)) != 2):
                 raise ModelError(
-                    f"{self._title} has {kind}={function!r}; it must be a plain Python function of two arguments, the state "
-                    "and what it writes."
+                    f"{self._title} has {kind}={function!r}; give a plain Python function of two arguments, the state and the "
+                    "result that it writes."
                 )
         if (self.std is None) == (self.covariance is None):
-            raise ModelError(f"{self._title} needs one of std= and covariance=, its nominal noise.")
+            raise ModelError(f"{self._title} needs exactly one of std= and covariance=, its nominal noise.")
         nominal: Any = self.covariance
         if nominal is None:
             std = as_vector(f"The std of {self._title}", self.std, self.samples)
             if (std <= 0).any():
-                raise ModelError(f"{self._title} has std={std.tolist()}; it must be positive.")
+                raise ModelError(f"{self._title} has std={std.tolist()}; give positive numbers.")
             nominal = std * std
         object.__setattr__(self, "covariance", as_covariance(f"The covariance of {self._title}", nominal, self.samples))
         weights = as_vector(f"The precision of {self._title}", self.precision, self.samples)
         if (weights <= 0).any():
-            raise ModelError(f"{self._title} has precision={weights.tolist()}; it must be positive.")
+            raise ModelError(f"{self._title} has precision={weights.tolist()}; give positive numbers.")
         object.__setattr__(self, "precision", weights)
 
     @property
@@ -101,7 +108,7 @@ class Modality:
         return int(self.size or 0)
 
     def try_out(self, states: int) -> None:
-        """See that the functions take that many states and write all of their results.
+        """Check that the functions accept that many states and write all of their results.
 
         Raises
         ------
@@ -126,7 +133,8 @@ class Modality:
         if self.matrix is not None:
             if np.asarray(self.matrix).shape[1] != states:
                 raise ModelError(
-                    f"The matrix of {self._title} has {np.asarray(self.matrix).shape[1]} columns for {states} states."
+                    f"The matrix of {self._title} has {np.asarray(self.matrix).shape[1]} columns, but there are {states} states; "
+                    "give a column for each."
                 )
             return None
         assert self.function is not None
@@ -143,7 +151,7 @@ class Modality:
             ) from None
 
     def rows(self, states: int) -> Floats:
-        """Return what each sensor reads of the state (samples x states); NaN where that is no linear function."""
+        """Return the matrix from the state to each sensor's reading (samples x states); NaN in rows that are not linear."""
         if self.matrix is not None:
             return np.asarray(self.matrix, dtype=np.float64)
         assert self.function is not None
@@ -160,7 +168,7 @@ class Modality:
         if not np.isfinite(result).all():
             raise ModelError(
                 f"The Jacobian of {self._title} has entries that are NaN or infinite at the initial mean {mean.tolist()}; "
-                "start elsewhere, or check the function."
+                "give another initial mean, or check the function."
             )
         return result
 

@@ -1,4 +1,4 @@
-"""The nonlinear Gaussian model that a controller believes in: functions of motion and of measurement, and their derivatives."""
+"""The nonlinear Gaussian model of plant and sensors: functions of motion and measurement, and their derivatives."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class NonlinearModel:
     """``x_t+1 = f(x_t, u_t) + q``, ``y_t = g(x_t) + eta`` with Gaussian ``q`` and ``eta``.
 
     The functions are step functions by the rules of `bayesftc.cosim.Block`: plain Python, scalar loops, all mathematics from
-    `bayesftc.cosim.ops`, every element of the last argument written. Constants come from where the function is written.
+    `bayesftc.cosim.ops`. Each writes every element of its last argument. They may use constants of the code around them.
 
     Parameters
     ----------
     f : function
         ``f(x, u, x_next)``: writes the state one step later.
     g : function
-        ``g(x, y)``: writes what each sensor reads of the state; redundant sensors are equal elements.
+        ``g(x, y)``: writes the reading of each sensor; redundant sensors are equal elements.
     states, controls, sensors : int
         Numbers n of states, p of controls, m of sensors.
     process_covariance : number, vector or matrix
@@ -45,13 +45,13 @@ class NonlinearModel:
     g_jacobian : function, optional
         ``g_jacobian(x, C)``: writes the derivatives of the readings by the state (m x n). By default derived from `g`.
     disturbances : int
-        How many states, the last ones, are no states of the plant but disturbances; goals do not concern them.
+        Number of states, the last ones, that are disturbances, not states of the plant. They have no goals.
 
     Raises
     ------
     ModelError
-        If sizes do not fit, a function does not write all of its result or writes anything else, or a covariance is not
-        positive (semi-)definite.
+        If sizes do not fit, a function does not write all of its result or writes anything else, or a covariance is not positive
+        (semi-)definite.
     KernelError
         If a function breaks the rules of step functions.
 
@@ -86,7 +86,7 @@ class NonlinearModel:
         for name in ("states", "controls", "sensors"):
             number = getattr(self, name)
             if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
-                raise ModelError(f"The model has {name}={number!r}; it must be a whole number, at least 1.")
+                raise ModelError(f"The model has {name}={number!r}; give a whole number of at least 1.")
         n, p, m = self.states, self.controls, self.sensors
         as_number("The model has disturbances", self.disturbances, least=0, most=n - 1, whole=True)
         values = {
@@ -104,17 +104,17 @@ class NonlinearModel:
             try_out("The model's f_jacobian", self.f_jacobian, "f_jacobian(x, u, F, B)", [n, p], [(n, n), (n, p)])
         if self.g_jacobian is not None:
             try_out("The model's g_jacobian", self.g_jacobian, "g_jacobian(x, C)", [n], [(m, n)])
-        self.derivatives  # noqa: B018 - a function that cannot be differentiated fails here
+        self.derivatives  # noqa: B018 - raises for a function that cannot be differentiated
 
     @property
     def derivatives(self) -> tuple[Kernel, Kernel]:
-        """The Jacobians of f and of g as step functions, ``(x, u, F, B)`` and ``(x, C)``: those given, else derived."""
+        """The Jacobians of f and of g as step functions, ``(x, u, F, B)`` and ``(x, C)``: the given ones, else derived."""
         of_f = self.f_jacobian or _derived("f", self.f, (self.states, self.controls), self.states)
         return of_f, self.g_jacobian or _derived("g", self.g, (self.states,), self.sensors)
 
     @property
     def sizes(self) -> str:
-        """Numbers of states, controls and sensors, and the sample time, as a text."""
+        """Numbers of states, controls and sensors, and the sample time, as text."""
         return sizes_of(self)
 
     def _repr_html_(self) -> str:
@@ -164,8 +164,8 @@ class NonlinearModel:
         ):
             if not np.isfinite(value).all():
                 raise ModelError(
-                    f"The model's {name} is not finite at x = {x.tolist()}, u = {u.tolist()}, where the controller begins; "
-                    "give an initial_mean at which it is."
+                    f"The model's {name} is not finite at x = {x.tolist()}, u = {u.tolist()}, where the controller begins. Give "
+                    "an initial_mean at which it is."
                 )
         return LinearModel(
             A, B, C, self.process_covariance, self.sensor_covariance, self.dt, disturbances=self.disturbances
@@ -173,7 +173,7 @@ class NonlinearModel:
 
     @classmethod
     def from_linear(cls, model: LinearModel) -> NonlinearModel:
-        """Return the same model in this form.
+        """Return a linear model as a nonlinear one.
 
         Parameters
         ----------
@@ -182,8 +182,8 @@ class NonlinearModel:
         """
         if model.constant:
             raise ModelError(
-                "The model has the constant 1 as a state (LinearModel.about), which no nonlinear model needs: write f and g with "
-                "the constants in them, or take model.moving and work with deviations."
+                "The model has the constant 1 as a state (LinearModel.about), which a nonlinear model does not need. Write the "
+                "constants into f and g, or use model.moving and work with deviations."
             )
         A, B, C = (tuple(map(tuple, model.matrix(name).tolist())) for name in "ABC")
         n, p, m = model.states, model.controls, model.sensors
@@ -214,9 +214,7 @@ def _derived(name: str, function: Kernel, inputs: tuple[int, ...], size: int) ->
     try:
         return jacobian(function, shapes, output, arguments)
     except KernelError as error:
-        raise KernelError(
-            f"The model's {name}: {error} Or give its derivatives yourself, as {name}_jacobian."
-        ) from None
+        raise KernelError(f"The model's {name}: {error} Or give its derivatives as {name}_jacobian.") from None
 
 
 __all__ = ["NonlinearModel"]

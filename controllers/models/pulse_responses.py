@@ -1,4 +1,4 @@
-"""A linear model of a plant of which only inputs and outputs are seen: short experiments, and the eigensystem realisation."""
+"""A linear model from a plant's inputs and outputs alone: pulse responses and the eigensystem realisation."""
 
 from __future__ import annotations
 
@@ -21,40 +21,40 @@ SAMPLES = 100
 """Samples of each response; half of them are rows of the Hankel matrix."""
 
 DECADES = 8
-"""Pulses of 1, 0.1, 0.01, ... of an input's scale are tried; the sizes that agree best tell the derivative."""
+"""Number of pulse sizes: 1, 0.1, 0.01, ... of an input's scale. Those with the best agreement give the derivative."""
 
 GROWTH = 1e3
-"""A response that has grown by this is long enough: beyond, an unstable mode hides the others."""
+"""Growth at which a response is cut, because an unstable mode then hides the others."""
 
 STEADY = 1e-7
-"""Outputs that change by less than this of their size in a response's length are steady."""
+"""Outputs are steady if they change by less than this, relative to their size, in a response's length."""
 
 WAIT = 200
-"""Responses' lengths to wait for a steady state."""
+"""Longest wait for a steady state, in lengths of a response."""
 
 ENOUGH = 1e-12
-"""Relative difference of the answers to two sizes of pulses at which no further size is tried."""
+"""Relative difference of the responses to two pulse sizes at which the search for a size ends."""
 
 BENDS = 0.05
-"""Relative difference of the answers up and down above which it is said."""
+"""Relative difference of the responses to pulses up and down above which there is a warning."""
 
 AGREES = 1e-3
-"""Relative error of the model's own responses above which it is said."""
+"""Relative error of the model's responses above which there is a warning."""
 
 
 RECORD = (
-    "If its outputs are rounded or noisy, identify a model from a recording (LinearModel.identify), whose inputs are as large "
-    "as they may be."
+    "If its outputs are rounded or noisy, identify a model from a recording (LinearModel.identify), with inputs as large "
+    "as possible."
 )
-"""What to do about outputs that are too coarse for pulses."""
+"""Advice for outputs that are too coarse for pulses."""
 
 
 class PoorFitWarning(UserWarning):
-    """A model that was made from samples does not explain them well."""
+    """A model from samples does not explain them well."""
 
 
 class Experiments:
-    """The same plant from the same state, as often as one likes: restored where it can be, else made anew and brought there."""
+    """Repeated experiments with a plant from the same state, which is restored, or reached again by a new instance."""
 
     def __init__(self, fmu: FMU, step: Fraction, held: Floats, rows: Sequence[int]):
         self._fmu, self._step, self.held, self._rows = fmu, step, held, list(rows)
@@ -78,44 +78,44 @@ class Experiments:
 
     @property
     def waited(self) -> Fraction:
-        """How long it took the plant to come to rest, in seconds."""
+        """Seconds until the plant was steady."""
         return self._step * self._waited
 
     def respond(self, pulse: Floats | None = None, samples: int = SAMPLES) -> Floats:
-        """Return the outputs at ``samples`` instants; the inputs are held, but for a `pulse` in the first step."""
+        """Return the outputs at ``samples`` instants with held inputs, plus a `pulse` in the first step."""
         plant = self._begin()
-        seen = []
+        readings = []
         for k in range(samples):
             inputs = self.held + pulse if k == 0 and pulse is not None else self.held.copy()
-            seen.append(self._advance(plant, inputs, self._waited + k))
-        return np.array(seen)
+            readings.append(self._advance(plant, inputs, self._waited + k))
+        return np.array(readings)
 
     def settle(self) -> tuple[Floats, Floats]:
-        """Wait until the outputs stay where they are; return them, and the first samples on the way there.
+        """Wait until the outputs are constant; return them, and the first samples of the transient.
 
         Raises
         ------
         ModelError
-            If they never do.
+            If they never are.
         """
         plant, size, k = self._begin(), 0.0, 0
         first = np.empty((0, 0))
         for part in range(WAIT):
-            seen = np.empty((SAMPLES, len(self._rows)))
+            readings = np.empty((SAMPLES, len(self._rows)))
             for i in range(SAMPLES):
-                seen[i], k = self._advance(plant, self.held.copy(), k), k + 1
-            first = seen if part == 0 else first
-            size = max(size, float(np.abs(seen).max()), 1e-6)
+                readings[i], k = self._advance(plant, self.held.copy(), k), k + 1
+            first = readings if part == 0 else first
+            size = max(size, float(np.abs(readings).max()), 1e-6)
             if not np.isfinite(size):
                 break
-            if np.ptp(seen, axis=0).max() <= STEADY * size:
+            if np.ptp(readings, axis=0).max() <= STEADY * size:
                 self._close()
                 self._waited = part * SAMPLES
-                return np.array(seen[-1]), first
+                return np.array(readings[-1]), first
         raise ModelError(
-            f"The plant {self._fmu.default_name!r} finds no steady state: with its inputs held at {self.held.tolist()} its "
-            f"outputs still change after {show(self._step * k)} s. Give start values at which it rests (FMU(parameters=...)), or "
-            "other inputs (at=...); of a plant that never rests identify a model from a recording (LinearModel.identify)."
+            f"The plant {self._fmu.default_name!r} has no steady state: with its inputs held at {self.held.tolist()} its "
+            f"outputs still change after {show(self._step * k)} s. Give start values of a steady state (FMU(parameters=...)), or "
+            "other inputs (at=...). For a plant without one identify a model from a recording (LinearModel.identify)."
         )
 
     def _begin(self) -> External:
@@ -135,9 +135,9 @@ class Experiments:
         t, outputs = float(k * self._step), self._outputs
         status = plant.output(inputs, outputs, t) or plant.update(inputs, outputs, t)
         if status:
-            why = plant.explain(status)
+            reason = plant.explain(status)
             self._close()
-            raise ModelError(f"The plant {self._fmu.default_name!r} failed in an experiment, at t = {t:g} s: {why}")
+            raise ModelError(f"The plant {self._fmu.default_name!r} failed in an experiment at t = {t:g} s: {reason}")
         return np.array(outputs[self._rows])
 
     def _close(self) -> None:
@@ -150,8 +150,8 @@ class Experiments:
 class Realisation:
     """A balanced model of deviations from the outputs y.
 
-    ``start`` is the state in which the plant starts, ``waited`` how many seconds it took it to come to rest, ``error`` is that of
-    the model's own pulse responses, relative to their size.
+    ``start`` is the state in which the plant starts, ``waited`` the seconds until it was steady, ``error`` the relative error of
+    the model's pulse responses.
     """
 
     A: Floats
@@ -167,27 +167,27 @@ class Realisation:
 def realise(
     fmu: FMU, step: Fraction, held: Floats, scale: Mapping[int, float], rows: Sequence[int], order: int | None
 ) -> Realisation:
-    """Return a model of an FMU's inputs and outputs about the steady state that belongs to the inputs `held`.
+    """Return a model of an FMU's inputs and outputs about the steady state at the inputs `held`.
 
     Parameters
     ----------
     fmu : FMU
-        Of its ports' elements the model is; it is run as a plant.
+        The plant, with the ports of the model.
     step : Fraction
         Sample time in seconds.
     held : ndarray
         The inputs at the operating point.
     scale : mapping of int to float
-        The largest pulse of each input, by its place; inputs without one are held, and not in the model.
+        The largest pulse of each input, by its index; inputs without one are held, and not in the model.
     rows : sequence of int
-        Places of the outputs that are in the model.
+        Indices of the model's outputs.
     order : int or None
-        How many states; None for as many as stand out of the responses' own errors.
+        Number of states; None for the number of singular values above the responses' errors.
 
     Raises
     ------
     ModelError
-        If there is no steady state, an output follows an input at once, or no input moves any output.
+        If there is no steady state, an output depends directly on an input, or no input moves any output.
     """
     with Experiments(replace(fmu, timing="plant"), step, held, rows) as plant:
         y, first = plant.settle()
@@ -196,21 +196,21 @@ def realise(
     direct = np.abs(markov[0]).max()
     if direct > 1e-9 * np.abs(markov).max():
         raise ModelError(
-            "An output of the FMU follows an input at once, which the model y = C x cannot express; measure another output, or "
-            "put a cosim.UnitDelay between them."
+            "An output of the FMU depends directly on an input, which the model y = C x cannot represent. Measure another "
+            "output, or put a cosim.UnitDelay between them."
         )
     A, B, C, values, miss = _eigensystem(markov[1:], error[1:], order)
-    seen = [C]
+    readings = [C]
     for _ in first[1:]:
-        seen.append(seen[-1] @ A)
+        readings.append(readings[-1] @ A)
     start = np.zeros(len(A))
     if waited:
-        start[:] = np.linalg.lstsq(np.vstack(seen), (first - y).ravel(), rcond=None)[0]
+        start[:] = np.linalg.lstsq(np.vstack(readings), (first - y).ravel(), rcond=None)[0]
     return Realisation(A, B, C, y, start, waited, values, miss)
 
 
 def _markov(plant: Experiments, scale: Mapping[int, float]) -> tuple[Floats, Floats]:
-    """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), and how uncertain they are."""
+    """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), and their errors."""
     found = [_derivative(plant, j, full, len(plant.held)) for j, full in scale.items()]
     markov, error = (np.stack([column[part] for column in found], axis=2) for part in (0, 1))
     useful = _useful(markov)
@@ -218,12 +218,12 @@ def _markov(plant: Experiments, scale: Mapping[int, float]) -> tuple[Floats, Flo
 
 
 def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[Floats, Floats]:
-    """Return the derivative of the outputs by a pulse of one input (samples x outputs), and how uncertain it is.
+    """Return the derivative of the outputs by a pulse of one input (samples x outputs), and its error.
 
-    Central differences: the larger the pulse, the more it bends; the smaller, the more is lost to rounding.
+    It uses central differences: large pulses suffer from nonlinearity, small ones from rounding.
     """
     best: tuple[Floats, Floats] | None = None
-    previous, least, bend, deaf = None, np.inf, 0.0, 0.0
+    previous, least, bend, lost_size = None, np.inf, 0.0, 0.0
     rest = plant.respond()
     for decade in range(DECADES):
         pulse = np.zeros(inputs)
@@ -236,8 +236,8 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
         if not np.isfinite(found).all():
             continue
         if previous is not None and previous.any() and not found.any():
-            deaf = abs(float(pulse[j]))
-            break  # smaller pulses are lost as well: that they agree on nothing is no derivative
+            lost_size = abs(float(pulse[j]))
+            break  # smaller pulses are lost as well; their agreement on zero is no derivative
         if previous is not None:
             error, size = np.abs(found - previous), np.abs(found).max(axis=0)
             relative = float((error.max(axis=0) / np.where(size > 0, size, 1.0)).max())
@@ -247,15 +247,15 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
             if relative < ENOUGH:
                 break
         previous = found
-    if deaf:
+    if lost_size:
         lost = (
-            f"The plant does not answer a pulse of {deaf:g} of {plant.names[j]!r}, but larger ones: it has a dead band there, or "
-            "its outputs are rounded"
+            f"The plant responds to larger pulses of {plant.names[j]!r}, but not to one of {lost_size:g}: it has a dead "
+            "band there, or its outputs are rounded"
         )
         if best is None:
-            raise ModelError(f"{lost}. Give an operating point beside it (at=...).")
+            raise ModelError(f"{lost}. Give an operating point outside it (at=...).")
         warnings.warn(
-            f"{lost}; the model is that of the larger pulses, which it may fit badly.", PoorFitWarning, stacklevel=8
+            f"{lost}; the model is that of the larger pulses, and may be inaccurate.", PoorFitWarning, stacklevel=8
         )
     if best is None:
         raise ModelError(
@@ -263,8 +263,8 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
         )
     if bend > BENDS:
         warnings.warn(
-            f"The plant answers a pulse of {plant.names[j]!r} down otherwise than up, by {100 * bend:.0f} %, however small: it "
-            "rests at a limit or a kink, where a linear model is right on neither side; give a point beside it (at=...).",
+            f"The plant's responses to pulses of {plant.names[j]!r} up and down differ by {100 * bend:.0f} %, however small: the "
+            "operating point is at a limit or a kink, where no linear model fits both sides. Give another point (at=...).",
             PoorFitWarning,
             stacklevel=8,
         )
@@ -272,7 +272,7 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
 
 
 def _useful(markov: Floats) -> int:
-    """Return how many samples of a response are useful: not those in which an unstable mode has outgrown all others."""
+    """Return the number of useful samples of a response, before an unstable mode hides all others."""
     size = np.abs(markov).max(axis=(1, 2))
     first = size[: SAMPLES // 5].max()
     beyond = np.flatnonzero(size > GROWTH * first)
@@ -283,29 +283,27 @@ def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floa
     """Return the eigensystem realisation (Juang and Pappa, J. Guidance 8, 1985) of pulse responses, by python-control's `era`."""
     import control
 
-    # In units in which each output's and each input's largest response is 1, so that no choice of units decides.
+    # Scaled to largest responses of 1 for each output and input, the result does not depend on the user's units.
     rows = np.abs(markov).max(axis=(0, 2))
     rows = np.where(rows > 0, rows, 1.0)
     scaled = markov / rows[:, None]
     columns = np.abs(scaled).max(axis=(0, 1))
     if not columns.any():
-        raise ModelError(
-            f"No input moves any of the outputs: the plant is not controllable by them; actuate and measure others. {RECORD}"
-        )
+        raise ModelError(f"No input moves any of the outputs; actuate other inputs or measure other outputs. {RECORD}")
     columns = np.where(columns > 0, columns, 1.0)
-    scaled, doubt = scaled / columns, error / rows[:, None] / columns
+    scaled, scaled_error = scaled / columns, error / rows[:, None] / columns
     half = (len(markov) - 1) // 2
     values = np.linalg.svd(_hankel(scaled, half), compute_uv=False)
-    # No singular value moves by more than the norm of what disturbs the matrix (Weyl).
-    floor = max(3 * float(np.linalg.norm(_hankel(doubt, half), 2)), 1e-11 * float(values[0]))
+    # An error of the matrix changes no singular value by more than the error's norm (Weyl).
+    floor = max(3 * float(np.linalg.norm(_hankel(scaled_error, half), 2)), 1e-11 * float(values[0]))
     count = int(np.sum(values > floor)) if order is None else order
     if order is None and not count:
         raise ModelError(
-            f"The plant answers pulses of one size so differently from those of another that they tell nothing. {RECORD}"
+            f"The plant's responses to pulses of different sizes differ too much for a linear model. {RECORD}"
         )
     if not 1 <= count <= len(values):
         raise ModelError(
-            f"An order of {count} is asked of responses that tell at most {len(values)}; give from 1 to that."
+            f"order={count} is given, but the responses allow at most {len(values)}; give 1 to {len(values)}."
         )
     impulse = np.concatenate([np.zeros((1, *scaled.shape[1:])), scaled]).transpose(1, 2, 0)
     system, _ = control.era(impulse, r=count, m=half, n=half)
@@ -313,7 +311,7 @@ def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floa
     miss = _misfit(A, B / columns, C / rows[:, None], scaled)
     if miss > AGREES:
         warnings.warn(
-            f"The linear model of order {count} misses the plant's pulse responses by {100 * miss:.2g} % of their size: give a "
+            f"The linear model of order {count} misses the plant's pulse responses by {100 * miss:.2g} % of their size. Give a "
             "higher order=, or another operating point if the plant is not smooth here.",
             PoorFitWarning,
             stacklevel=6,

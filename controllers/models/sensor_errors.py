@@ -1,4 +1,4 @@
-"""Errors of sensors that last: each is a state of its own, which is estimated with the plant's."""
+"""Errors of sensors that are correlated in time: each is an additional state, estimated with the plant's."""
 
 from __future__ import annotations
 
@@ -27,12 +27,14 @@ def with_sensor_errors(
     """Return the model with the errors as further states; see `LinearModel.with_sensor_errors`."""
     if model.constant:
         raise ModelError(
-            "The model has a constant, which is its last state: apply with_sensor_errors() before about()."
+            "The model has a constant, which must be its last state; apply with_sensor_errors() before about()."
         )
     chosen = _chosen(model, sensors)
     deviations = as_vector("The sensor errors' std", std, len(chosen))
     if common and np.ndim(time_constant):
-        raise ModelError(f"A common error has one time_constant, not {time_constant!r}.")
+        raise ModelError(
+            f"time_constant is {time_constant!r}; a common error has one time constant, so give one number."
+        )
     times = as_vector("The sensor errors' time_constant", time_constant, len(chosen))
     for name, values in (("std", deviations), ("time_constant", times)):
         for value in values:
@@ -58,11 +60,11 @@ def _chosen(model: LinearModel, sensors: Sequence[int] | None) -> list[int]:
     for sensor in chosen:
         as_number("A sensor error has sensor", sensor, least=0, below=model.sensors, whole=True)
     if not chosen or len(set(chosen)) < len(chosen):
-        raise ModelError(f"Sensor errors are asked for sensors={sensors!r}; name each sensor once, at least one.")
+        raise ModelError(f"Sensor errors have sensors={sensors!r}; give at least one sensor, each once.")
     return chosen
 
 
 def _beside(first: Floats, second: Floats) -> Floats:
-    """Return the matrix with both on its diagonal."""
+    """Return the block-diagonal matrix of both."""
     n, k = len(first), len(second)
     return np.block([[first, np.zeros((n, k))], [np.zeros((k, n)), second]])

@@ -1,4 +1,4 @@
-"""The paper's two baselines (section 5.2.1): they ignore a sensor or trust it fully, by a threshold on a residual."""
+"""The paper's two baselines (section 5.2.1), which ignore a sensor or use it fully, by a threshold on a residual."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _decide(i, ignored, nan, sample, trust):
     variance = sample.nominal[i, i]
     for j in range(sample.y.shape[0]):
         trust.R[i, j] = sample.nominal[i, j]
-    trust.R[i, i] = select(ignored, INFINITE, variance)  # so that the output R says that it is left out
+    trust.R[i, i] = select(ignored, INFINITE, variance)  # marks the sensor as left out in the output R
     trusted = both(sample.present[i] > 0.5, negate(ignored))
     trust.used[i] = select(trusted, 1.0, 0.0)
     trust.precision[i] = select(ignored, 0.0, 1.0 / variance)
@@ -36,7 +36,7 @@ def _decide(i, ignored, nan, sample, trust):
 
 
 def learn_effdi(sample, trust, memory, settings, work):
-    """``memory``: for each sensor the last two samples, the last two r, and the steps for which it is still ignored."""
+    """Ignore sensors after a jump. ``memory``: for each sensor the last two samples, the last two r, and the steps left."""
     for i in range(sample.y.shape[0]):
         at = 5 * i
         r = absolute(sample.y[i] - 2.0 * memory[at] + memory[at + 1])
@@ -52,15 +52,15 @@ def learn_effdi(sample, trust, memory, settings, work):
 
 @dataclass(frozen=True)
 class EFFDI(PrecisionLearner):
-    """Easy and fast FDI: a jump of the sensor's signal, by its second differences, has it ignored for a fixed time.
+    """Easy and fast FDI: after a jump of its signal, by second differences, a sensor is ignored for a fixed time.
 
-    ``R_k = r_k + r_k-1 + r_k-2`` with ``r_k = |y_k - 2 y_k-1 + y_k-2|``. It cannot see a frozen sensor, whose differences are
-    zero. The decision is ``fault_probability`` (0 or 1); precision is 0 while a sensor is ignored; beta is NaN.
+    ``R_k = r_k + r_k-1 + r_k-2`` with ``r_k = |y_k - 2 y_k-1 + y_k-2|``. It cannot detect a frozen sensor, whose differences are
+    zero. The decision is ``fault_probability`` (0 or 1). Precision is 0 while a sensor is ignored; beta is NaN.
 
     Parameters
     ----------
     threshold : float
-        On R_k, in standard deviations of the sensor's noise; the default is its 99.9 % quantile without fault.
+        Threshold on R_k, in standard deviations of the sensor's noise; by default its 99.9 % quantile without fault.
     duration : float
         Expected duration of a fault in seconds, for which the sensor is ignored.
     """
@@ -89,7 +89,7 @@ def learn_serfdi(sample, trust, memory, settings, work):
 
 
 def infer_by_filterpy(sample, trust, belief, model, actuators, learning, reach):
-    """Predict, decide and update by filterpy's Kalman filter. ``memory``: whether it has begun, its mean, its covariance."""
+    """Predict, decide and update by filterpy's Kalman filter. ``memory``: whether it has begun, mean, covariance."""
     n, memory, settings = len(model.A), learning.memory, learning.settings
     if memory[0]:
         kf = reference_filter(model.A, model.B, model.Q, memory[1 : n + 1], memory[n + 1 :].reshape(n, n))
@@ -107,21 +107,21 @@ def infer_by_filterpy(sample, trust, belief, model, actuators, learning, reach):
 class SERFDI(PrecisionLearner):
     """State estimation residual: a sensor whose innovation exceeds the threshold is ignored at this sample.
 
-    The estimate is a Kalman filter's that leaves ignored sensors out. The decision is ``fault_probability`` (0 or 1); beta is
-    NaN. Started from a belief that is sure and wrong it ignores every sample: give the controller an ``initial_mean``, or an
-    ``initial_covariance`` that admits what it does not know.
+    The estimate is that of a Kalman filter without the ignored sensors. The decision is ``fault_probability`` (0 or 1); beta is
+    NaN. From a certain and wrong initial belief it ignores every sample. Give the controller an ``initial_mean``, or an
+    ``initial_covariance`` that is large enough.
 
-    With ``filter="filterpy"`` that Kalman filter is filterpy's: it predicts, decides and updates, with the same outputs to
-    rounding (`ser_reference` is the same over recorded samples). It is for comparisons: it runs as Python, some hundred times
-    slower, in `BayesianController`, `LQGController` and `StateEstimator`; it cannot be compiled or exported; and it does not
-    limit the variance of states that no sensor sees, as ours does.
+    With ``filter="filterpy"`` filterpy's Kalman filter predicts, decides and updates, with the same outputs up to rounding
+    (`ser_reference` does so over recorded samples). It is for comparisons only. It runs as Python, some hundred times slower, in
+    `BayesianController`, `LQGController` and `StateEstimator`, and cannot be compiled or exported. It does not limit the variance
+    of states that no sensor sees.
 
     Parameters
     ----------
     threshold : float
-        On ``|y - C x_t|t-1|``, in standard deviations of the innovation.
+        Threshold on ``|y - C x_t|t-1|``, in standard deviations of the innovation.
     filter : {"own", "filterpy"}
-        Whose Kalman filter computes the estimate.
+        The Kalman filter in use.
     """
 
     threshold: float = 3.0
@@ -143,7 +143,7 @@ class SERFDI(PrecisionLearner):
         """See `PrecisionLearner.apart`."""
         if self.filter == "filterpy":
             raise ModelError(
-                f"{who} has a belief of its own, which SERFDI(filter='filterpy') would take from filterpy's Kalman filter; "
-                f"{instead}, or take filter='own'."
+                f"{who} has its own belief, which SERFDI(filter='filterpy') would replace by that of filterpy's Kalman filter; "
+                f"{instead}, or set filter='own'."
             )
         return self

@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 FURTHEST = 1e6
-"""Largest error, in standard deviations, that a distance is computed from: its square must stay finite."""
+"""Largest error for a distance, in standard deviations, so that its square remains finite."""
 
-INSTEAD = "do without ExplicitDetection"
-"""What to do where the learner must infer faults together with the state."""
+INSTEAD = "leave out ExplicitDetection"
+"""Advice for a learner that must infer faults together with the state."""
 
-# The memory is a table whose rows are as long as the wrapped learner's memory: that itself, its prior, then, one after the
-# other, for each group whether it has been triggered and for how many samples it has been quiet since, and for each sensor
-# whether a fault is detected. The settings likewise: the wrapped learner's, then HOLD and, for each group, LEARNED, its squared
-# BOUND, which sensors are in it, their means and their covariance (m x m). A row of a table can be handed on; a slice cannot.
+# The memory is a table whose rows are as long as the wrapped learner's memory. Its rows are that memory, the prior, and then, one
+# after the other: for each group whether it is triggered, and for how many samples it has been quiet; for each sensor whether a
+# fault is detected. The settings are a table of the wrapped learner's settings, then HOLD and, for each group, LEARNED, its
+# squared BOUND, its members, their means and their covariance (m x m). A row of a table can be passed on; a slice cannot.
 _PRIOR, _OWN_MEMORY, _OWN_SETTINGS = 1, 2, 1
 _HOLD, _GROUPS = 0, 1
 _LEARNED, _BOUND, _MEMBERS = 0, 1, 2
@@ -48,9 +48,9 @@ def _write(table, row, place, value):
 
 
 def _exceeds(at, sample, settings, L, v):
-    """Return whether the distance of a group's present sensors has reached its bound; the group's settings begin at `at`.
+    """Return whether the distance of a group's present sensors reaches its bound; the group's settings begin at `at`.
 
-    Other sensors stand in the matrix as independent ones without an error.
+    In the matrix, other sensors are independent ones without an error.
     """
     m = sample.e.shape[0]
     means = at + _MEMBERS + m
@@ -85,15 +85,15 @@ def _exceeds(at, sample, settings, L, v):
 
 @cache
 def _make_steps(
-    learn: Callable[..., None], report: Callable[..., None], scratch: int, first_own: int, groups: int
+    learn: Callable[..., None], report: Callable[..., None], scratch: int, first_detected: int, groups: int
 ) -> tuple[Callable[..., None], Callable[..., None]]:
-    """Return the learning and the reporting step function around those of a learner.
+    """Return the learning and reporting step functions that wrap those of a learner.
 
-    Its work matrices end before `scratch`, its own reports before `first_own`.
+    The learner's work matrices end before `scratch`, its reports before `first_detected`.
     """
 
     def learn_while_detected(sample, trust, memory, settings, work):
-        """Look for faults, let the wrapped learner see the sample, and use what it says if there is a fault."""
+        """Test for faults, call the wrapped learner, and use its result if there is a fault."""
         m = sample.y.shape[0]
         before = 0.0 * sample.nominal[0, 0]
         for g in range(groups):
@@ -105,11 +105,13 @@ def _make_steps(
         detected = 0.0 * sample.nominal[0, 0]
         for g in range(groups):
             at = _GROUPS + g * (_MEMBERS + 2 * m + m * m)
-            seen = 0.0 * sample.nominal[0, 0]  # a group of which no sensor delivered a sample stays as it is
+            any_present = 0.0 * sample.nominal[0, 0]  # a group without any sample remains as it is
             for i in range(m):
-                seen = maximum(seen, sample.present[i] * _read(settings, _OWN_SETTINGS, at + _MEMBERS + i))
+                any_present = maximum(
+                    any_present, sample.present[i] * _read(settings, _OWN_SETTINGS, at + _MEMBERS + i)
+                )
             exceeds = _exceeds(at, sample, settings, work[scratch], work[scratch + 1])
-            quiet = _read(memory, _OWN_MEMORY, groups + g) + seen
+            quiet = _read(memory, _OWN_MEMORY, groups + g) + any_present
             quiet = select(exceeds, 0.0, quiet)
             recovered = quiet >= _read(settings, _OWN_SETTINGS, _HOLD)
             active = select(exceeds, 1.0, select(recovered, 0.0, _read(memory, _OWN_MEMORY, g)))
@@ -128,44 +130,46 @@ def _make_steps(
             trust.precision[i] = select(detected > 0.5, trust.precision[i], 1.0 / sample.nominal[i, i])
 
     def report_detected(memory, settings, nominal, first, outputs):
-        """Write what the wrapped learner reports, then for each sensor whether a fault is detected."""
+        """Write the wrapped learner's outputs, then for each sensor whether a fault is detected."""
         report(memory[0], settings[0], nominal, first, outputs)
         for i in range(nominal.shape[0]):
-            outputs[first + first_own + i] = _read(memory, _OWN_MEMORY, 2 * groups + i)
+            outputs[first + first_detected + i] = _read(memory, _OWN_MEMORY, 2 * groups + i)
 
     return learn_while_detected, report_detected
 
 
 @dataclass(frozen=True)
 class ExplicitDetection(PrecisionLearner):
-    """Precision learning that is triggered by a threshold and released on recovery; implicit detection is the learner alone.
+    """Precision learning that a threshold triggers and recovery ends; implicit detection is the learner alone.
 
-    While no fault is detected every sensor has its nominal covariance, and the wrapped learner begins anew from its prior at
-    each sample: what it reports (``beta``, ``fault_probability``, its moments) is what this one sample says, and none of it is
-    used. The sample that triggers is the first it learns from, and the precision learned weights that very sample. From then on
-    it learns for all sensors, as it would alone. A group is triggered by its innovation's distance ``d_M`` and released after
-    `hold` below the threshold; the learner stops when no group is left. Sensors of a group whose sample is missing are left out
-    of the distance; a group without any sample stays as it is. The output ``detected`` (m; 1 while a group of the sensor is
-    triggered) joins those of the learner.
+    While no fault is detected, every sensor has its nominal covariance, and the wrapped learner restarts from its prior at each
+    sample. Its outputs (``beta``, ``fault_probability``, its moments) are then those of this one sample, and they are not used.
+    The sample that triggers is the first one that the learner keeps, and the learned precision weights that sample. From then on
+    it learns for all sensors, as it would alone.
+
+    A group is triggered by the distance ``d_M`` of its innovation, and released after `hold` below the threshold. The learner
+    stops when no group is triggered. Missing samples are left out of the distance; a group without any sample remains as it is.
+    The learner's outputs are extended by ``detected`` (m; 1 while a group of the sensor is triggered).
 
     Parameters
     ----------
     learning : PrecisionLearner
-        What learns; by default ``GammaPrecision()``.
+        The wrapped learner; by default ``GammaPrecision()``.
     threshold : float, FittedThreshold or a sequence with one for each group
-        A number is a bound on the distance by the model: from zero, with the covariance ``C P_t|t-1 C' + R`` (for one sensor:
-        standard deviations of its innovation), however many of the group's samples are missing. The default is the field's
-        three, at which false alarms are usual: each sensor of the shipped car is detected for 5 % of the time without a fault,
-        one of the two for 10 % (at four for 0.1 and 0.2 %). Chebyshev's inequality, which holds whatever the distribution,
-        asks ten for one sensor and alpha = 0.01, and then only large faults are seen. A fitted
-        threshold has moments of its own, learned from healthy innovations (with their sign) of the group's sensors:
-        ``ChebyshevThreshold().fit(healthy["controller.innovation"][:, [0, 1]])``; where samples are missing, its squared bound
-        shrinks with their number, as n / alpha does. `UnbiasedActiveInference` should have a fitted one: it has no covariance of
-        the belief, so that a number is in standard deviations of the sensor's noise alone, and the belief's lag behind a
-        motion counts as a fault: on the arm, without a fault, 3 detects one for all of the time, the fitted bound never.
+        A number is a bound on the distance by the model: from zero, with the covariance ``C P_t|t-1 C' + R``, for any number of
+        missing samples. For one sensor it is in standard deviations of the innovation. The default is the usual 3, with frequent
+        false alarms: each sensor of the shipped car is detected for 5 % of the time without a fault, one of the two for 10 % (at
+        4 for 0.1 and 0.2 %). Chebyshev's inequality, for any distribution, gives 10 for one sensor and alpha = 0.01, at which
+        only large faults are detected.
+
+        A fitted threshold has its own moments, learned from healthy innovations (with their sign) of the group's sensors:
+        ``ChebyshevThreshold().fit(healthy["controller.innovation"][:, [0, 1]])``. With missing samples its squared bound
+        decreases with their number, as n / alpha does. Use a fitted one for `UnbiasedActiveInference`, whose belief has no
+        covariance. A number is there in standard deviations of the sensor's noise alone, so that the belief's lag behind a
+        motion counts as a fault: on the arm without a fault, 3 detects one all of the time, the fitted bound never.
     groups : sequence of sequences of int, optional
-        Sensors that are judged together; by default each alone. For example ``((0, 1), (2, 3))``: two joints' encoders, and
-        their velocity encoders.
+        Sensors that are tested together; by default each alone. For example ``((0, 1), (2, 3))``: the position encoders of two
+        joints, and their velocity encoders.
     hold : float
         Seconds below the threshold after which a group has recovered, a whole number of the model's steps; the default is the
         paper's mean time to recovery (section 5.3).
@@ -184,7 +188,7 @@ class ExplicitDetection(PrecisionLearner):
     def __post_init__(self) -> None:
         if not isinstance(self.learning, PrecisionLearner) or isinstance(self.learning, ExplicitDetection):
             raise ModelError(
-                f"ExplicitDetection has learning={self.learning!r}; it must be a precision learner such as GammaPrecision()."
+                f"ExplicitDetection has learning={self.learning!r}; give a precision learner such as GammaPrecision()."
             )
         if self.groups is not None:
             object.__setattr__(self, "groups", _groups(self.groups))
@@ -198,17 +202,17 @@ class ExplicitDetection(PrecisionLearner):
         """See `PrecisionLearner.learner`."""
         m, wrapped = model.sensors, self.learning.apart("ExplicitDetection", INSTEAD).learner(model)
         groups = tuple((i,) for i in range(m)) if self.groups is None else self.groups
-        own: list[Floats] = [
+        further: list[Floats] = [
             np.array([whole_steps(self.hold, model.step, "ExplicitDetection's hold")], dtype=np.float64)
         ]
         for group, threshold in zip(groups, self._thresholds(len(groups)), strict=True):
-            own += self._group_settings(group, threshold, m)
+            further += self._group_settings(group, threshold, m)
         reported = sum(port.size for port in wrapped.ports)
         step, report = _make_steps(wrapped.step, wrapped.report, wrapped.work, reported, len(groups))
         return Learner(
             step,
             _table([wrapped.memory, wrapped.memory], np.zeros(2 * len(groups) + m)),
-            _table([wrapped.settings], np.concatenate(own)),
+            _table([wrapped.settings], np.concatenate(further)),
             work=wrapped.work + 2,
             ports=(*wrapped.ports, port("detected", (m,))),
             report=report,
@@ -232,16 +236,16 @@ class ExplicitDetection(PrecisionLearner):
         members, mean, covariance = np.zeros(sensors), np.zeros(sensors), np.eye(sensors)
         if not group or len(set(group)) < len(group) or not set(group) <= set(range(sensors)):
             raise ModelError(
-                f"ExplicitDetection has the group {tuple(group)} of sensors; it must name some of the model's {sensors} sensors, "
-                f"numbered from 0 to {sensors - 1}, each once."
+                f"ExplicitDetection has the group {tuple(group)} of sensors, but the model has {sensors} sensors. Give numbers "
+                f"from 0 to {sensors - 1}, each once."
             )
         members[list(group)] = 1.0
         if not isinstance(threshold, FittedThreshold):
             return [np.array([0.0, float(threshold) ** 2]), members, mean, covariance.ravel()]
         if threshold.size != len(group):
             raise ModelError(
-                f"A threshold that was learned for {threshold.size} residual(s) cannot judge the group {tuple(group)} of "
-                f"{len(group)} sensor(s); fit one for each group, to the innovations of its sensors."
+                f"The threshold is for {threshold.size} residual(s), but the group {tuple(group)} has {len(group)} sensor(s); "
+                "fit one for each group, to the innovations of its sensors."
             )
         mean[list(group)] = threshold.mean
         covariance[np.ix_(list(group), list(group))] = threshold.covariance
@@ -258,8 +262,8 @@ def _threshold(value: object) -> Any:
         return value
     if isinstance(value, ChebyshevThreshold):
         raise ModelError(
-            f"ExplicitDetection has threshold={value!r}, which has not been fitted; give it "
-            f"{value!r}.fit(residuals), learned from healthy innovations."
+            f"ExplicitDetection has threshold={value!r}, which is not fitted; give {value!r}.fit(residuals) with healthy "
+            "innovations."
         )
     as_number("ExplicitDetection has threshold", value, above=0, finite=False)
     return value
@@ -270,8 +274,8 @@ def _groups(value: object) -> tuple[tuple[int, ...], ...]:
     groups = [_members(group) for group in value] if isinstance(value, Sequence | np.ndarray) else []
     if not groups or None in groups:
         raise ModelError(
-            f"ExplicitDetection has groups={value!r}; give a list of groups, each a list of sensors by their numbers, as "
-            "[[0, 1], [2]], or None to judge each sensor alone."
+            f"ExplicitDetection has groups={value!r}; give a list of groups, each a list of sensors by number, as [[0, 1], [2]], "
+            "or None to test each sensor alone."
         )
     return tuple(group for group in groups if group is not None)
 
@@ -283,9 +287,9 @@ def _members(group: object) -> tuple[int, ...] | None:
     return tuple(int(i) for i in group) if whole else None
 
 
-def _table(rows: list[Floats], own: Floats) -> Floats:
-    """Return a table of the given rows and as many rows more as `own` needs."""
+def _table(rows: list[Floats], further: Floats) -> Floats:
+    """Return a table of the given rows, followed by the rows that `further` needs."""
     width = len(rows[0])
-    more = np.zeros(-(-len(own) // width) * width)
-    more[: len(own)] = own
+    more = np.zeros(-(-len(further) // width) * width)
+    more[: len(further)] = further
     return np.vstack([*rows, more.reshape(-1, width)])

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def reference_filter(A: Floats, B: Floats, Q: Floats, mean: Any, covariance: Floats) -> KalmanFilter:
-    """Return filterpy's Kalman filter of a model, with a belief.
+    """Return filterpy's Kalman filter for a model and an initial belief.
 
     Parameters
     ----------
@@ -22,12 +22,12 @@ def reference_filter(A: Floats, B: Floats, Q: Floats, mean: Any, covariance: Flo
     mean : number or ndarray of n
         Mean of the belief.
     covariance : ndarray, n x n
-        Its covariance.
+        Covariance of the belief.
     """
     from filterpy.kalman import KalmanFilter
 
     n, p = B.shape
-    kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=p)  # updates bring their own H and R, of the sensors that count
+    kf = KalmanFilter(dim_x=n, dim_z=1, dim_u=p)  # each update gives H and R of the sensors in use
     kf.F, kf.B, kf.Q = A, B, Q
     kf.x = np.broadcast_to(np.asarray(mean, float), n).reshape(n, 1).copy()
     kf.P = np.array(covariance)
@@ -37,18 +37,18 @@ def reference_filter(A: Floats, B: Floats, Q: Floats, mean: Any, covariance: Flo
 def update_by_ser(
     kf: KalmanFilter, sample: Floats, C: Floats, noise: Floats, threshold: float
 ) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Update the belief with the sensors whose innovation is below the threshold; return which present ones were ignored.
+    """Update the belief with the sensors whose innovation is below the threshold; return the ignored present ones.
 
     Parameters
     ----------
     kf : KalmanFilter
-        With the predicted belief.
+        The filter, with the predicted belief.
     sample : ndarray of m
         Samples; one that is not finite is missing.
     C, noise : ndarray, m x n and m x m
         What the sensors measure, and their covariance; a sensor with an infinite variance is left out.
     threshold : float
-        In standard deviations of the innovation.
+        Threshold in standard deviations of the innovation.
     """
     deviation = np.abs(sample - (C @ kf.x)[:, 0])
     present = np.isfinite(sample) & np.isfinite(np.diag(noise))

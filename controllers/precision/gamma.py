@@ -31,7 +31,7 @@ def _squared(i, sample, settings):
 
 
 def _report(i, a, b, settings, present, probability, trust):
-    """Turn shape and rate of sensor `i` into its precision, covariance, beta and probability."""
+    """Write precision, covariance, beta and probability of sensor `i` from shape and rate."""
     for j in range(trust.R.shape[0]):
         trust.R[i, j] = 0.0
         trust.R[j, i] = 0.0
@@ -44,7 +44,7 @@ def _report(i, a, b, settings, present, probability, trust):
 
 
 MOMENTS = ("shape", "rate", "mean", "mode", "variance")
-"""What the learner reports of each sensor's gamma distribution, as outputs ``precision_shape`` and so on."""
+"""Reported moments of each sensor's gamma distribution, as outputs ``precision_shape`` and so on."""
 
 
 def moment_ports(sensors: int) -> tuple[Port, ...]:
@@ -71,8 +71,8 @@ def _forgetting_learner(to_probability: Callable[..., float]) -> Callable[..., N
     def learn_gamma(sample, trust, memory, settings, work):
         """Forget, then learn from this sample: shape + 1/2, rate + e^2 / 2 (paper, section 3.2). ``memory``: shapes, rates.
 
-        Without a sample the distribution decays towards its prior; one that decays towards zero waits instead, for the shape
-        must not vanish.
+        Without a sample the distribution decays towards its prior. One that decays towards zero remains, because the shape must
+        not vanish.
         """
         m = sample.y.shape[0]
         a0 = settings[_SHAPE0]
@@ -127,28 +127,28 @@ def _window_learner(to_probability: Callable[..., float]) -> Callable[..., None]
 class GammaPrecision(RateLearner):
     """A gamma distribution over each sensor's precision, learned from its innovations (paper, section 3.2).
 
-    Each sample adds 1/2 to the shape and half the squared innovation to the rate; the new expected precision shape / rate
-    weights the same sample. Its ``beta`` output is the rate: the beta residual of section 4.2. Sensors are learned one by one:
-    a correlation in the model's sensor covariance is not used. It adds the outputs ``precision_shape``, ``precision_rate``,
-    ``precision_mean``, ``precision_mode`` and ``precision_variance`` to its controller, a number for each sensor.
+    Each sample adds 1/2 to the shape and half the squared innovation to the rate. The new expected precision, shape / rate,
+    weights the same sample. The ``beta`` output is the rate: the beta residual of section 4.2. Sensors are learned one by one; a
+    correlation in the model's sensor covariance is not used. The controller gets the outputs ``precision_shape``,
+    ``precision_rate``, ``precision_mean``, ``precision_mode`` and ``precision_variance``, with a number for each sensor.
 
     Parameters
     ----------
     forgetting : float or None
-        Forgetting factor in (0, 1] per step; None is the paper's literal update, which never forgets (and so trusts a
-        recovered sensor again only after many times the fault's length).
+        Forgetting factor in (0, 1] per step. None is the paper's literal update without forgetting; a recovered sensor then
+        regains its precision only after many times the fault's length.
     window : int or None
         Look-back window in steps (at most 64) instead of forgetting.
     prior_shape : float
-        Shape a0 of the prior; its rate is a0 times the sensor's nominal variance, so that the prior expects the nominal
-        variance. It counts as 2 a0 samples.
+        Shape a0 of the prior. Its rate is a0 times the sensor's nominal variance, so that the prior expects the nominal variance.
+        The prior counts as 2 a0 samples.
     forget_to : {"prior", "zero"}
         Whether shape and rate decay towards the prior (a <- rho a + (1 - rho) a0, likewise b), or towards zero
         (Sarkka and Nummenmaa, IEEE TAC 54, 2009).
     belief_uncertainty : bool
-        Whether the belief's own variance H P H' is added to the squared innovation; the paper leaves it out.
+        Whether to add the belief's variance H P H' to the squared innovation; the paper leaves it out.
     estimate : {"mean", "mode"}
-        Which precision is used: a / b or (a - 1) / b.
+        The precision in use: a / b or (a - 1) / b.
     calibration : Calibration or None
         Logistic map from beta to the fault probability; without one the probability is NaN.
     """
@@ -171,7 +171,7 @@ class GammaPrecision(RateLearner):
         self.check_calibration()
         if self.forget_to == "zero" and self.estimate == "mode" and (self.forgetting or 1.0) <= 0.5:
             raise ModelError(
-                "With forget_to='zero' the mode needs a forgetting factor above 0.5: else the shape falls below 1."
+                "With forget_to='zero' and estimate='mode', give a forgetting factor above 0.5, or the shape falls below 1."
             )
 
     def learner(self, model: LinearModel) -> Learner:

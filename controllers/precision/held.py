@@ -1,4 +1,4 @@
-"""Precisions that are held where a learner has brought them: what stands for the learner in a linearization."""
+"""Precisions held at the values of a learner at one instant, in place of the learner in a linearization."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
 REPORTED = ("precision", "beta", "fault_probability")
-"""The outputs of a controller that a learner writes besides ``R`` and its own."""
+"""The controller's common outputs that a learner writes, besides ``R``."""
 
 
 def keep_held(sample, trust, memory, settings, work):
-    """Trust every sensor as it is trusted where the learner is held; a sensor with an infinite variance is left out."""
+    """Use the held precisions; leave out a sensor with an infinite variance."""
     m = sample.y.shape[0]
     for i in range(m):
         for j in range(m):
@@ -34,7 +34,7 @@ def keep_held(sample, trust, memory, settings, work):
 
 
 def report_held(memory, settings, nominal, first, outputs):
-    """Write the learner's own outputs as they are where it is held."""
+    """Write the held values of the learner's further outputs."""
     begin = nominal.shape[0] * (nominal.shape[0] + 3)
     for i in range(begin, settings.shape[0]):
         outputs[first + i - begin] = settings[i]
@@ -42,16 +42,16 @@ def report_held(memory, settings, nominal, first, outputs):
 
 @dataclass(frozen=True)
 class HeldPrecision(PrecisionLearner):
-    """The trust in each sensor that a learner has at one instant, at all times.
+    """Constant precisions, those of a learner at one instant.
 
     Parameters
     ----------
     settings : tuple of float
-        The sensor covariance row by row, the outputs in `REPORTED`, and the learner's own.
+        The sensor covariance row by row, the outputs in `REPORTED`, and the learner's further outputs.
     ports : tuple of Port
-        The learner's own outputs.
+        The learner's further outputs.
     actuator_modes : tuple
-        The ways in which actuators fail that the learner tells.
+        The kinds of actuator faults that the learner distinguishes.
     """
 
     settings: tuple[float, ...]
@@ -64,16 +64,16 @@ class HeldPrecision(PrecisionLearner):
 
 
 def hold_precision(block: Any, ports: tuple[Port, ...], outputs: Mapping[str, Floats]) -> Any:
-    """Return a controller or an estimator in which the precision learner is held; itself if it learns nothing.
+    """Return a controller or an estimator with held precisions; the block itself if it learns nothing.
 
     Parameters
     ----------
     block : controller or estimator
-        With the setting ``precision``.
+        It has the setting ``precision``.
     ports : tuple of Port
-        Its learner's own outputs.
+        Its learner's further outputs.
     outputs : mapping of str to ndarray
-        What its outputs are at that instant.
+        Its outputs at that instant.
     """
     if isinstance(block.precision, FixedPrecision):
         return block

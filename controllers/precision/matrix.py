@@ -1,4 +1,4 @@
-"""A Wishart distribution over all sensors' precision matrix, as the learners of a full covariance keep it in their memory."""
+"""The Wishart distribution over the sensors' precision matrix in the memory of learners of a full covariance."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from bayesftc.cosim.types import Floats
 FORGETTING, PRIOR, TOWARDS, TO_PRIOR, LESS, BELIEF, SLOPE, INTERCEPT = range(8)
 
 LOOSENING = 1e-12
-"""By how much each step shrinks the correlations: far above a step's rounding, far below what could be noticed.
+"""Relative decrease of the correlations in each step: far above a step's rounding, far below any visible effect.
 
-It keeps ``V^-1 - LOOSENING * diag(V^-1)`` positive definite from step to step, so that rounding cannot make V^-1 indefinite, even
-where one sample was 1e6 standard deviations off or sensors agree exactly (Demmel, LAPACK working note 14, 1989).
+It keeps ``V^-1 - LOOSENING * diag(V^-1)`` positive definite, so that rounding cannot make V^-1 indefinite, even
+after a sample of 1e6 standard deviations or if sensors agree exactly (Demmel, LAPACK working note 14, 1989).
 """
 
 
 def any_of(present):
-    """Return 1 if any sensor delivered a sample, else 0."""
-    seen = present[0]
+    """Return 1 if any sensor has a sample, else 0."""
+    any_present = present[0]
     for i in range(1, present.shape[0]):
-        seen = maximum(seen, present[i])
-    return seen
+        any_present = maximum(any_present, present[i])
+    return any_present
 
 
-def forget(seen, memory, settings, nominal):
+def forget(any_present, memory, settings, nominal):
     """Let degrees of freedom and inverse scale decay. ``memory``: n, V^-1, V.
 
-    Without any sample a distribution that decays towards zero waits instead.
+    Without any sample a distribution that decays towards zero remains as it is.
     """
     m = nominal.shape[0]
-    rho = select(either(seen > 0.5, settings[TO_PRIOR] > 0.5), settings[FORGETTING], 1.0)
+    rho = select(either(any_present > 0.5, settings[TO_PRIOR] > 0.5), settings[FORGETTING], 1.0)
     memory[0] = rho * memory[0] + (1.0 - rho) * settings[TOWARDS]
     back = settings[TO_PRIOR] * (1.0 - rho) * settings[PRIOR]
     for i in range(m):
@@ -47,13 +47,13 @@ def forget(seen, memory, settings, nominal):
 
 
 def complete(present, memory, settings, nominal, T, Z, S):
-    """Turn the squared errors `T` of the sensors that delivered a sample into those expected of all sensors.
+    """Complete the squared errors `T` of the present sensors to expected ones of all sensors.
 
-    The missing ones are regressed on the present ones by the covariance expected so far: with G = S_mp S_pp^-1 and T the
-    squared errors of the present ones, ``[T, T G'; G T, G T G' + S_mm - G S_pm]``. That is the variational Bayes update for
-    missing data. It leaves the expected covariance of the missing sensors given the present ones as it was, and gives the
-    present ones what they would have got alone. All is done by factors, so the result cannot become indefinite. `Z` and `S`
-    are scratch space.
+    The missing sensors are regressed on the present ones by the expected covariance so far. With G = S_mp S_pp^-1 and T the
+    squared errors of the present ones, the result is ``[T, T G'; G T, G T G' + S_mm - G S_pm]``, the variational Bayes update for
+    missing data. It does not change the expected covariance of the missing sensors given the present ones, and the present ones
+    learn as they would alone. The computation uses factors, so that the result cannot become indefinite. `Z` and `S` are scratch
+    space.
     """
     m = nominal.shape[0]
     for i in range(m):
@@ -66,7 +66,7 @@ def complete(present, memory, settings, nominal, T, Z, S):
         shorten = sqrt(most / maximum(T[i, i], most))
         for c in range(m):
             Z[i, c] = shorten * Z[i, c]
-            T[i, c] = Z[i, c]  # what sensors eliminated so far leave unexplained
+            T[i, c] = Z[i, c]  # not explained by the sensors eliminated so far
     for k in range(m):
         for i in range(m):
             if i != k:
@@ -89,20 +89,20 @@ def complete(present, memory, settings, nominal, T, Z, S):
             T[j, i] = total
 
 
-def learn_errors(seen, T, memory, settings, nominal):
+def learn_errors(any_present, T, memory, settings, nominal):
     """Add the squared errors `T` to the inverse scale, and keep it positive definite: see `LOOSENING`."""
     m = nominal.shape[0]
-    memory[0] = memory[0] + seen
+    memory[0] = memory[0] + any_present
     for i in range(m):
         for j in range(m):
             at = 1 + i * m + j
-            total = memory[at] + select(seen > 0.5, T[i, j], 0.0)
+            total = memory[at] + select(any_present > 0.5, T[i, j], 0.0)
             least = RATE_FLOOR * settings[PRIOR] * nominal[i, i]
             memory[at] = maximum(total, least) if i == j else (1.0 - LOOSENING) * total
 
 
 def expected_covariance(present, memory, settings, R, used, precision, beta):
-    """Write the sensor covariance in use, V^-1 / (n - LESS), and the rate of each sensor's own marginal, half its V^-1."""
+    """Write the sensor covariance in use, V^-1 / (n - LESS), and the rate of each sensor's marginal, half its V^-1."""
     m = R.shape[0]
     for i in range(m):
         for j in range(m):
@@ -113,7 +113,7 @@ def expected_covariance(present, memory, settings, R, used, precision, beta):
 
 
 def invert(memory, lower, inverse):
-    """Write the scale V behind its inverse, as the product of a triangular matrix with its transpose."""
+    """Write the scale V after its inverse, as the product of a triangular matrix with its transpose."""
     m = lower.shape[0]
     for i in range(m):
         for j in range(m):

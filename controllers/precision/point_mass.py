@@ -42,12 +42,12 @@ def descend(w, squared, rate):
 @cache
 def _learner(step_down: Callable[..., float]) -> Callable[..., None]:
     def learn_point_mass(sample, trust, memory, settings, work):
-        """Take one gradient step for each sensor that delivered a sample. ``memory``: relative precisions."""
+        """Take one gradient step for each sensor with a sample. ``memory``: relative precisions."""
         m = sample.y.shape[0]
         for i in range(m):
             w = memory[i]
             squared = minimum(sample.e[i] * sample.e[i] / sample.nominal[i, i], ERROR_CAP)
-            best = 1.0 / squared  # where this sample's free energy is least; infinite for an error of 0
+            best = 1.0 / squared  # the minimum of this sample's free energy; infinite for an error of 0
             stepped = step_down(w, squared, settings[RATE])
             stepped = select(w > best, maximum(stepped, best), minimum(stepped, best))
             stepped = minimum(maximum(stepped, settings[LEAST]), settings[MOST])
@@ -65,7 +65,7 @@ def _learner(step_down: Callable[..., float]) -> Callable[..., None]:
 
 
 def report_point_mass(memory, settings, nominal, first, outputs):
-    """Write mean, mode and variance of each sensor's precision: one point, of which the variance is 0."""
+    """Write mean, mode and variance of each sensor's precision: a point estimate, with variance 0."""
     m = nominal.shape[0]
     for i in range(m):
         w = memory[i] / nominal[i, i]
@@ -78,35 +78,35 @@ def report_point_mass(memory, settings, nominal, first, outputs):
 class PointMassPrecision(PrecisionLearner):
     """One number for each sensor's precision, learned by gradient descent on the free energy (paper, section 3.1).
 
-    With w the precision relative to the nominal one and e the innovation in nominal standard deviations, each sample is worth
-    the free energy ``F = (w e^2 - ln w) / 2``, and each sample takes one step of size `rate` down it. Sensors are learned one
-    by one; a missing sample changes nothing. The learner never forgets: it moves back at its rate as soon as errors are small.
+    Let w be the precision relative to the nominal one, and e the innovation in nominal standard deviations. The free energy of a
+    sample is ``F = (w e^2 - ln w) / 2``, and each sample takes one step of size `rate` down its gradient. Sensors are learned one
+    by one; a missing sample changes nothing. There is no forgetting: w returns at its rate as soon as errors are small.
 
-    No step goes past this sample's own minimum ``w = 1 / e^2``: an explicit step that is too long would throw the precision
-    to and fro. A squared error is capped at 1e12, so one absurd sample takes the precision to its lower bound and no further.
+    No step goes past this sample's minimum ``w = 1 / e^2``, because too long an explicit step would oscillate. A squared error is
+    limited to 1e12, so that one absurd sample takes the precision to its lower bound and not further.
 
-    With ``full=True`` the precision matrix of all sensors together is learned, as the paper writes it, correlations included:
-    ``F = (e' Pi e - ln |Pi|) / 2``, by steps of the matrix's logarithm, which keep it positive definite (the module
-    `_point_mass_matrix` derives them). The bounds then hold for each eigenvalue of the precision relative to the nominal one. A
-    missing sensor keeps its covariance given the others. Innovations share the error of the prediction, which is taken for
-    correlated noise: where the noise of the sensors is independent, the diagonal is the better choice.
+    With ``full=True`` the precision matrix of all sensors is learned, as in the paper, with correlations:
+    ``F = (e' Pi e - ln |Pi|) / 2``, by steps of the matrix's logarithm, which keep it positive definite (derived in the module
+    `point_mass_matrix`). The bounds then hold for each eigenvalue of the precision relative to the nominal one. A missing sensor
+    keeps its covariance given the others. All innovations contain the error of the prediction, which counts as correlated noise;
+    for sensors with independent noise the diagonal is the better choice.
 
-    It adds the outputs ``precision_mean``, ``precision_mode`` (the same) and ``precision_variance`` (0) to its controller: m
-    numbers each, or m x m where the matrix is full. ``beta`` is NaN, for a point has no rate.
+    The controller gets the outputs ``precision_mean``, ``precision_mode`` (the same) and ``precision_variance`` (0): m numbers
+    each, or m x m if the matrix is full. ``beta`` is NaN, because a point estimate has no rate.
 
     Parameters
     ----------
     rate : float
         Size k of the gradient step. Near the optimum the logarithm of the precision settles within about 2 / k samples.
     lower_bound : float
-        Least precision, relative to the nominal one. It matters most: at 0.1 a faulty sensor still pulls the belief away.
+        Least precision, relative to the nominal one. This setting matters most: at 0.1 a faulty sensor still moves the belief.
     variance_bound : float
-        Least variance, relative to the nominal one (the paper's bound); at 1 no sensor is trusted more than the model does.
+        Least variance, relative to the nominal one (the paper's bound); at 1 no precision exceeds the nominal one.
     parameterization : {"exponential", "direct"}
-        Whether the step is taken by zeta = ln w (steps relative to w), or by w itself, which leaves a low precision by leaps,
-        as its gradient is 1 / w there.
+        The variable of the step: zeta = ln w, with steps relative to w; or w itself, which leaves a low precision in leaps,
+        because its gradient there is 1 / w.
     full : bool
-        Whether the full precision matrix is learned, by its logarithm ("exponential") only.
+        Whether to learn the full precision matrix; with "exponential" only.
     """
 
     rate: float = 0.1
@@ -123,18 +123,18 @@ class PointMassPrecision(PrecisionLearner):
         check_flags(self, "full")
         if self.full and self.parameterization == "direct":
             raise ModelError(
-                "PointMassPrecision has full=True and parameterization='direct', but a step of a matrix itself can leave the "
-                "positive definite ones; take 'exponential', or the diagonal."
+                "PointMassPrecision has full=True and parameterization='direct', but such a step can leave the positive definite "
+                "matrices; give 'exponential', or full=False."
             )
         if self.full and self.lower_bound * self.variance_bound < WIDEST:
             raise ModelError(
-                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}; for a full "
-                f"matrix their product must be at least {WIDEST:g}, or it may not be inverted."
+                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}. For a full "
+                f"matrix their product must be at least {WIDEST:g}, so that it can be inverted; give larger ones."
             )
         if self.lower_bound > 1 / self.variance_bound:
             raise ModelError(
-                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}; the "
-                "precision's lower bound must be at most 1 / variance_bound, its upper bound."
+                f"PointMassPrecision has lower_bound={self.lower_bound!r} and variance_bound={self.variance_bound!r}. Give a "
+                "lower bound of at most 1 / variance_bound, which is the upper bound."
             )
 
     def learner(self, model: LinearModel) -> Learner:
@@ -154,4 +154,4 @@ class PointMassPrecision(PrecisionLearner):
     @property
     def why_no_probability(self) -> str | None:
         """See `PrecisionLearner.why_no_probability`."""
-        return "PointMassPrecision holds one number for each precision and no rate, from which a probability could be told."
+        return "PointMassPrecision has a point estimate of each precision, but no rate from which a probability could follow."

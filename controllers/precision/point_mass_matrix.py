@@ -1,19 +1,19 @@
 """A point estimate of all sensors' precision matrix, by gradient descent on the free energy (paper, section 3.1).
 
 With V = Pi^-1 the free energy of a sample's innovations e is ``F = (e' Pi e - ln |Pi|) / 2``, and its derivative by Pi is
-``(e e' - V) / 2``. A step along it leaves the positive definite matrices. So the step is taken by the logarithm of the matrix, in
-coordinates in which the present matrix is the identity: with any factor ``Pi = M M'``, ::
+``(e e' - V) / 2``. A step along it can leave the positive definite matrices. The step is therefore one of the matrix's logarithm,
+in coordinates in which the present matrix is the identity. With any factor ``Pi = M M'``, ::
 
     Pi <- M exp(-k/2 (M' e e' M - I)) M'
 
-which is the geodesic down the gradient in the affine-invariant metric. It is positive definite for every rate, the same for every
-factor, in all units and any order of the sensors, and for one sensor the step of ``zeta = ln w``. As ``e e'`` has rank one the
-exponential has a closed form. For V, with s = e' Pi e, ::
+This is the geodesic down the gradient in the affine-invariant metric. It is positive definite for every rate. It does not depend
+on the factor, the units or the order of the sensors, and for one sensor it is the step of ``zeta = ln w``. As ``e e'`` has rank
+one the exponential has a closed form. For V, with s = e' Pi e, ::
 
     V <- exp(-k/2) V + (exp(k/2 (s - 1)) - exp(-k/2)) e e' / s
 
-Where sensors deliver no sample, F is that of the others, whose covariance is a block of V; its gradient leaves the covariance of
-the missing ones given the others as it was.
+With missing samples, F is that of the present sensors, whose covariance is a block of V. Its gradient does not change the
+covariance of the missing sensors given the present ones.
 """
 
 from bayesftc.controllers.estimation.filter import keep_only
@@ -31,17 +31,17 @@ from bayesftc.controllers.precision.matrix import invert
 from bayesftc.cosim.ops import exp, maximum, minimum, select, sqrt
 
 WIDEST = 1e-10
-"""Least ratio of the bounds: matrices whose eigenvalues are farther apart are not inverted reliably."""
+"""Least ratio of the bounds; matrices with more distant eigenvalues cannot be inverted reliably."""
 
 RATE, LEAST, MOST = range(3)
 """Settings: size of the step, bounds of the relative precision."""
 
 WORK = 6
-"""How many m x m matrices of scratch space it needs."""
+"""Number of m x m matrices of scratch space."""
 
 
 def learn_matrix(sample, trust, memory, settings, work):
-    """Take one gradient step by the samples that there are. ``memory``: one unused number, the covariance, its inverse."""
+    """Take one gradient step with the present samples. ``memory``: one unused number, the covariance, its inverse."""
     m = sample.y.shape[0]
     for i in range(m):
         for j in range(m):
@@ -71,7 +71,7 @@ def learn_matrix(sample, trust, memory, settings, work):
 
 
 def _descend(e, present, nominal, settings, V, L, X, K, error, weighed, along):
-    """Take the step: V as above, but not past this sample's own minimum along e, where s would be 1."""
+    """Take the step of V as above, but not past this sample's minimum along e, where s is 1."""
     m = V.shape[0]
     for i in range(m):
         largest = sqrt(ERROR_CAP * nominal[i, i])
@@ -83,7 +83,7 @@ def _descend(e, present, nominal, settings, V, L, X, K, error, weighed, along):
     keep_only(present, L)
     cholesky(L, L)
     solve_columns(L, X)
-    multiply(V, X, K)  # what of the covariance the present sensors explain: all of it, if none is missing
+    multiply(V, X, K)  # the covariance explained by the present sensors; V itself if none is missing
     solve_vector(L, weighed)
     s = 0.0 * e[0]
     for i in range(m):
@@ -102,19 +102,19 @@ def _descend(e, present, nominal, settings, V, L, X, K, error, weighed, along):
             V[j, i] = V[i, j]
 
 
-def _bound(nominal, settings, V, root, rows, relative, vectors, factor, nothing):
-    """Hold the eigenvalues of the covariance relative to the nominal one within its bounds."""
+def _bound(nominal, settings, V, root, rows, relative, vectors, factor, no_values):
+    """Limit the eigenvalues of the covariance relative to the nominal one to their bounds."""
     m = V.shape[0]
     cholesky(nominal, root)
     for i in range(m):
-        nothing[0, i] = 0.0
+        no_values[0, i] = 0.0
         for j in range(m):
             rows[i, j] = V[i, j]
-    whiten(root, rows, nothing[0])
+    whiten(root, rows, no_values[0])
     for i in range(m):
         for j in range(m):
             relative[i, j] = rows[j, i]
-    whiten(root, relative, nothing[0])
+    whiten(root, relative, no_values[0])
     for i in range(m):
         for j in range(i):
             relative[i, j] = 0.5 * (relative[i, j] + relative[j, i])
@@ -132,7 +132,7 @@ def _bound(nominal, settings, V, root, rows, relative, vectors, factor, nothing)
 
 
 def report_matrix(memory, settings, nominal, first, outputs):
-    """Write mean, mode and variance of the precision matrix: one point, of which the variance is 0."""
+    """Write mean, mode and variance of the precision matrix: a point estimate, with variance 0."""
     size = nominal.shape[0] * nominal.shape[0]
     for i in range(size):
         outputs[first + i] = memory[1 + size + i]

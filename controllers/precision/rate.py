@@ -1,4 +1,4 @@
-"""What the learners with a rate share: the map from that rate to a fault probability, and the checks of common settings."""
+"""Common parts of learners with a rate: the map from the rate to a fault probability, and checks of settings."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Calibration:
     Parameters
     ----------
     slope : float
-        Of the log-odds over x.
+        Slope of the log-odds over x.
     intercept : float
         The log-odds at x = 0.
     feature : {"log", "linear"}
-        What x is.
+        Which feature x is.
     """
 
     slope: float
@@ -44,7 +44,7 @@ class Calibration:
 
 
 def _no_probability(ratio, slope, intercept):
-    """Without a calibration: NaN, which stands where the slope would."""
+    """Return NaN, which is the slope of a missing calibration."""
     return slope
 
 
@@ -57,7 +57,7 @@ def _logistic_of_log(ratio, slope, intercept):
 
 
 def probability_map(calibration: Calibration | None) -> tuple[Callable[..., float], float, float]:
-    """Return the function of ``(beta / b0, slope, intercept)`` that a learner calls, and its slope and intercept."""
+    """Return the function of ``(beta / b0, slope, intercept)`` for a learner, with its slope and intercept."""
     if calibration is None:
         return _no_probability, NAN, NAN
     function = _logistic_of_log if calibration.feature == "log" else _logistic
@@ -65,30 +65,28 @@ def probability_map(calibration: Calibration | None) -> tuple[Callable[..., floa
 
 
 class RateLearner(PrecisionLearner):
-    """Base of the learners that have a rate for each sensor, ``beta``, and take a calibration.
+    """Base of the learners that have a rate for each sensor, ``beta``, and accept a calibration.
 
-    `calibrate` takes any of them. A subclass is a dataclass with the field ``calibration: Calibration | None = None``, says by
-    ``prior_rates(model)`` what its rates are before the first sample, and applies the calibration to ``beta / prior_rates`` in
-    its learning step function; without a calibration its ``fault_probability`` is NaN.
+    `calibrate` accepts any of them. A subclass is a dataclass with the field ``calibration: Calibration | None = None``. Its
+    method ``prior_rates(model)`` returns the rates before the first sample. Its learning step function applies the calibration
+    to ``beta / prior_rates``; without a calibration its ``fault_probability`` is NaN.
     """
 
     calibration: Calibration | None
 
     def prior_rates(self, model: LinearModel) -> Floats:
-        """Return the prior's rate of each sensor, which the calibration's beta is relative to."""
-        raise TypeError(
-            f"{type(self).__name__} does not say what its prior's rates are: give it a method prior_rates(model)."
-        )
+        """Return the prior's rate of each sensor, to which the calibration's beta is relative."""
+        raise TypeError(f"{type(self).__name__} has no method prior_rates(model); give it one.")
 
     @property
     def why_no_probability(self) -> str | None:
         """See `PrecisionLearner.why_no_probability`."""
         if self.calibration is not None:
             return None
-        return f"{type(self).__name__} has no calibration: fit one with controllers.calibrate(...) and pass it as calibration=."
+        return f"{type(self).__name__} has no calibration; fit one with controllers.calibrate(...) and give it as calibration=."
 
     def check_calibration(self) -> None:
-        """Refuse what is no calibration.
+        """Refuse anything else than a calibration.
 
         Raises
         ------
@@ -97,6 +95,6 @@ class RateLearner(PrecisionLearner):
         """
         if not (self.calibration is None or isinstance(self.calibration, Calibration)):
             raise ModelError(
-                f"{type(self).__name__} has calibration={self.calibration!r}; give a Calibration(slope, intercept), as "
-                "controllers.calibrate(...) finds, or None."
+                f"{type(self).__name__} has calibration={self.calibration!r}; give a Calibration(slope, intercept), such as the "
+                "result of controllers.calibrate(...), or None."
             )

@@ -1,4 +1,4 @@
-"""Robust updates, published relatives of precision learning: each sample has a weight of its own, and nothing is remembered."""
+"""Robust updates from the literature: each sample has its own weight, and there is no memory."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
 NO_PROBABILITY = (
-    "weighs each sample by itself and holds no belief about its sensor, from which a probability could be told."
+    "weights each sample by itself and has no belief about the sensor from which a probability could follow."
 )
 
 
 def mahalanobis(present, nominal, E, L):
-    """Return the trace of E R^-1 over the sensors that delivered a sample; `E` is overwritten."""
+    """Return the trace of E R^-1 over the sensors with a sample; `E` is overwritten."""
     m = nominal.shape[0]
     for i in range(m):
         for j in range(m):
-            there = present[i] * present[j] > 0.5
-            L[i, j] = select(there, nominal[i, j], 1.0 if i == j else 0.0)
-            E[i, j] = select(there, E[i, j], 0.0)
+            both_present = present[i] * present[j] > 0.5
+            L[i, j] = select(both_present, nominal[i, j], 1.0 if i == j else 0.0)
+            E[i, j] = select(both_present, E[i, j], 0.0)
     cholesky(L, L)
     solve_columns(L, E)
     total = E[0, 0]
@@ -95,7 +95,7 @@ def _student_learner(iterations: int) -> Callable[..., None]:
 
 
 def learn_weighted(sample, trust, memory, settings, work):
-    """Weigh each sample by its innovation. ``memory``: the weights, for the report."""
+    """Weight each sample by its innovation. ``memory``: the weights, for the report."""
     m = sample.y.shape[0]
     joint, c2 = settings[_JOINT], settings[_PARAMETER] * settings[_PARAMETER]
     weights, E = work[0], work[1]
@@ -115,20 +115,20 @@ def learn_weighted(sample, trust, memory, settings, work):
 class StudentTUpdate(PrecisionLearner):
     """The robust Student-t update: heavy-tailed sensor noise, by variational Bayes (Huang et al., IEEE TAES 53, 2017).
 
-    The noise is Gaussian with covariance R / lambda, and lambda, gamma distributed with mean 1, is inferred anew at each sample:
+    The noise is Gaussian with covariance R / lambda, where lambda is gamma distributed with mean 1. Each sample infers it anew:
     ``E[lambda] = (d + v) / (v + tr(E R^-1))`` with ``E = r r' + H P H'`` of the belief updated by R / E[lambda], iterated from
-    lambda = 1. It adds the output ``precision_weight``, E[lambda] for each sensor; ``beta`` is NaN.
+    lambda = 1. The controller gets the output ``precision_weight``, E[lambda] for each sensor; ``beta`` is NaN.
 
     Parameters
     ----------
     degrees_of_freedom : float
-        v of the t distribution; the smaller, the heavier its tails. The weight of a sample cannot exceed (1 + v) / v. At 5 the
-        noise still has the moments up to the fourth.
+        v of the t distribution; smaller values give heavier tails. The weight of a sample is at most (1 + v) / v. At 5 the
+        noise still has moments up to the fourth.
     iterations : int
-        How often lambda is inferred in a sample (1 to 20).
+        Number of iterations for lambda in a sample (1 to 20).
     joint : bool
-        One lambda for all sensors together (d of them), as published; then one failed sensor takes the others' weight with
-        its own. By default each sensor has its own (d = 1), and a correlation in the model's covariance is not used.
+        One lambda for all sensors (d of them), as published; one failed sensor then reduces the weight of the others as well. By
+        default each sensor has its own (d = 1), and a correlation in the model's covariance is not used.
     """
 
     degrees_of_freedom: float = 5.0
@@ -154,18 +154,19 @@ class StudentTUpdate(PrecisionLearner):
 
 @dataclass(frozen=True)
 class WeightedLikelihood(PrecisionLearner):
-    """The weighted-likelihood filter: a sample counts less the further it is off (Duran-Martin et al., arXiv 2405.05646, 2024).
+    """The weighted-likelihood filter: large innovations get small weights (Duran-Martin et al., arXiv 2405.05646, 2024).
 
     With e the innovation in nominal standard deviations, its log-likelihood has the weight ``w = c^2 / (c^2 + e^2)`` (the inverse
-    multiquadric), so its covariance is R / w. It adds the output ``precision_weight``, w for each sensor; ``beta`` is NaN.
+    multiquadric), so its covariance is R / w. The controller gets the output ``precision_weight``, w for each sensor; ``beta``
+    is NaN.
 
     Parameters
     ----------
     c : float
-        At how many standard deviations a sample has half its weight; 3, where `SERFDI` by default leaves it out.
+        Number of standard deviations at which a sample has half its weight; 3 is also the default threshold of `SERFDI`.
     joint : bool
-        One weight for all sensors together by ``e' R^-1 e``, as published; then one failed sensor takes the others' weight
-        with its own. By default each sensor has its own, and a correlation in the model's covariance is not used.
+        One weight for all sensors by ``e' R^-1 e``, as published; one failed sensor then reduces the weight of the others as
+        well. By default each sensor has its own, and a correlation in the model's covariance is not used.
     """
 
     c: float = 3.0

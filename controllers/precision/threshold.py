@@ -1,4 +1,4 @@
-"""Thresholds that hold for any distribution of the residual: Chebyshev's inequality with moments learned on healthy data."""
+"""Thresholds for any distribution of the residual, by Chebyshev's inequality with moments of healthy data."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 class FittedThreshold:
     """A threshold on the Mahalanobis distance ``d_M = sqrt((r - mean)' covariance^-1 (r - mean))`` of a residual r.
 
-    Made by `ChebyshevThreshold.fit`; a value of plain numbers, which can be compared, pickled and written into a scenario file.
+    Made by `ChebyshevThreshold.fit`. It contains plain numbers, and can be compared, pickled and written into a scenario file.
 
     Parameters
     ----------
     mean : sequence of n numbers
         Mean of the healthy residual.
     covariance : n rows of n numbers
-        Its covariance.
+        Covariance of the healthy residual.
     bound : float
-        The distance from which on a residual is called faulty.
+        Least distance of a residual that counts as faulty.
 
     Raises
     ------
@@ -68,15 +68,15 @@ class FittedThreshold:
         Parameters
         ----------
         residual : array, shape (..., n)
-            For n = 1 also of any shape without the last axis.
+            The residuals; for n = 1 the last axis may be missing.
         """
         r = np.asarray(residual, dtype=np.float64)
         if self.size == 1 and (r.ndim < 2 or r.shape[-1] != 1):
             r = r[..., None]
         if r.ndim == 0 or r.shape[-1] != self.size:
             raise ModelError(
-                f"The residual has the shape {r.shape}, but the threshold was learned for {self.size} elements; they must stand "
-                "along the last axis."
+                f"The residual has the shape {r.shape}, but the threshold is for {self.size} elements; put the elements along "
+                "the last axis."
             )
         centred = (r - np.asarray(self.mean)).reshape(-1, self.size).T
         whitened = np.linalg.solve(np.linalg.cholesky(np.asarray(self.covariance)), centred)
@@ -95,18 +95,18 @@ class FittedThreshold:
 
 @dataclass(frozen=True)
 class ChebyshevThreshold:
-    """Learns a threshold that a healthy residual exceeds with at most the probability `alpha`, whatever its distribution.
+    """Learns a threshold that a healthy residual exceeds with at most the probability `alpha`, for any distribution.
 
-    By the multivariate Chebyshev inequality ``Pr[d_M^2 >= n / alpha] <= alpha`` for every distribution of n elements with this
-    mean and covariance. The moments are those of the samples, so the promise holds as far as these are known.
+    By the multivariate Chebyshev inequality, ``Pr[d_M^2 >= n / alpha] <= alpha`` for every distribution of n elements with this
+    mean and covariance. The moments are those of the samples, so the bound is as accurate as these.
 
     Parameters
     ----------
     alpha : float
         Bound on the false-alarm rate, in (0, 1).
     form : {"robust", "printed"}
-        ``"robust"`` puts the threshold on d_M at sqrt(n / alpha). ``"printed"`` puts it at n / alpha, as the paper's predecessor
-        prints it, which is far looser.
+        ``"robust"`` sets the threshold on d_M to sqrt(n / alpha). ``"printed"`` sets it to n / alpha, as printed in the paper's
+        predecessor, which is far looser.
     """
 
     alpha: float = 0.01
@@ -122,33 +122,32 @@ class ChebyshevThreshold:
         Parameters
         ----------
         residuals : array, shape (N, n) or (N,)
-            In the order in which they came. More than n / alpha are needed: of fewer, a new sample is the most extreme of all
-            more often than `alpha`, so that no threshold learned from them can promise it (Stellato et al., The American
+            The residuals in order of time. There must be more than n / alpha. With fewer, a new sample is the most extreme of
+            all more often than `alpha`, so that no threshold learned from them can guarantee it (Stellato et al., The American
             Statistician 71, 2017).
         faulty : array of bool, shape (N,), optional
-            Whether a fault was present, where that is known; all must be False.
+            Whether a fault was present, if known; all must be False.
 
         Raises
         ------
         ModelError
-            If there are too few samples, some are not finite, their covariance is singular, or they are evidently faulty: so
-            labelled; with a run of equal values that is no chance; with more than 5 % of them beyond 5 robust standard
-            deviations, or 2 % beyond 10; or with a level or spread in one twentieth of the record (50 samples at least) that is
-            unlike another's.
+            If there are too few samples, some are not finite, their covariance is singular, or they are evidently faulty. They
+            are if labelled so, if a run of equal values is too long for chance, or if more than 5 % are beyond 5 robust standard
+            deviations or 2 % beyond 10. They also are if level or spread in one twentieth of the record (at least 50 samples)
+            differs from that of another part.
 
         Notes
         -----
-        The rules against faulty samples do not depend on `alpha`. None of 200 healthy records of each kind was refused, at 1000
-        and at 2000 samples: normal, Laplace, log-normal and Student's t noise (3 degrees of freedom), correlated noise (0.9
-        from sample to sample), and the shipped car on four references. Of faulty records of that car (freeze, injection of 3 to
-        20 standard deviations, drift of 2 or 5 a second, tenfold noise) 99 % were refused with the fault present for 10 %
-        of the time, and 99.9 % with 20 to 60 %. What is not seen: a fault that lasts for the whole record or for less
-        than 5 % of it, and one below 1.4 standard deviations. A healthy record is refused if it holds a single transient, or
-        fewer than five periods of a slow swing, that stands out of the noise, and often if it is correlated over more than a
-        hundredth of its length: record longer, leave the transient out, or, where the threshold is to allow for it, record it
-        several times.
+        The rules against faulty samples do not depend on `alpha`. They refused none of 200 healthy records of each kind, with
+        1000 and with 2000 samples: normal, Laplace, log-normal and Student's t noise (3 degrees of freedom), correlated noise
+        (0.9 from sample to sample), and the shipped car on four references. Of faulty records of that car (freeze, injection of 3
+        to 20 standard deviations, drift of 2 or 5 a second, tenfold noise) they refused 99 % with the fault present for 10 % of
+        the time, and 99.9 % with 20 to 60 %. They do not detect a fault that lasts for the whole record or for less than 5 % of
+        it, nor one below 1.4 standard deviations. They refuse a healthy record with a single transient, or with fewer than five
+        periods of a slow oscillation, above the noise, and often one that is correlated over more than a hundredth of its length.
+        In that case record longer, leave the transient out, or, if the threshold should allow for it, record it several times.
         """
-        samples = as_numbers("The residuals", residuals, "they must be numbers, a row for each sample")
+        samples = as_numbers("The residuals", residuals, "give numbers, with a row for each sample")
         samples = samples[:, None] if samples.ndim == 1 else samples
         if samples.ndim != 2 or not samples.shape[1]:
             raise ModelError(f"The residuals have the shape {samples.shape}; give a row for each sample.")
@@ -181,15 +180,15 @@ def _refuse_faulty(samples: Floats, faulty: ArrayLike | None) -> None:
         labels = np.asarray(faulty)
         if labels.shape != (len(samples),):
             raise ModelError(
-                f"faulty has the shape {labels.shape}; it must have one label for each of {len(samples)} samples."
+                f"faulty has the shape {labels.shape}; give one label for each of the {len(samples)} samples."
             )
         if np.count_nonzero(labels):
             raise ModelError(
-                f"{np.count_nonzero(labels)} of the {len(samples)} samples are labelled faulty, but a threshold is learned from "
-                "healthy ones; leave them out: residuals[~faulty]."
+                f"{np.count_nonzero(labels)} of the {len(samples)} samples are labelled faulty, but a threshold must be learned "
+                "from healthy ones; leave them out: residuals[~faulty]."
             )
     for column, values in enumerate(samples.T):
-        if why := why_unhealthy(values):
+        if evidence := why_unhealthy(values):
             raise ModelError(
-                f"No threshold can be learned from these residuals: number {column} {why}; give healthy samples only."
+                f"No threshold can be learned from these residuals. Number {column} {evidence}; give healthy samples only."
             )

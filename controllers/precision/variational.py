@@ -1,4 +1,4 @@
-"""The variational-Bayes adaptive Kalman filter, a published relative of precision learning, as a precision learner."""
+"""The variational-Bayes adaptive Kalman filter as a precision learner."""
 
 from __future__ import annotations
 
@@ -76,15 +76,15 @@ def _diagonal_learner(to_probability: Callable[..., float], iterations: int) -> 
 @cache
 def _full_learner(to_probability: Callable[..., float], iterations: int) -> Callable[..., None]:
     def learn_covariance(sample, trust, memory, settings, work):
-        """Iterate between the belief and the covariance. ``memory``: n, V^-1, V; V holds the V^-1 before this sample."""
+        """Iterate between the belief and the covariance. ``memory``: n, V^-1, V, or here the former V^-1 for V."""
         m = sample.y.shape[0]
-        seen = any_of(sample.present)
+        any_present = any_of(sample.present)
         prepare(sample.e, sample.spread, sample.nominal, work)
-        forget(seen, memory, settings, sample.nominal)
+        forget(any_present, memory, settings, sample.nominal)
         degrees = memory[0]
         for at in range(1, 1 + m * m):
             memory[m * m + at] = memory[at]
-        memory[0] = degrees + seen
+        memory[0] = degrees + any_present
         for _ in range(iterations):
             expected_covariance(sample.present, memory, settings, trust.R, trust.used, trust.precision, trust.beta)
             errors_after(sample.present, trust.R, work)
@@ -92,7 +92,7 @@ def _full_learner(to_probability: Callable[..., float], iterations: int) -> Call
             for at in range(1, 1 + m * m):
                 memory[at] = memory[m * m + at]
             complete(sample.present, memory, settings, sample.nominal, work[0], work[12], work[13])
-            learn_errors(seen, work[0], memory, settings, sample.nominal)
+            learn_errors(any_present, work[0], memory, settings, sample.nominal)
         invert(memory, work[0], work[1])
         for i in range(m):
             trust.beta[i] = 0.5 * memory[1 + i * m + i]
@@ -107,14 +107,13 @@ def _full_learner(to_probability: Callable[..., float], iterations: int) -> Call
 class VariationalBayesKF(RateLearner):
     """The variational-Bayes adaptive Kalman filter (Sarkka and Nummenmaa, IEEE TAC 54, 2009).
 
-    It differs from `GammaPrecision` in three ways: a sample's rate grows by the squared *residual* after the update and the
-    belief's own variance H P H'; belief and rates are iterated to agree with each other; and shape and rate decay towards
-    zero (they wait while a sample is missing, for the shape must not vanish). Each iteration updates the belief by
-    R = diag(b / a), then the rates by that belief, as published: the covariance in use is that of the last iteration's start,
-    and ``beta`` the rate at its end.
+    It differs from `GammaPrecision` in three ways. A sample adds to the rate the squared *residual* after the update and the
+    belief's variance H P H'. Belief and rates are iterated until they agree. Shape and rate decay towards zero, but not while a
+    sample is missing, because the shape must not vanish. Each iteration updates the belief by R = diag(b / a), then the rates by
+    that belief, as published. The covariance in use is that at the start of the last iteration, ``beta`` the rate at its end.
 
-    It adds the outputs of `GammaPrecision` to its controller, or with ``covariance="full"`` those of `WishartPrecision`. In a
-    controller without a covariance of its belief the update changes nothing, and one iteration is as good as more.
+    The controller gets the outputs of `GammaPrecision`, or with ``covariance="full"`` those of `WishartPrecision`. In a
+    controller without a covariance of its belief one iteration suffices, because the update changes nothing.
 
     Parameters
     ----------
@@ -123,10 +122,10 @@ class VariationalBayesKF(RateLearner):
     iterations : int
         Fixed-point iterations in a sample (1 to 20); 2 or 3 are usual.
     prior_shape : float
-        Shape a0 of each sensor's prior. Its rate is such that the model's variance is expected: a0 R for a diagonal
-        covariance, (a0 - 1) R for a full one.
+        Shape a0 of each sensor's prior. Its rate makes the prior expect the model's variance: a0 R for a diagonal covariance,
+        (a0 - 1) R for a full one.
     covariance : {"diagonal", "full"}
-        One gamma distribution for each sensor, or an inverse Wishart distribution over their covariance matrix (Sarkka and
+        One gamma distribution for each sensor, or one inverse Wishart distribution over the covariance matrix (Sarkka and
         Hartikainen, arXiv 1302.0681, 2013), with missing sensors as in `WishartPrecision`.
     calibration : Calibration or None
         Logistic map from beta to the fault probability; without one the probability is NaN.

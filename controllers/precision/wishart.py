@@ -1,4 +1,4 @@
-"""A Wishart distribution over the precision matrix of all sensors together (paper, section 3.2), for correlated sensors."""
+"""A Wishart distribution over the precision matrix of all sensors (paper, section 3.2), for correlated sensors."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
     def learn_wishart(sample, trust, memory, settings, work):
         """Forget, then learn from this sample: n + 1, V^-1 + e e' (paper, section 3.2)."""
         m = sample.y.shape[0]
-        seen = any_of(sample.present)
-        forget(seen, memory, settings, sample.nominal)
+        any_present = any_of(sample.present)
+        forget(any_present, memory, settings, sample.nominal)
         T = work[0]
         for i in range(m):
             for j in range(m):
@@ -52,7 +52,7 @@ def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
                 both = maximum(minimum(sample.e[i], a), -a) * maximum(minimum(sample.e[j], b), -b)
                 T[i, j] = both + settings[BELIEF] * sample.spread[i, j]
         complete(sample.present, memory, settings, sample.nominal, T, work[1], work[2])
-        learn_errors(seen, T, memory, settings, sample.nominal)
+        learn_errors(any_present, T, memory, settings, sample.nominal)
         invert(memory, work[0], work[1])
         expected_covariance(sample.present, memory, settings, trust.R, trust.used, trust.precision, trust.beta)
         for i in range(m):
@@ -67,33 +67,33 @@ def _learner(to_probability: Callable[..., float]) -> Callable[..., None]:
 class WishartPrecision(RateLearner):
     """A Wishart distribution over the precision matrix of all sensors, learned from their innovations (paper, section 3.2).
 
-    Each sample adds 1 to the degrees of freedom n and e e' to the inverse scale V^-1; the new expected precision n V weights
-    the same sample. The prior expects the model's sensor covariance, correlations included. ``beta`` is half the diagonal of
-    V^-1: the rate of the gamma distribution that 1 / R_ii has, and with one sensor exactly `GammaPrecision`'s.
+    Each sample adds 1 to the degrees of freedom n and e e' to the inverse scale V^-1. The new expected precision n V weights the
+    same sample. The prior expects the model's sensor covariance, with its correlations. ``beta`` is half the diagonal of V^-1,
+    the rate of the gamma distribution of 1 / R_ii; with one sensor it equals that of `GammaPrecision`.
 
-    Where some sensors deliver no sample, the errors expected of them (given the others, by the covariance learned so far) stand
-    in: the present ones learn what they would have learned alone, the missing ones keep their covariance given the others.
-    Where all are silent, the distribution only forgets.
+    For missing samples, the expected errors given the present ones, by the covariance learned so far, are used. The present
+    sensors then learn as they would alone, and the missing ones keep their covariance given the others. If all samples are
+    missing, the distribution only forgets.
 
-    Innovations share the error of the prediction, and the learner takes what they share for correlated noise.
+    All innovations contain the error of the prediction, which counts as correlated noise.
 
-    It adds the outputs ``precision_degrees_of_freedom`` and, as m x m matrices, ``precision_scale``, ``precision_mean``,
-    ``precision_mode`` and ``precision_variance`` to its controller.
+    The controller gets the output ``precision_degrees_of_freedom`` and, as m x m matrices, ``precision_scale``,
+    ``precision_mean``, ``precision_mode`` and ``precision_variance``.
 
     Parameters
     ----------
     forgetting : float or None
         Forgetting factor in (0, 1] per step; None never forgets.
     degrees_of_freedom : float or None
-        Those of the prior, n0, above m - 1 for m sensors; it counts as n0 samples. By default m + 3, at which each 1 / R_ii has
-        the shape 2 of `GammaPrecision`'s default prior, however many sensors there are.
+        Degrees of freedom n0 of the prior, above m - 1 for m sensors; the prior counts as n0 samples. At the default m + 3 each
+        1 / R_ii has the shape 2 of `GammaPrecision`'s default prior, for any number of sensors.
     forget_to : {"prior", "zero"}
-        Whether n and V^-1 decay towards their prior (n <- rho n + (1 - rho) n0, likewise V^-1), or V^-1 towards zero and
-        n - m - 1 likewise (Sarkka and Hartikainen, arXiv 1302.0681, 2013).
+        Whether n and V^-1 decay towards their prior (n <- rho n + (1 - rho) n0, likewise V^-1), or V^-1 and n - m - 1 towards
+        zero (Sarkka and Hartikainen, arXiv 1302.0681, 2013).
     belief_uncertainty : bool
-        Whether the belief's own covariance H P H' is added to e e'; the paper leaves it out.
+        Whether to add the belief's covariance H P H' to e e'; the paper leaves it out.
     estimate : {"mean", "mode"}
-        Which precision is used: n V or (n - m - 1) V; the inverse of the latter is the expected covariance.
+        The precision in use: n V, or (n - m - 1) V, whose inverse is the expected covariance.
     calibration : Calibration or None
         Logistic map from beta to the fault probability; without one the probability is NaN.
     """
