@@ -1,7 +1,7 @@
-"""The law of one sensor's beta: its distribution without a fault, and when it first exceeds a threshold with one.
+"""The law of one sensor's beta: its distribution without a fault, and its first passage over a threshold with one.
 
-Without a fault beta is ``floor + innovation variance / 2 * x``, where x is a sum of squares of standard normal numbers with
-weights 1, rho, rho**2, ... or, in a window, 1.
+Without a fault beta is ``floor + innovation variance / 2 * x``, where x is a sum of squares of standard normal numbers. Its
+weights are 1, rho, rho**2, ... or, with a window, 1.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
     from bayesftc.controllers.precision.gamma import GammaPrecision
 
 RAREST = 1e-13
-"""No threshold is sought beyond this quantile."""
+"""The search for a threshold ends at this quantile."""
 
 
 class BetaLaw(ABC):
-    """The distribution of beta in steady state, and a threshold on it; subclasses know when it is passed.
+    """The distribution of beta in steady state, and a threshold on it; subclasses compute the passage over it.
 
     Parameters
     ----------
     precision : GammaPrecision
         The learner.
     nominal, variance, spread : float
-        Variances of the sensor (nominal), of the innovation, and of the prediction (added where `precision` says so).
+        Variances of the sensor (nominal), of the innovation, and of the prediction (added if `precision` has belief_uncertainty).
     dt : float
         Sample time in seconds.
     """
@@ -58,11 +58,11 @@ class BetaLaw(ABC):
         self.threshold = np.inf
 
     def exceedance(self, beta: float) -> float:
-        """Return the probability, without a fault, that beta exceeds a value at a sample."""
+        """Return the probability that beta exceeds a value at a sample, without a fault."""
         return tails(2.0 * (beta - self.floor) / self.variance, self.sum)[1]
 
     def set_threshold(self, false_alarms: tuple[bool, float]) -> None:
-        """Set the threshold for a probability, at each sample, that an alarm begins (True) or is raised (False)."""
+        """Set the threshold from the probability per sample that an alarm begins (True), or that there is one (False)."""
         from scipy.optimize import brentq
 
         begins, probability = false_alarms
@@ -75,7 +75,7 @@ class BetaLaw(ABC):
             x = quantile(probability, self.sum)
         self.threshold = self.floor + 0.5 * self.variance * x
         self.onset_of_alarms = _begins(self.precision, self.sum, x)
-        """Probability, without a fault, that an alarm begins at a sample."""
+        """Probability that an alarm begins at a sample, without a fault."""
 
     @abstractmethod
     def detected(self, kind: str, size: float, steps: int) -> float:
@@ -87,7 +87,7 @@ class BetaLaw(ABC):
 
 
 class WhiteLaw(BetaLaw):
-    """Of independent innovations and a learner that forgets: exact."""
+    """The exact law for independent innovations and a learner with a forgetting factor."""
 
     faults: Response = ABSENT
 
@@ -118,7 +118,7 @@ class WhiteLaw(BetaLaw):
 
 
 class SimulatedLaw(BetaLaw):
-    """Where there is no closed form: the distribution as ever, times counted in simulated runs of the estimator."""
+    """A law without closed form for the passage: times come from simulated runs of the estimator."""
 
     runs: EstimatorRuns
 
@@ -133,7 +133,7 @@ class SimulatedLaw(BetaLaw):
         return 1.0 - float(self._survival(kind, size, steps)[-1])
 
     def mean_delay(self, kind: str, size: float) -> float:
-        """See `BetaLaw.mean_delay`; runs that have no alarm to the end go on at the rate of the second half."""
+        """See `BetaLaw.mean_delay`; runs without an alarm are extrapolated with the alarm rate of the second half."""
         shares = self._survival(kind, size, MOST_STEPS)
         left, half = shares[-1], shares[len(shares) // 2]
         rest = left * (len(shares) - len(shares) // 2) / np.log(half / left) if 0 < left < half else 0.0
@@ -145,15 +145,17 @@ def beta_law(precision: GammaPrecision, nominal: float, variance: float, dt: flo
     if precision.window is None:
         return WhiteLaw(precision, nominal, variance, 0.0, dt)
     law = SimulatedLaw(precision, nominal, variance, 0.0, dt)
-    known = LinearModel([[0.0]], [[0.0]], [[1.0]], 0.0, nominal, 1)  # a state that is known: innovations are samples
-    law.runs = EstimatorRuns(known, without_map(precision), 0, runs, seed, noise=variance)
+    certain_model = LinearModel(
+        [[0.0]], [[0.0]], [[1.0]], 0.0, nominal, 1
+    )  # with a certain state the innovations are the samples
+    law.runs = EstimatorRuns(certain_model, without_map(precision), 0, runs, seed, noise=variance)
     return law
 
 
 def loop_law(
     precision: GammaPrecision, model: LinearModel, sensor: int, learning: bool, runs: int, seed: int
 ) -> BetaLaw:
-    """Return the law for a sensor of a model, whose filter uses the learned precision or, not learning, the nominal one."""
+    """Return the law for a sensor of a model, whose filter uses the learned precision or, without `learning`, the nominal one."""
     C, R = model.matrix("C"), model.matrix("sensor_covariance")
     spread, nominal = float(C[sensor] @ steady_covariance(model) @ C[sensor]), float(R[sensor, sensor])
     if learning:
@@ -162,19 +164,17 @@ def loop_law(
         law.runs = simulated
         return law
     if precision.window is not None:
-        raise ModelError(
-            "detectability has no form for a window beside a filter at fixed precision; leave learning=True."
-        )
+        raise ModelError("detectability does not support a window with learning=False; leave learning=True.")
     fixed = WhiteLaw(precision, nominal, nominal + spread, spread, float(model.step))
     fixed.faults = response(model, sensor)
     return fixed
 
 
 def _begins(precision: GammaPrecision, sum_of: Weights, x: float) -> float:
-    """Return the probability, without a fault, that the sum exceeds x at a sample and did not at the one before.
+    """Return the probability that the sum exceeds x at a sample but not at the one before, without a fault.
 
-    Forgetting, the newest square z**2 has to lift what is left of a sum below x: E[Pr[(x - z**2) / rho < sum <= x]]. In a window
-    it has to be larger than the square that leaves.
+    With forgetting, the newest square z**2 lifts the decayed sum above x: E[Pr[(x - z**2) / rho < sum <= x]]. In a window the new
+    square must be larger than the one that leaves.
     """
     from scipy.special import chdtr, chdtrc, gammaln, ndtr
 

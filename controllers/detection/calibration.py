@@ -1,4 +1,4 @@
-"""From beta to a probability that can be believed: a logistic map fitted on simulated faults (paper, section 4.2)."""
+"""Calibration of beta to a fault probability: a logistic map fitted on simulated faults (paper, section 4.2)."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 TRAINING_SHARE = 0.8
-"""The first part of each simulated run is fitted, the rest judged: a split by time, without a leak across it."""
+"""Share of each simulated run for the fit, at its start; the rest is for the test."""
 
 SKIPPED = 200
-"""Steps at the start that are left out, while the belief settles."""
+"""Steps at the start that are left out, until the belief has settled."""
 
 
 class Hazards(NamedTuple):
-    """How often faults come and go: mean times in seconds (the paper's third experiment)."""
+    """How often faults begin and end: mean times in seconds (the paper's third experiment)."""
 
     mean_time_to_fault: float = 2.8
     mean_time_to_recovery: float = 0.4
@@ -39,22 +39,22 @@ class Hazards(NamedTuple):
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """A fitted map and how it did on the part of the run that it was not fitted on.
+    """A fitted map and its quality on the part of the run that was not used for the fit.
 
     Attributes
     ----------
     calibration : Calibration or None
-        What the learner takes; None for one that gives a probability itself.
+        The map for the learner; None for a learner that gives a probability itself.
     auc : float
-        Area under the receiver operating characteristic: 0.5 is guessing.
+        Area under the receiver operating characteristic; guessing gives 0.5.
     brier, brier_of_constant : float
-        Mean squared error of the probability, and that of always saying the share of faults.
+        Mean squared error of the probability, and that of a constant probability, the share of faults.
     calibration_error : float
-        Expected calibration error: mean distance of predicted probability and observed share over ten equally filled bins.
+        Expected calibration error: mean distance between predicted probability and observed share over ten equally filled bins.
     fault_share : float
-        Share of samples in fault.
+        Share of faulty samples.
     samples : int
-        Number of samples judged.
+        Number of samples in the test.
     reliability : Reliability or None
         The probability's reliability in ten bins of equal width; ``report.reliability.plot()`` draws its diagram.
     """
@@ -81,11 +81,11 @@ def calibrate(
     seed: int = 0,
     **controller: Any,
 ) -> CalibrationReport:
-    """Fit the map from a sensor's beta to the probability that it has failed, on a simulated closed loop.
+    """Fit the map from a sensor's beta to the probability that the sensor is faulty, on a simulated closed loop.
 
-    The model itself is simulated, every sensor freezing, jumping and drifting at random; the controller sees the faulty
-    samples. The map therefore answers for faults of these kinds, rates and magnitudes, and for this learner's settings: it
-    must be fitted anew when one of them changes.
+    The simulated plant is the model. Every sensor freezes, jumps and drifts at random, and the controller gets the faulty
+    samples. The map is therefore valid for faults of these kinds, rates and magnitudes and for this learner's settings. Fit it
+    anew when one of them changes.
 
     Parameters
     ----------
@@ -95,9 +95,9 @@ def calibrate(
         Mean time to fault and mean time to recovery in seconds.
     magnitudes : mapping
         ``injection`` (constant offset) and ``drift`` (offset per second), in the sensors' units; by default 3 and 5 standard
-        deviations of the first sensor. Freezes need none.
+        deviations of the first sensor. Freezes have no magnitude.
     precision : PrecisionLearner, optional
-        The learner to calibrate, a `RateLearner`; by default ``GammaPrecision()``. Its own calibration is ignored.
+        The learner to calibrate, a `RateLearner`; by default ``GammaPrecision()``. An existing calibration is ignored.
     reference : source, number, or one for each goal, optional
         By default a sine of five sensor standard deviations over 400 steps. On a constant reference a frozen sensor looks
         healthier than a healthy one.
@@ -113,13 +113,13 @@ def calibrate(
     Returns
     -------
     CalibrationReport
-        ``report.calibration`` goes into the learner's ``calibration=``.
+        The report; give ``report.calibration`` to the learner as ``calibration=``.
 
     Raises
     ------
     ModelError
-        If the learner has no rate, the loop is unstable, or the run is too short or without faults. What the probability is worth
-        of a learner that gives one itself, `judge_own_probability` says.
+        If the learner has no rate, the loop is unstable, or the run is too short or without faults. For a learner that gives a
+        probability itself, use `judge_own_probability`.
     """
     from sklearn.linear_model import LogisticRegression
 
@@ -127,11 +127,11 @@ def calibrate(
 
     chosen = GammaPrecision() if precision is None else precision
     if not isinstance(chosen, RateLearner):
-        known = " or ".join(cls.__name__ for cls in LEARNERS if issubclass(cls, RateLearner))
-        told = " and gives a fault probability itself" if getattr(chosen, "why_no_probability", "") is None else ""
+        candidates = " or ".join(cls.__name__ for cls in LEARNERS if issubclass(cls, RateLearner))
+        note = " and gives a fault probability itself" if getattr(chosen, "why_no_probability", "") is None else ""
         raise ModelError(
-            f"calibrate cannot calibrate {type(chosen).__name__}, which has no rate{told}; "
-            f"give it a learner with one: {known}."
+            f"calibrate cannot calibrate {type(chosen).__name__}, which has no rate{note}; "
+            f"give a learner with one: {candidates}."
         )
     learner: RateLearner = replace(chosen, calibration=None)  # type: ignore[call-arg]
     beta, faulty = _simulated("beta", model, hazards, magnitudes or {}, learner, reference, steps, seed, controller)
@@ -145,7 +145,7 @@ def calibrate(
 
 
 def judge(calibration: Calibration, x: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]]) -> CalibrationReport:
-    """Return how a map does on features `x` (log or linear, as the map says) with known labels."""
+    """Return the quality of a map on features `x` (log or linear, as for the map) with known labels."""
     return _judged(calibration, x, 1.0 / (1.0 + np.exp(-(calibration.slope * x + calibration.intercept))), faulty)
 
 
@@ -160,37 +160,37 @@ def judge_own_probability(
     seed: int = 0,
     **controller: Any,
 ) -> CalibrationReport:
-    """Return how a learner does that gives a probability itself, on the last part of the run on which `calibrate` fits its map.
+    """Return the quality of a learner's own probability, on the test part of the run of `calibrate`.
 
     Parameters
     ----------
     model, hazards, magnitudes, reference, steps, seed, **controller
         See `calibrate`.
     precision : PrecisionLearner
-        One whose ``why_no_probability`` is None.
+        A learner whose ``why_no_probability`` is None.
 
     Returns
     -------
     CalibrationReport
-        Its ``calibration`` is None.
+        The report, without a ``calibration``.
 
     Raises
     ------
     ModelError
         If the loop is unstable, or the run is too short or without faults.
     """
-    told, faulty = _simulated(
+    output_values, faulty = _simulated(
         "fault_probability", model, hazards, magnitudes or {}, precision, reference, steps, seed, controller
     )
-    cut = int(TRAINING_SHARE * len(told))
-    probability, faulty = told[cut:].ravel(), faulty[cut:].ravel()
+    cut = int(TRAINING_SHARE * len(output_values))
+    probability, faulty = output_values[cut:].ravel(), faulty[cut:].ravel()
     _check_labels(faulty)
     return _judged(None, probability, probability, faulty)
 
 
 def _check_labels(*parts: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
     if not all(0 < faulty.mean() < 1 for faulty in parts):
-        raise ModelError("The simulated run has no faults, or nothing but faults; take more steps or other hazards.")
+        raise ModelError("The simulated run has no faults, or nothing but faults; give more steps or other hazards.")
 
 
 def _judged(
@@ -198,13 +198,13 @@ def _judged(
 ) -> CalibrationReport:
     from sklearn.metrics import roc_auc_score
 
-    found = reliability(probability, faulty)
+    quality = reliability(probability, faulty)
     return CalibrationReport(
         calibration=calibration,
         auc=float(roc_auc_score(faulty, score)),
-        brier=found.brier,
-        brier_of_constant=found.brier_of_constant,
-        calibration_error=found.calibration_error,
+        brier=quality.brier,
+        brier_of_constant=quality.brier_of_constant,
+        calibration_error=quality.calibration_error,
         fault_share=float(faulty.mean()),
         samples=len(probability),
         reliability=reliability(probability, faulty, equal="widths"),
@@ -222,14 +222,12 @@ def _simulated(
     seed: int,
     controller: Mapping[str, Any],
 ) -> tuple[Floats, np.ndarray[Any, np.dtype[np.bool_]]]:
-    """Return an output of the controller for each sensor, and whether the sensor was faulty, of a simulated run."""
+    """Simulate a run; return an output of the controller for each sensor, and whether the sensor was faulty."""
     if steps < 5_000:
-        raise ModelError(f"calibrate got steps={steps}; it needs at least 5000 to see enough faults.")
+        raise ModelError(f"calibrate has steps={steps}; give at least 5000, for enough faults.")
     unknown = set(magnitudes) - {"injection", "drift"}
     if unknown:
-        raise ModelError(
-            f"calibrate does not know the magnitude {sorted(unknown)[0]!r}; it takes 'injection' and 'drift'."
-        )
+        raise ModelError(f"calibrate has the unknown magnitude {sorted(unknown)[0]!r}; give 'injection' and 'drift'.")
     deviation = float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
     sizes = {"injection": 3 * deviation, "drift": 5 * deviation, **magnitudes}
     loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)

@@ -1,4 +1,4 @@
-"""From residuals to a fault probability by a classifier trained on labelled faults (paper, section 4.2)."""
+"""A classifier from residuals to a fault probability, trained on labelled faults (paper, section 4.2)."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ from bayesftc.cosim.types import Floats
 
 
 class UntrainedClassifierError(ModelError, NotFittedError):  # type: ignore[misc]
-    """A classifier that is to predict, or to run in a loop, before it has been trained."""
+    """A classifier was used before its training."""
 
 
 class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
-    """Learns from labelled residuals how probable a fault is: a scikit-learn classifier that becomes a block.
+    """Learns the probability of a fault from labelled residuals: a scikit-learn classifier that becomes a block.
 
-    Rows are samples of one sensor, columns its residuals, labels whether it was faulty; of two labels the larger means faulty.
-    Samples of all sensors are pooled: `residual_features` makes the rows.
+    Rows are samples of one sensor, columns its residuals, labels whether it was faulty; the larger of two labels means faulty.
+    Samples of all sensors are pooled. `residual_features` makes the rows.
 
     Parameters
     ----------
     estimator : classifier, optional
-        Anything with a ``predict_proba``; by default logistic regression without regularisation, behind a standard scaler, so
-        that the probability does not depend on the residuals' units. With
-        ``make_pipeline(FunctionTransformer(np.log), LogisticRegression())`` it is one of their logarithms.
+        Any classifier with ``predict_proba``. By default logistic regression without regularisation after a standard scaler, so
+        that the probability does not depend on the residuals' units. For logarithms of the residuals, use
+        ``make_pipeline(FunctionTransformer(np.log), LogisticRegression())``.
     threshold : float
-        Decision threshold: `predict` says faulty where the probability is above it.
+        Decision threshold: `predict` gives faulty where the probability is above it.
 
     Attributes
     ----------
     classes_ : ndarray of two labels
-        Healthy and faulty.
+        The labels of healthy and faulty.
     estimator_ : classifier
-        The trained one.
+        The trained classifier.
     n_features_in_ : int
         Number of residuals.
 
@@ -70,7 +70,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Parameters
         ----------
         X : array, shape (samples, residuals)
-            Finite; leave missing samples out.
+            Finite numbers; leave missing samples out.
         y : array, shape (samples,)
             Labels of two kinds, such as False and True.
 
@@ -86,19 +86,19 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         check_classification_targets(y)
         if type_of_target(y) == "multiclass":
             raise ModelError(
-                "Only binary classification is supported. The type of the target is multiclass: give labels of two kinds, "
+                "Only binary classification is supported. The type of the target is multiclass; give labels of two kinds, "
                 "healthy and faulty."
             )
         self.classes_, labels = np.unique(y, return_inverse=True)
         if len(self.classes_) < 2:
             raise ModelError(
-                f"All {len(labels)} labels are of one class, {self.classes_.tolist()[0]!r}; a classifier needs healthy and "
-                "faulty samples."
+                f"All {len(labels)} labels are of one class, {self.classes_.tolist()[0]!r}; give samples and labels of healthy "
+                "and faulty."
             )
         chosen = _default() if self.estimator is None else clone(self.estimator)
         if not hasattr(chosen, "predict_proba"):
             raise ModelError(
-                f"{chosen!r} has no predict_proba; choose a classifier that has one, or wrap it in CalibratedClassifierCV."
+                f"{chosen!r} has no predict_proba; give a classifier that has one, or wrap it in CalibratedClassifierCV."
             )
         self.estimator_ = chosen.fit(rows, labels)
         return self
@@ -109,7 +109,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         Parameters
         ----------
         X : array, shape (samples, residuals)
-            Finite.
+            Finite numbers.
 
         Returns
         -------
@@ -121,12 +121,12 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         return np.asarray(self.estimator_.predict_proba(rows))
 
     def predict(self, X: ArrayLike) -> np.ndarray[Any, Any]:
-        """Return the label of faulty where its probability is above the decision threshold, else that of healthy.
+        """Return the label of faulty where its probability is above the decision threshold, else the label of healthy.
 
         Parameters
         ----------
         X : array, shape (samples, residuals)
-            Finite.
+            Finite numbers.
         """
         faulty = self.predict_proba(X)[:, 1] > self.threshold
         return np.asarray(self.classes_[faulty.astype(int)])
@@ -134,65 +134,65 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     def block(self, sensors: int, features: str | Sequence[str] = ("beta",)) -> FaultMonitor:
         """Return the trained classifier as a block, for `closed_loop(monitors=...)`, a diagram, or ``online``.
 
-        Logistic regression, also behind a logarithm and standard scalers, runs compiled; any other estimator is called back,
-        and the diagram runs interpreted. The block keeps what has been learned so far.
+        Logistic regression, also after a logarithm and standard scalers, runs compiled. With any other estimator the diagram runs
+        interpreted. The block keeps the training up to now.
 
         Parameters
         ----------
         sensors : int
             Number of sensors.
         features : str or sequence of str
-            The residuals that it was trained on, in the same order, by the controller's outputs: ``"beta"``, ``"innovation"``
-            (its magnitude), or any other with a value for each sensor. A string is one of them.
+            The residuals of the training, in the same order, as outputs of the controller: ``"beta"``, ``"innovation"`` (its
+            magnitude), or another one with a value for each sensor. A string is one name.
 
         Raises
         ------
         UntrainedClassifierError
-            If it has not been trained.
+            If the classifier is not trained.
         ModelError
-            If it was trained on another number of residuals.
+            If the training had another number of residuals.
         """
         self._check_trained()
         names = feature_names(features)
         if len(names) != self.n_features_in_:
             raise ModelError(
-                f"The classifier was trained on {self.n_features_in_} residuals, but features={names!r} names "
-                f"{len(names)}; name the outputs it was trained on, in the same order."
+                f"The classifier was trained on {self.n_features_in_} residuals, but features={names!r} has {len(names)}; give "
+                f"the outputs of the training, in the same order."
             )
         return FaultMonitor(sensors, names, float(self.threshold), self._map() or copy.deepcopy(self.estimator_))
 
     def calibration(self, prior_rate: float = 1.0) -> Calibration:
-        """Return the map for ``GammaPrecision(calibration=...)``, so that the controller's own output has the probability.
+        """Return the map for ``GammaPrecision(calibration=...)``, which makes the probability an output of the controller.
 
         Parameters
         ----------
         prior_rate : float
-            The rate b0 of the learner's prior (prior shape times nominal variance) if the classifier was trained on beta itself;
-            1 if on beta / b0.
+            The rate b0 of the learner's prior (prior shape times nominal variance) if the training used beta itself; 1 if it
+            used beta / b0.
 
         Raises
         ------
         UntrainedClassifierError
-            If it has not been trained.
+            If the classifier is not trained.
         ModelError
-            If it is no logistic regression on one residual.
+            If the classifier is not a logistic regression on one residual.
         """
         self._check_trained()
         prior_rate = as_number("FaultClassifier.calibration got prior_rate", prior_rate, above=0)
-        found = self._map()
-        if found is None or len(found.weights) != 1:
+        logistic = self._map()
+        if logistic is None or len(logistic.weights) != 1:
             raise ModelError(
-                f"Only a logistic regression on beta alone is a calibration, not {self.estimator_!r} on {self.n_features_in_} "
-                "residuals; run it beside the controller as a block instead."
+                f"Only a logistic regression on beta alone gives a calibration, not {self.estimator_!r} on {self.n_features_in_} "
+                "residuals; use block() instead."
             )
-        slope = found.weights[0] / found.scale[0]
-        intercept = found.intercept - slope * found.shift[0]
-        if found.logarithm:
+        slope = logistic.weights[0] / logistic.scale[0]
+        intercept = logistic.intercept - slope * logistic.shift[0]
+        if logistic.logarithm:
             return Calibration(slope, intercept + slope * float(np.log(prior_rate)), "log")
         return Calibration(slope * prior_rate, intercept, "linear")
 
     def _map(self) -> LogisticMap | None:
-        """Return the trained estimator as a logistic map, or None if it is none."""
+        """Return the trained estimator as a logistic map, or None if it is not one."""
         steps = (
             [step for _, step in self.estimator_.steps] if isinstance(self.estimator_, Pipeline) else [self.estimator_]
         )
@@ -202,7 +202,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         if type(last) is not LogisticRegression or any(type(s) is not StandardScaler for s in scalers):
             return None
         shift, scale = np.zeros(self.n_features_in_), np.ones(self.n_features_in_)
-        for scaler in scalers:  # (x - shift) / scale, and then again so
+        for scaler in scalers:  # each scaler computes (x - shift) / scale
             if scaler.mean_ is not None and scaler.with_mean:
                 shift = shift + scaler.mean_ * scale
             if scaler.scale_ is not None:
@@ -213,7 +213,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     def _check_trained(self) -> None:
         if not hasattr(self, "estimator_"):
             raise UntrainedClassifierError(
-                "This FaultClassifier has not been trained; call fit(X, y) with labelled residuals first."
+                "This FaultClassifier is not trained; call fit(X, y) with labelled residuals first."
             )
 
     def __sklearn_is_fitted__(self) -> bool:

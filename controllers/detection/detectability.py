@@ -1,4 +1,4 @@
-"""How small a fault the beta residual can find, how soon, and at which price in false alarms (the paper's open question)."""
+"""Smallest faults, delays and false alarms of the beta residual (the paper's open question)."""
 
 from __future__ import annotations
 
@@ -26,43 +26,43 @@ Kind = Literal["offset", "drift", "noise"]
 KINDS: tuple[Kind, ...] = ("offset", "drift", "noise")
 HOUR = 3600.0
 SAMPLES = 50
-"""A fault is to be found within so many samples, where nothing else is asked."""
+"""Default number of samples within which a fault must be detected."""
 
 LARGEST = 2.0**60
-"""Sizes beyond this, in standard deviations of the innovation, are not tried."""
+"""Largest size to try, in standard deviations of the innovation."""
 
 
 @dataclass(frozen=True)
 class Detectability:
-    """What a threshold on a sensor's beta detects. Made by `detectability`; printed, it is a table.
+    """The faults that a threshold on a sensor's beta detects. Made by `detectability`; it prints as a table.
 
     Attributes
     ----------
     form : str
-        ``"stream"`` (independent innovations), ``"fixed filter"`` (of a Kalman filter that goes on trusting all sensors) or
-        ``"loop"`` (of the filter that trusts each sensor as far as it has learned).
+        ``"stream"`` (independent innovations), ``"fixed filter"`` (a Kalman filter with fixed precisions) or ``"loop"`` (the
+        filter with learned precisions).
     dt : float
         Sample time in seconds.
     innovation_variance : float
-        Of the sensor's innovation without a fault, in squared units of the sensor.
+        Variance of the sensor's innovation without a fault, in squared units of the sensor.
     mean_beta : float
         Mean of beta without a fault, in squared units of the sensor.
     threshold : float
-        An alarm is raised at each sample at which beta exceeds it; in squared units of the sensor.
+        There is an alarm at each sample at which beta exceeds it; in squared units of the sensor.
     false_alarm_probability : float
-        Share of samples with an alarm without a fault.
+        Share of samples with an alarm, without a fault.
     false_alarms_per_hour : float
-        How often an alarm begins without a fault: each lasts for several samples.
+        Number of alarms that begin in an hour without a fault; each lasts for several samples.
     detection_probability, within : float
-        A fault is detectable if an alarm is raised among the samples of the first `within` seconds of the fault with at least
-        this probability, given that there was none just before.
+        A fault is detectable if there is an alarm among the samples of its first `within` seconds with at least this
+        probability, given no alarm just before.
     offset, drift, noise : float
-        The smallest detectable fault of each kind: a constant offset in the sensor's units, an offset that grows from 0 by so
-        much a second, and the standard deviation of further noise in the sensor's units.
+        The smallest detectable fault of each kind: a constant offset in the sensor's units, the growth of an offset per second,
+        and the standard deviation of additional noise in the sensor's units.
     offset_delay, drift_delay, noise_delay : float
         Expected delay in seconds from the first faulty sample to the first alarm, for the smallest detectable fault.
     law : object
-        What `probability`, `delay` and `exceedance` ask.
+        The distributions behind `probability`, `delay` and `exceedance`.
     """
 
     form: str
@@ -83,40 +83,40 @@ class Detectability:
     law: BetaLaw = field(repr=False, compare=False)
 
     def probability(self, kind: Kind, sizes: ArrayLike, within: float | None = None) -> Floats:
-        """Return the probability that an alarm is raised within a time after the onset.
+        """Return the probability of an alarm within a time after the onset.
 
         Parameters
         ----------
         kind : {"offset", "drift", "noise"}
             Kind of the fault.
         sizes : number or array
-            How large it is, in the units of the attributes of the same names.
+            Sizes of the fault, in the units of the attributes of the same names.
         within : float, optional
-            Seconds; by default those of the result.
+            The time in seconds; by default that of the result.
         """
-        asked = self.within if within is None else as_number("detectability has within", within, above=0)
-        steps = _samples(asked, self.dt)
+        header = self.within if within is None else as_number("detectability has within", within, above=0)
+        steps = _samples(header, self.dt)
         return np.array([self.law.detected(kind, size, steps) for size in _sizes(kind, sizes)])
 
     def delay(self, kind: Kind, sizes: ArrayLike) -> Floats:
-        """Return the expected delay, in seconds, from the first faulty sample to the first alarm; the fault stays.
+        """Return the expected delay, in seconds, from the first faulty sample to the first alarm, for a lasting fault.
 
         Parameters
         ----------
         kind : {"offset", "drift", "noise"}
             Kind of the fault.
         sizes : number or array
-            How large it is, in the units of the attributes of the same names.
+            Sizes of the fault, in the units of the attributes of the same names.
         """
         return np.array([self.law.mean_delay(kind, size) for size in _sizes(kind, sizes)]) * self.dt
 
     def exceedance(self, thresholds: ArrayLike) -> Floats:
-        """Return the probability, without a fault, that beta exceeds each of some thresholds at a sample.
+        """Return the probability that beta exceeds each of some thresholds at a sample, without a fault.
 
         Parameters
         ----------
         thresholds : number or array
-            In squared units of the sensor.
+            Thresholds in squared units of the sensor.
         """
         return np.array([self.law.exceedance(float(b)) for b in np.atleast_1d(np.asarray(thresholds, float))])
 
@@ -126,7 +126,7 @@ class Detectability:
         Parameters
         ----------
         others : mapping of str to Detectability, optional
-            Results to draw beside this one, by the names for the legend.
+            Further results to draw, by their names in the legend.
         """
         from bayesftc.controllers.detection.figure import draw
         from bayesftc.cosim.judging.panels import shown_figure
@@ -139,18 +139,18 @@ class Detectability:
             ("mean of beta without a fault", self.mean_beta, ""),
             ("threshold on beta", self.threshold, ""),
             ("false alarms per sample", self.false_alarm_probability, ""),
-            ("false alarms per hour", self.false_alarms_per_hour, "(beginnings of an alarm)"),
+            ("false alarms per hour", self.false_alarms_per_hour, "(onsets of alarms)"),
         ]
-        asked = f"smallest fault found within {self.within:g} s with probability {self.detection_probability:g}"
-        found = [
+        header = f"smallest fault detected within {self.within:g} s with probability {self.detection_probability:g}"
+        faults = [
             ("offset", self.offset, self.offset_delay),
             ("drift, per second", self.drift, self.drift_delay),
             ("noise, standard deviation", self.noise, self.noise_delay),
         ]
         lines = [f"Detectability of beta ({self.form}, sample time {self.dt:g} s)"]
         lines += [f"  {name:<34}{value:>10.4g} {note}".rstrip() for name, value, note in rows]
-        lines += [asked, f"  {'':<34}{'size':>10}{'mean delay (s)':>18}"]
-        lines += [f"  {name:<34}{size:>10.4g}{delay:>18.3g}" for name, size, delay in found]
+        lines += [header, f"  {'':<34}{'size':>10}{'mean delay (s)':>18}"]
+        lines += [f"  {name:<34}{size:>10.4g}{delay:>18.3g}" for name, size, delay in faults]
         return "\n".join(lines)
 
 
@@ -170,65 +170,69 @@ def detectability(
     runs: int = 10_000,
     seed: int = 0,
 ) -> Detectability:
-    """Return the threshold on a sensor's beta for a false-alarm rate, and the smallest faults and the delays that go with it.
+    """Return the threshold on a sensor's beta for a false-alarm rate, with the smallest detectable faults and their delays.
 
-    Without a model, for a stream of independent normal innovations of which a fault changes mean or variance. With one, for the
-    innovations of a filter, which takes part of an offset for the state's motion: by default of the filter in the loop, whose
-    trust in the sensor falls while the learner learns; ``learning=False`` is the filter at fixed precision.
-    ``docs/detectability.md`` derives all of it and says how far each number was checked.
+    Without a model, the innovations are an independent normal stream, of which a fault changes mean or variance. With a model,
+    they are those of a filter, which attributes a part of an offset to the state. By default it is the filter in the loop, which
+    reduces the sensor's weight while it learns; with ``learning=False`` it is the filter at fixed precision.
+    ``docs/detectability.md`` has the derivations and the checks of each number.
 
     Parameters
     ----------
     precision : GammaPrecision, optional
-        The learner whose beta is meant, which must forget; by default the controller's own, else ``GammaPrecision()``.
+        The learner of beta, with forgetting; by default that of the controller, else ``GammaPrecision()``.
     model : LinearModel, BayesianController or StateEstimator, optional
-        Plant and sensors; of a controller or an estimator its model is taken. Controls, goals and limits do not matter.
+        Plant and sensors, or a controller or estimator with its model. Controls, goals and limits have no effect.
     sensor : int
-        Which sensor of the model fails.
+        Number of the faulty sensor of the model.
     sensor_variance : float, optional
-        Without a model: the nominal variance of the sensor, which the prior expects; by default 1.
+        Without a model: the nominal variance of the sensor, expected by the prior; by default 1.
     innovation_variance : float, optional
         Without a model: the variance of the innovations; by default that of the sensor.
     dt : float, optional
         Without a model: the sample time in seconds. By default 1, so that all times are in samples.
     false_alarm_probability : float, optional
-        Probability, without a fault, that beta exceeds the threshold at a sample; by default 0.001.
+        Probability that beta exceeds the threshold at a sample, without a fault; by default 0.001.
     false_alarms_per_hour : float, optional
-        Instead: how often an alarm may begin without a fault.
+        In place of it: how often an alarm may begin without a fault.
     detection_probability : float
-        With which probability a fault must raise an alarm in time to count as detectable.
+        Probability of an alarm in time from which on a fault counts as detectable.
     within : float, optional
-        Seconds, at least two samples, in which it must; by default 50 samples.
+        This time in seconds, at least two samples; by default 50 samples.
     learning : bool
-        Whether the filter uses the precision that is learned, as in the loop.
+        Whether the filter uses the learned precision, as in the loop.
     runs, seed : int
-        Number and seed of the simulated runs from which times are counted where there is no closed form: in the loop, and with
-        a look-back window. The probabilities have a standard error of at most 0.5 / sqrt(runs).
+        Number and seed of the simulated runs for times without a closed form: in the loop, and with a look-back window. The
+        probabilities have a standard error of at most 0.5 / sqrt(runs).
 
     Returns
     -------
     Detectability
-        Print it, or take its fields.
+        The result; print it, or use its fields.
 
     Raises
     ------
     ModelError
-        If a setting cannot be right, the learner never forgets, the filter has no steady state, or false alarms alone are as
-        frequent as the detections that are asked for.
+        If a setting is not valid, the learner never forgets, the filter has no steady state, or false alarms alone are as
+        frequent as the requested detections.
     """
-    learner, known = _learner_and_model(precision, model)
+    learner, linear_model = _learner_and_model(precision, model)
     probability = as_number("detectability has detection_probability", detection_probability, above=0, below=1)
     count = int(as_number("detectability has runs", runs, least=100, whole=True))
     start = int(as_number("detectability has seed", seed, least=0, whole=True))
     if not isinstance(learning, bool):
-        raise ModelError(f"detectability has learning={learning!r}; it must be True or False.")
-    if known is None:
+        raise ModelError(f"detectability has learning={learning!r}; give True or False.")
+    if linear_model is None:
         step = 1.0 if dt is None else as_number("detectability has dt", dt, above=0)
         nominal = (
             1.0 if sensor_variance is None else as_number("detectability has sensor_variance", sensor_variance, above=0)
         )
-        given = innovation_variance
-        variance = nominal if given is None else as_number("detectability has innovation_variance", given, above=0)
+        variance_given = innovation_variance
+        variance = (
+            nominal
+            if variance_given is None
+            else as_number("detectability has innovation_variance", variance_given, above=0)
+        )
         law, form = beta_law(learner, nominal, variance, step, count, start), "stream"
     else:
         for name, value in (
@@ -238,11 +242,11 @@ def detectability(
         ):
             if value is not None:
                 raise ModelError(
-                    f"detectability has {name}={value!r} and a model, which says it itself; leave {name} out."
+                    f"detectability has {name}={value!r} and a model, which already determines it; leave {name} out."
                 )
-        index = int(as_number("detectability has sensor", sensor, least=0, most=known.sensors - 1, whole=True))
-        step, form = float(known.step), "loop" if learning else "fixed filter"
-        law = loop_law(learner, known, index, learning, count, start)
+        index = int(as_number("detectability has sensor", sensor, least=0, most=linear_model.sensors - 1, whole=True))
+        step, form = float(linear_model.step), "loop" if learning else "fixed filter"
+        law = loop_law(learner, linear_model, index, learning, count, start)
     law.set_threshold(_false_alarms(false_alarm_probability, false_alarms_per_hour, step))
     time = SAMPLES * step if within is None else as_number("detectability has within", within, above=0)
     steps = _samples(time, step)
@@ -273,36 +277,36 @@ def _learner_and_model(
     learner: object = precision
     if isinstance(precision, LinearModel | BayesianController | StateEstimator):
         raise ModelError(
-            f"detectability got a {type(precision).__name__} as its precision; the learner comes first: detectability(precision, "
+            f"detectability has a {type(precision).__name__} as its precision. The learner comes first: detectability(precision, "
             "model), or detectability(model=...)."
         )
     if isinstance(model, BayesianController | StateEstimator):
         if isinstance(model, BayesianController) and model.belief != "filtered":
             raise ModelError(
-                f"detectability got a controller with belief={model.belief!r}, into whose innovations the goals leak; give it "
-                "one with belief='filtered'."
+                f"detectability has a controller with belief={model.belief!r}, in whose innovations the goals have an effect; "
+                "give one with belief='filtered'."
             )
         learner, model = (model.precision if precision is None else precision), model.model
     learner = GammaPrecision() if learner is None else learner
     if not isinstance(learner, GammaPrecision):
         raise ModelError(
-            f"detectability knows the beta of GammaPrecision alone, not of {type(learner).__name__}; give it one."
+            f"detectability is for GammaPrecision only, not for {type(learner).__name__}; give a GammaPrecision."
         )
     if learner.window is None and (learner.forgetting is None or learner.forgetting == 1.0):
         raise ModelError(
-            "GammaPrecision without forgetting has a beta that grows for ever, so no threshold holds for long; give it a "
+            "GammaPrecision without forgetting has a beta that grows without bound, so that no constant threshold exists. Give a "
             "forgetting factor below 1, or a window."
         )
     if not (model is None or isinstance(model, LinearModel)):
-        raise ModelError(f"detectability needs a LinearModel, or a controller that has one, not {model!r}.")
+        raise ModelError(f"detectability needs a LinearModel, or a controller that has one, but model is {model!r}.")
     return learner, model
 
 
 def _false_alarms(per_sample: float | None, per_hour: float | None, dt: float) -> tuple[bool, float]:
-    """Return whether beginnings of alarms are meant, and their probability, else that of an alarm, at a sample."""
+    """Return True and the probability of an alarm's onset at a sample, or False and that of an alarm."""
     if per_hour is None:
-        asked = 1e-3 if per_sample is None else per_sample
-        return False, as_number("detectability has false_alarm_probability", asked, least=1e-12, most=0.4)
+        header = 1e-3 if per_sample is None else per_sample
+        return False, as_number("detectability has false_alarm_probability", header, least=1e-12, most=0.4)
     if per_sample is not None:
         raise ModelError("detectability has both false_alarm_probability and false_alarms_per_hour; give one of them.")
     rate = as_number("detectability has false_alarms_per_hour", per_hour, above=0) * dt / HOUR
@@ -319,8 +323,8 @@ def _smallest(law: BetaLaw, kind: Kind, steps: int, probability: float) -> float
 
     if gap(0.0) >= 0:
         raise ModelError(
-            f"Without any fault an alarm is raised within {steps} samples with a probability of {gap(0.0) + probability:.3g}, "
-            f"not below the detection_probability={probability:g}; allow fewer false alarms, or less time."
+            f"Without any fault there is an alarm within {steps} samples with a probability of {gap(0.0) + probability:.3g}, not "
+            f"below detection_probability={probability:g}; allow fewer false alarms, or less time."
         )
     unit = law.variance**0.5 / (law.dt * steps if kind == "drift" else 1.0)
     size = unit
@@ -328,20 +332,20 @@ def _smallest(law: BetaLaw, kind: Kind, steps: int, probability: float) -> float
         size *= 2.0
         if size > LARGEST * unit:
             raise ModelError(
-                f"No {kind} is found within {steps} samples with a probability of {probability:g}; allow more time."
+                f"No {kind} is detected within {steps} samples with a probability of {probability:g}; allow more time."
             )
     return float(brentq(gap, 0.0, size, xtol=1e-4 * size, rtol=1e-4))
 
 
 def _samples(seconds: float, dt: float) -> int:
-    """Return how many faulty samples there are in the first seconds, of which the first comes at once."""
+    """Return the number of faulty samples in the first seconds, the immediate one included."""
     return int(np.ceil(seconds / dt - 1e-9))
 
 
 def _sizes(kind: str, sizes: ArrayLike) -> list[float]:
     if kind not in KINDS:
-        raise ModelError(f"A fault of kind {kind!r} is not known; take {', '.join(map(repr, KINDS))}.")
+        raise ModelError(f"The kind of fault {kind!r} is unknown; give one of {', '.join(map(repr, KINDS))}.")
     values = np.atleast_1d(np.asarray(sizes, float))
     if not np.isfinite(values).all() or (values < 0).any():
-        raise ModelError(f"Sizes of faults must be finite and not negative, not {values.tolist()}.")
+        raise ModelError(f"The sizes of faults are {values.tolist()}; give finite ones of at least 0.")
     return [float(v) for v in values.ravel()]

@@ -1,7 +1,7 @@
-"""Many runs of a state estimator at once: its own step functions, each element of their arrays an array over all runs.
+"""Many runs of a state estimator at once, by its step functions on arrays over all runs.
 
-How an estimator errs does not depend on where the plant is or who drives it, as long as its model is true. So the plant rests at
-zero, and only the errors are simulated: the belief's mean is the error of the belief, a sample is its sensor's noise and fault.
+If the model is true, the errors of an estimator do not depend on the plant's state and inputs. The plant therefore rests at zero,
+and only errors are simulated: the belief's mean is the error of the belief, a sample is its sensor's noise and fault.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 WARM = 12.0
-"""The runs settle for so many time constants of the slower one of filter and learner."""
+"""Settling time of the runs, in time constants of the slower one of filter and learner."""
 
 MOST_STEPS = 5_000
 
 THIN = 0.8
-"""Runs are left out once no more than this share of those still computed is without an alarm."""
+"""Runs with an alarm are removed when at most this share of the computed runs is without one."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What is added to one sensor's samples: offset + slope * age + noise of a standard deviation, age in steps."""
+    """A fault added to one sensor's samples: offset + slope * age + noise of a standard deviation, age in steps."""
 
     offset: float = 0.0
     slope: float = 0.0
@@ -46,15 +46,15 @@ class EstimatorRuns:
     Parameters
     ----------
     model : LinearModel
-        What is believed, and true.
+        The model, which is also the truth.
     precision : GammaPrecision
         The learner.
     sensor : int
-        The sensor that is to fail.
+        The faulty sensor.
     runs, seed : int
-        How many runs, and of which noise.
+        Number of runs, and seed of their noise.
     noise : float, optional
-        True variance of that sensor's noise, where it is not the model's.
+        True variance of that sensor's noise; by default that of the model.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class EstimatorRuns:
         remembered = float(precision.window or 0) or 1.0 / (1.0 - float(precision.forgetting or 0.0))
         self.warm_steps = min(int(WARM * max(remembered, 1.0 / (1.0 - slowest(model)))) + 1, MOST_STEPS)
         self._state = {name: _rows(np.atleast_1d(value), runs) for name, value in initial.items()}
-        # Errors of a filter at nominal precision in steady state: what the learner changes of them is what has to settle.
+        # The errors begin as those of the steady filter at nominal precision; only the learner's effect must settle.
         self._state["mean"] = _rows_of(_root(P) @ np.random.default_rng(seed).standard_normal((len(P), runs)))
         squares = spread = 0.0
         last = max(self.warm_steps // 4, 1)
@@ -102,7 +102,7 @@ class EstimatorRuns:
         self.innovation_variance = squares
         """Mean square of the sensor's innovation without a fault."""
         self.spread = spread
-        """Mean variance of its prediction, as the estimator believes it."""
+        """Mean variance of its prediction, as estimated by the filter."""
 
     @property
     def beta(self) -> Floats:
@@ -110,9 +110,9 @@ class EstimatorRuns:
         return np.asarray(self._state["beta"][self._sensor])
 
     def survival(self, fault: Fault, threshold: float, steps: int) -> Floats:
-        """Return the share of runs without an alarm up to each sample after the onset, of those without one just before.
+        """Return the share of runs without an alarm up to each sample after the onset, among those without one just before.
 
-        It ends early once no run is left.
+        It ends early when no run is left.
         """
         quiet = self.beta <= threshold
         state, kept, started = self._state, np.arange(self._runs), np.count_nonzero(quiet)
@@ -121,8 +121,12 @@ class EstimatorRuns:
         for age in range(steps if started else 0):
             if np.count_nonzero(quiet) <= THIN * len(
                 kept
-            ):  # to leave out every run at its alarm costs more than it saves
-                state, kept, quiet = _taken(state, quiet), kept[quiet], np.ones(np.count_nonzero(quiet), dtype=bool)
+            ):  # removing every run at its alarm would take more time than it saves
+                state, kept, quiet = (
+                    _select_runs(state, quiet),
+                    kept[quiet],
+                    np.ones(np.count_nonzero(quiet), dtype=bool),
+                )
             self._advance(state, self.warm_steps + age, fault, age, kept)
             quiet = quiet & (state["beta"][self._sensor] <= threshold)
             shares.append(np.count_nonzero(quiet) / started)
@@ -131,7 +135,7 @@ class EstimatorRuns:
         return np.array(shares)
 
     def _advance(self, state: dict[str, Any], k: int, fault: Fault, age: int, kept: Any) -> None:
-        """Take some runs one sample on; each has its own noise, whatever becomes of the others and whatever the fault."""
+        """Advance some runs by one sample; the noise of a run does not depend on the other runs or the fault."""
         m, n = len(self._sensor_root), len(self._process_root)
         draw = np.random.default_rng([self._seed, k]).standard_normal((m + n + 1, self._runs))[:, kept]
         y = self._sensor_root @ draw[:m]
@@ -146,7 +150,7 @@ class EstimatorRuns:
 
 
 def without_map(precision: GammaPrecision) -> GammaPrecision:
-    """Return the learner without its map to a probability, which nothing here needs."""
+    """Return the learner without its map to a probability, which is not needed here."""
     return replace(precision, calibration=None)
 
 
@@ -156,26 +160,26 @@ def _root(covariance: Floats) -> Floats:
 
 
 def _rows(array: Floats, runs: int) -> Any:
-    made = np.empty(array.shape, dtype=object)
+    result = np.empty(array.shape, dtype=object)
     for index in np.ndindex(array.shape):
-        made[index] = np.full(runs, array[index])
-    return made
+        result[index] = np.full(runs, array[index])
+    return result
 
 
 def _rows_of(values: Floats) -> Any:
-    made = np.empty(len(values), dtype=object)
+    result = np.empty(len(values), dtype=object)
     for i, row in enumerate(values):
-        made[i] = row
-    return made
+        result[i] = row
+    return result
 
 
-def _taken(state: dict[str, Any], quiet: Any) -> dict[str, Any]:
-    """Return some of the runs; what a step function has made one number for all stays one."""
-    taken = {}
+def _select_runs(state: dict[str, Any], quiet: Any) -> dict[str, Any]:
+    """Return some of the runs; values that are one number for all runs remain so."""
+    selection = {}
     for name, array in state.items():
-        made = np.empty(array.shape, dtype=object)
+        result = np.empty(array.shape, dtype=object)
         for index in np.ndindex(array.shape):
             value = array[index]
-            made[index] = value[quiet] if np.ndim(value) else value
-        taken[name] = made
-    return taken
+            result[index] = value[quiet] if np.ndim(value) else value
+        selection[name] = result
+    return selection

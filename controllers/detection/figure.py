@@ -1,4 +1,4 @@
-"""The figure of what beta detects."""
+"""The figure of `Detectability`."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from bayesftc.controllers.detection.detectability import Detectability
 
 MULTIPLES = (0.8, 0.9, 1.0, 1.15, 1.35, 1.6, 2.0, 2.5, 3.2, 4.0)
-"""Sizes at which delays are drawn, in smallest detectable ones."""
+"""Sizes of the drawn delays, as multiples of the smallest detectable one."""
 
 FORMS = {
-    "loop": "in the loop, where precision is learned",
+    "loop": "in the loop, with learned precision",
     "fixed filter": "filter at fixed precision",
     "stream": "without a filter",
 }
-"""What the legend calls results that have no name of their own but their form's."""
+"""Names in the legend of results that are named by their form."""
 COLOURS = (BLUE, SENSOR_COLOURS[0], BLACK, *SENSOR_COLOURS[1:])
 AXES = {
     "offset": "offset (sensor's units)",
     "drift": "drift (sensor's units per second)",
-    "noise": "standard deviation of further noise (sensor's units)",
+    "noise": "standard deviation of additional noise (sensor's units)",
 }
 
 
@@ -78,7 +78,7 @@ def _draw_delays(axis: Axes, results: Mapping[str, Detectability], kind: str) ->
         axis.plot([smallest], [delay], MARKERS[i % len(MARKERS)], ms=6, color=COLOURS[i % len(COLOURS)])
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-    # Below half a sample an alarm comes with the first one.
+    # A delay below half a sample means an alarm at the first sample.
     axis.set_ylim(bottom=max(0.8 * least, 0.5 * min(result.dt for result in results.values())))
     for side in (axis.xaxis, axis.yaxis):
         side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -86,6 +86,6 @@ def _draw_delays(axis: Axes, results: Mapping[str, Detectability], kind: str) ->
         side.set_minor_formatter(NullFormatter())
     axis.set_xlabel(AXES[kind])
     axis.set_ylabel("expected delay (s)")
-    asked = next(iter(results.values()))
-    found = f"{100 * asked.detection_probability:g} % are found within {asked.within:g} s"
-    axis.set_title(f"{kind.capitalize()}; mark: {found}", fontsize=10, loc="left")
+    first_result = next(iter(results.values()))
+    note = f"{100 * first_result.detection_probability:g} % are detected within {first_result.within:g} s"
+    axis.set_title(f"{kind.capitalize()}; mark: {note}", fontsize=10, loc="left")

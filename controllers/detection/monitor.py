@@ -1,4 +1,4 @@
-"""A fitted classifier as a block: from a controller's residuals to each sensor's fault probability, live in the loop."""
+"""A trained classifier as a block: from a controller's residuals to each sensor's fault probability."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class LogisticMap:
     Parameters
     ----------
     weights, shift, scale : tuple of float
-        One for each feature.
+        One number for each feature.
     intercept : float
-        The log-odds where all features are at their shift.
+        The log-odds with all features at their shift.
     logarithm : bool
-        Whether the logarithms of the features come in.
+        Whether to use the logarithms of the features.
     """
 
     weights: tuple[float, ...]
@@ -62,23 +62,23 @@ def monitor_logistic(
 
 @dataclass(frozen=True, eq=False)
 class FaultMonitor(Block):
-    """A trained classifier in the loop; made by `FaultClassifier.block`.
+    """A trained classifier as a block; made by `FaultClassifier.block`.
 
-    An input for each feature (m values, named as the controller's output that it comes from) and, if that is none of them,
-    ``innovation``, which says which samples are missing; left unconnected, none is. Outputs ``fault_probability`` (m) and
-    ``fault`` (m; 1 where the probability is above the decision threshold), both NaN where a sample is missing. A logistic map
-    runs compiled; any other classifier is called back, and its diagram runs interpreted.
+    There is an input for each feature (m values, with the name of the controller's output). If ``innovation`` is not a feature,
+    it is a further input that marks missing samples; unconnected, no sample is missing. Outputs are ``fault_probability`` (m) and
+    ``fault`` (m; 1 where the probability is above the decision threshold), both NaN where a sample is missing. With a logistic
+    map the block runs compiled; with any other classifier its diagram runs interpreted.
 
     Parameters
     ----------
     sensors : int
-        Their number m.
+        Number m of sensors.
     features : tuple of str
-        Names of the controller's outputs; ``innovation`` stands for its magnitude.
+        Names of the controller's outputs; ``innovation`` means its magnitude.
     threshold : float
         Decision threshold on the probability.
     classifier : LogisticMap or classifier
-        The map, or what has a ``predict_proba`` for rows of features.
+        The map, or a classifier with ``predict_proba`` for rows of features.
     """
 
     sensors: int
@@ -92,7 +92,7 @@ class FaultMonitor(Block):
         object.__setattr__(self, "sensors", int(self.sensors))
         object.__setattr__(self, "features", feature_names(self.features))
         if len(set(self.features)) < len(self.features):
-            raise ModelError(f"A fault monitor has features={self.features!r}; name each once.")
+            raise ModelError(f"FaultMonitor has features={self.features!r}; give each name once.")
 
     @property
     def default_name(self) -> str:
@@ -133,11 +133,11 @@ def _callback(classifier: Any, magnitude: np.ndarray[Any, np.dtype[np.float64]],
 
     def monitor(inputs, fault_probability, fault):
         rows = inputs.reshape(-1, len(fault_probability)).T
-        known = np.isfinite(rows).all(axis=1)
+        complete = np.isfinite(rows).all(axis=1)
         fault_probability[:] = fault[:] = NAN
-        if known.any():
-            features = np.where(magnitude > 0.5, np.abs(rows[known, :count]), rows[known, :count])
-            fault_probability[known] = classifier.predict_proba(features)[:, 1]
-            fault[known] = fault_probability[known] > threshold
+        if complete.any():
+            features = np.where(magnitude > 0.5, np.abs(rows[complete, :count]), rows[complete, :count])
+            fault_probability[complete] = classifier.predict_proba(features)[:, 1]
+            fault[complete] = fault_probability[complete] > threshold
 
     return monitor

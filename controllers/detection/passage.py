@@ -1,12 +1,12 @@
-"""When a sum of squares that forgets first exceeds a threshold: ``x <- ratio x + z**2``, z normal with any mean and variance.
+"""The first passage of a forgetting sum of squares over a threshold: ``x <- ratio x + z**2``, with normal z.
 
-The sum is a Markov chain. With F_k(x) = Pr[x_k <= x, no alarm up to k], for x up to the threshold h,
+The sum is a Markov chain; z has any mean and variance. With F_k(x) = Pr[x_k <= x, no alarm up to k], for x up to the threshold h,
 
     F_k+1(x) = E[F_k((x - z**2) / ratio)],
 
-where F_k is constant beyond h. It is solved by collocation: F at Chebyshev nodes (in the square root of the distance from the
-lower end, towards which F flattens), the expectation by Gauss-Legendre quadrature over z, in which the integrand has no
-singularity as it would have over z**2.
+where F_k is constant beyond h. It is solved by collocation. F is taken at Chebyshev nodes in the square root of the distance from
+the lower end, near which F is flat. The expectation is a Gauss-Legendre quadrature over z, whose integrand has no singularity,
+unlike one over z**2.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 NODES = 64
 NEVER = 1e-13
-"""A healthy sum below its quantile of this probability counts as impossible; a faulty one is larger still."""
+"""A healthy sum below its quantile of this probability counts as impossible; faulty sums are larger."""
 
 OVER = 1e-10
-"""A passage is over once the probability of none so far is less."""
+"""A passage counts as certain if the probability of none so far is less."""
 
 MOST_STEPS = 100_000
 
@@ -38,7 +38,7 @@ class Passage:
     ratio : float
         Forgetting factor, in (0, 1).
     threshold : float
-        Of the sum x.
+        Threshold on the sum x.
     """
 
     def __init__(self, ratio: float, threshold: float):
@@ -56,7 +56,7 @@ class Passage:
         last = np.sqrt(np.maximum(x - ratio * low, 0.0))
         self._sure = np.sqrt(
             np.maximum(x - ratio * threshold, 0.0)
-        )  # below, x stays under the node from wherever it was
+        )  # below it, x remains under the node from any value
         g, weights = np.polynomial.legendre.leggauss(NODES)
         half = 0.5 * (last - self._sure)[:, None]
         self._z = self._sure[:, None] + half * (1.0 + g)
@@ -65,7 +65,7 @@ class Passage:
         self._values = self._interpolation(np.sqrt(np.clip((before - low) / self._span, 0.0, 1.0)).ravel())
 
     def _interpolation(self, places: Floats) -> Floats:
-        """Return the matrix from values at the nodes to values at places in [0, 1] (barycentric form)."""
+        """Return the matrix from values at the nodes to values at points in [0, 1] (barycentric form)."""
         distance = places[:, None] - self._places
         terms = self._signs / np.where(distance == 0, np.inf, distance)
         rows = terms / terms.sum(axis=1, keepdims=True)
@@ -74,7 +74,7 @@ class Passage:
         return np.asarray(rows)
 
     def _kernel(self, mean: float, variance: float) -> tuple[Floats, Floats]:
-        """Return the quadrature's weights for z with these moments, and the probabilities that z lies where F is constant."""
+        """Return the quadrature's weights for z with these moments, and the probabilities of z in the range of constant F."""
         from scipy.special import ndtr
 
         deviation = np.sqrt(variance)
@@ -91,7 +91,7 @@ class Passage:
         return np.asarray(inside + sure * (self._end @ F))
 
     def matrix(self, mean: float, variance: float) -> Floats:
-        """Return the matrix that takes F at the nodes one sample on."""
+        """Return the matrix that advances F at the nodes by one sample."""
         weights, sure = self._kernel(mean, variance)
         values = self._values.reshape(*weights.shape, NODES)
         return np.asarray(np.einsum("jq,jqn->jn", weights, values) + np.outer(sure, self._end))
@@ -101,30 +101,30 @@ class Passage:
         return float(self._end @ F)
 
     def survival(self, means: Floats, variances: Floats) -> Floats:
-        """Return the probability of no alarm up to each sample after the onset of a fault, the first faulty one included.
+        """Return the probability of no alarm up to each sample from the first faulty one on.
 
         Parameters
         ----------
         means, variances : ndarray, shape (steps,)
-            Of z at each faulty sample; healthy, they are 0 and 1.
+            Moments of z at each faulty sample; healthy ones are 0 and 1.
         """
-        F, found = self.healthy, np.zeros(len(means))
+        F, probabilities = self.healthy, np.zeros(len(means))
         for k, (mean, variance) in enumerate(zip(means, variances, strict=True)):
             F = self.advance(F, float(mean), float(variance))
-            found[k] = self.without_alarm(F)
-            if found[k] < OVER:
+            probabilities[k] = self.without_alarm(F)
+            if probabilities[k] < OVER:
                 break
-        return np.maximum(found, 0.0)
+        return np.maximum(probabilities, 0.0)
 
     def mean_delay(self, means: Floats, variances: Floats, *, settles: bool) -> float:
-        """Return the expected number of samples from the first faulty one to the first alarm (0 if it is raised at once).
+        """Return the expected number of samples from the first faulty one to the first alarm (0 for an immediate alarm).
 
         Parameters
         ----------
         means, variances : ndarray, shape (steps,)
-            As for `survival`.
+            See `survival`.
         settles : bool
-            Whether the fault goes on for ever as at its last sample given here; else what is left then is not counted.
+            Whether the last moments hold for ever; else the delay after them is not counted.
         """
         F, total = self.healthy, 0.0
         for mean, variance in zip(means, variances, strict=True):

@@ -1,4 +1,4 @@
-"""Residuals of a run: what a fault shows itself by, as arrays with a row for each step and a column for each sensor."""
+"""Residuals of a run, which reveal faults: arrays with a row for each step and a column for each sensor."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 INNOVATION = "innovation"
-"""The controller's output that is NaN where a sample is missing; as a feature it stands for its magnitude."""
+"""The controller's output that is NaN where a sample is missing; as a feature its magnitude is used."""
 
 
 def beta_residual(result: Result, controller: str = "controller") -> Floats:
@@ -31,12 +31,12 @@ def beta_residual(result: Result, controller: str = "controller") -> Floats:
     Returns
     -------
     ndarray, shape (steps, m)
-        In squared units of the sensor; NaN for missing samples.
+        The residual in squared units of the sensor; NaN for missing samples.
 
     Raises
     ------
     UnknownNameError
-        If one of the two was not recorded.
+        If one of the two signals is not recorded.
     ModelError
         If the controller's precision learner has no rate.
     """
@@ -44,7 +44,7 @@ def beta_residual(result: Result, controller: str = "controller") -> Floats:
     missing = np.isnan(_signal(result, controller, INNOVATION))
     if len(beta) and np.isnan(beta).all():
         raise ModelError(
-            f"{controller}.beta is NaN throughout: its precision learner has no rate; give the controller "
+            f"{controller}.beta is NaN throughout, because the precision learner has no rate. Give the controller "
             "precision=GammaPrecision() for a beta residual."
         )
     return np.where(missing, np.nan, beta)
@@ -62,21 +62,21 @@ def state_estimation_residual(
     controller : str
         Name of the controller's block.
     standardised : LinearModel, optional
-        The controller's model, to divide by the standard deviation that the innovation has without fault,
-        ``sqrt(C P_t|t-1 C' + R)`` with the nominal R. It needs every step of the output ``P``; the first row is then NaN, for
-        the belief before the first sample is no output.
+        The controller's model, to divide by the standard deviation of the innovation without a fault,
+        ``sqrt(C P_t|t-1 C' + R)`` with the nominal R. This needs every step of the output ``P``. The first row is then NaN,
+        because the belief before the first sample is not an output.
 
     Returns
     -------
     ndarray, shape (steps, m)
-        In units of the sensor, or in standard deviations; NaN for missing samples.
+        The residual in units of the sensor, or in standard deviations; NaN for missing samples.
 
     Raises
     ------
     UnknownNameError
-        If a signal was not recorded.
+        If a signal is not recorded.
     ModelError
-        If it is to be standardised and the model is not the controller's, or not every step was recorded.
+        If `standardised` is not the controller's model, or not every step is recorded.
     """
     residual = np.abs(_signal(result, controller, INNOVATION))
     if standardised is None:
@@ -86,12 +86,12 @@ def state_estimation_residual(
     if P.shape[1:] != A.shape or residual.shape[1] != len(C):
         raise ModelError(
             f"The model has {len(A)} states and {len(C)} sensors, but {controller!r} has {P.shape[1]} and {residual.shape[1]}; "
-            "give the model that the controller was made with."
+            "give the controller's model."
         )
     if result.decimation != 1:
         raise ModelError(
-            f"Only every {result.decimation}th step was recorded, but to standardise a residual takes the belief one step "
-            "before it; simulate with decimation=1."
+            f"Only every {result.decimation}th step is recorded, but a standardised residual needs the belief one step earlier; "
+            "simulate with decimation=1."
         )
     predicted = A @ P[:-1] @ A.T + Q
     variance = np.einsum("ij,tjk,ik->ti", C, predicted, C) + np.diag(R)
@@ -102,27 +102,27 @@ def state_estimation_residual(
 def residual_features(
     result: Result, features: str | Sequence[str] = ("beta",), controller: str = "controller"
 ) -> Floats:
-    """Return several residuals side by side, as `FaultClassifier` takes them (``.reshape(-1, len(features))``).
+    """Return several residuals side by side, as `FaultClassifier` needs them (``.reshape(-1, len(features))``).
 
     Parameters
     ----------
     result : Result
         A run in which the features and the controller's output ``innovation`` were recorded.
     features : str or sequence of str
-        ``"beta"`` for the beta residual, ``"innovation"`` for the state estimation residual (its magnitude), or any other of the
-        controller's outputs that has one value for each sensor.
+        ``"beta"`` for the beta residual, ``"innovation"`` for the state estimation residual (its magnitude), or another output
+        of the controller with one value for each sensor.
     controller : str
         Name of the controller's block.
 
     Returns
     -------
     ndarray, shape (steps, m, features)
-        NaN for missing samples.
+        The residuals; NaN for missing samples.
 
     Raises
     ------
     UnknownNameError, ModelError
-        If a signal was not recorded, or has no value for each sensor.
+        If a signal is not recorded, or does not have one value for each sensor.
     """
     innovation = _signal(result, controller, INNOVATION)
     columns = []
@@ -130,8 +130,8 @@ def residual_features(
         values = beta_residual(result, controller) if name == "beta" else _signal(result, controller, name)
         if values.shape != innovation.shape:
             raise ModelError(
-                f"{controller}.{name} has the shape {values.shape[1:]} at each step, which is not one value for each of the "
-                f"{innovation.shape[1]} sensors; a residual must be."
+                f"{controller}.{name} has the shape {values.shape[1:]} at each step; give an output with one value for each of "
+                f"the {innovation.shape[1]} sensors."
             )
         columns.append(np.where(np.isnan(innovation), np.nan, np.abs(values) if name == INNOVATION else values))
     return np.stack(columns, axis=-1)
@@ -143,12 +143,12 @@ def feature_names(features: str | Sequence[str]) -> tuple[str, ...]:
     Raises
     ------
     ModelError
-        If they are no names, or there is none.
+        If they are not names, or there are none.
     """
     names = (features,) if isinstance(features, str) else tuple(features) if isinstance(features, Iterable) else ()
     if not names or not all(isinstance(name, str) for name in names):
         raise ModelError(
-            f'features={features!r} does not name any residuals; give names of the controller\'s outputs, as ("beta",).'
+            f'features={features!r} has no names of residuals; give names of the controller\'s outputs, as ("beta",).'
         )
     return names
 
@@ -157,7 +157,7 @@ def _signal(result: Result, controller: str, name: str) -> Floats:
     signal = f"{controller}.{name}"
     if signal not in result:
         raise UnknownNameError(
-            f"The signal {signal!r} was not recorded; add it to simulate(record=...), or say by controller= what the "
-            "controller's block is called."
+            f"The signal {signal!r} is not recorded; add it to simulate(record=...), or give the name of the controller's block "
+            "as controller=."
         )
     return result[signal]

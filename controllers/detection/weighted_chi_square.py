@@ -1,14 +1,14 @@
-"""Weighted sums of chi-squares, ``x = sum_k w_k z_k**2`` with standard normal z_k: both tails to ten digits, however small.
+"""Weighted sums of chi-squares, ``x = sum_k w_k z_k**2`` with standard normal z_k: both tails to ten digits.
 
-Imhof (Biometrika 48, 1961) and Davies (Applied Statistics 29, 1980) invert the characteristic function along the imaginary axis,
-where the integrand oscillates and decays slowly, so that a small probability drowns in its error. Here the path is a parabola
-through the saddlepoint, which Rice (SIAM J. Sci. Stat. Comput. 1, 1980) recommends: with M(s) = prod_k (1 - 2 w_k s)**(-1/2),
+Imhof (Biometrika 48, 1961) and Davies (Applied Statistics 29, 1980) invert the characteristic function along the imaginary axis.
+The integrand there oscillates and decays slowly, so that a small probability is lost in the error. Here the path is a parabola
+through the saddlepoint, as Rice recommends (SIAM J. Sci. Stat. Comput. 1, 1980). With M(s) = prod_k (1 - 2 w_k s)**(-1/2),
 
     Pr[x > X] = 1 / (2 pi i) * integral of M(s) exp(-s X) / s ds
 
-along any path from below to above that crosses the real axis between the pole at 0 and the first branch point 1 / (2 max w);
-crossing it left of 0 gives -Pr[x <= X]. On ``s = c + kappa y**2 + i y`` the integrand decays like a Gaussian, and the
-trapezoidal rule converges geometrically: the step is halved until nothing changes any more.
+along any path from below to above that crosses the real axis between the pole at 0 and the first branch point 1 / (2 max w).
+Left of 0 the integral is -Pr[x <= X]. On ``s = c + kappa y**2 + i y`` the integrand decays like a Gaussian, and the trapezoidal
+rule converges geometrically: the step is halved until the result is constant.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ PRECISE = 1e-11
 """Relative change at which halving the step ends."""
 
 LEAST_WEIGHT = 1e-6
-"""Geometric weights end there; the rest counts by its mean, for its variance is 1e-12 of the whole."""
+"""Smallest geometric weight; the rest counts by its mean, because its variance is 1e-12 of the whole."""
 
 MOST_HALVINGS = 12
 
 NODES = 11
-"""Number of weights that stand for all those of one octave: by Gauss's rule for sums that takes log M to twelve digits."""
+"""Number of weights that represent one octave: with Gauss's rule for sums log M has twelve digits."""
 
 
 class Weights(NamedTuple):
-    """Weights, how many squares have each (not a whole number where a rule of integration has put it), and the sum's mean."""
+    """Weights, the number of squares of each (not whole for a rule of summation), and the sum's mean."""
 
     weights: Floats
     counts: Floats
@@ -47,7 +47,7 @@ def equal_weights(count: int) -> Weights:
 
 
 def geometric_weights(ratio: float) -> Weights:
-    """Return 1, ratio, ratio**2, ... for a ratio in (0, 1), thousands of them by a few dozen that stand for all."""
+    """Return 1, ratio, ratio**2, ... for a ratio in (0, 1); a few dozen represent thousands."""
     octave = int(np.ceil(np.log(0.5) / np.log(ratio)))
     octaves = int(np.ceil(np.log2(1.0 / LEAST_WEIGHT)))
     places, counts = (np.arange(octave), np.ones(octave)) if octave <= NODES else _gauss_sum(octave)
@@ -56,9 +56,9 @@ def geometric_weights(ratio: float) -> Weights:
 
 
 def _gauss_sum(count: int) -> tuple[Floats, Floats]:
-    """Return places and counts that sum polynomials up to the degree 2 `NODES` - 1 over 0, 1, ... count - 1 exactly.
+    """Return nodes and counts that sum polynomials up to the degree 2 `NODES` - 1 over 0, 1, ... count - 1 exactly.
 
-    They are the eigenvalues, and come from the eigenvectors, of the Jacobi matrix of Gram's discrete polynomials.
+    They come from eigenvalues and eigenvectors of the Jacobi matrix of Gram's discrete polynomials.
     """
     k = np.arange(1.0, NODES)
     off = np.sqrt(k**2 * (float(count) ** 2 - k**2) / (4.0 * (4.0 * k**2 - 1.0)))
@@ -69,7 +69,7 @@ def _gauss_sum(count: int) -> tuple[Floats, Floats]:
 def tails(x: float, sum_of: Weights) -> tuple[float, float]:
     """Return Pr[sum <= x] and Pr[sum > x]; the smaller of both has a relative error below 1e-9."""
     w, counts, mean = sum_of
-    x = x - (mean - float(counts @ w))  # what the weights leave out is too small to vary
+    x = x - (mean - float(counts @ w))  # the omitted weights count by their mean
     if x <= 0:
         return 0.0, 1.0
     upper = x >= counts @ w
@@ -78,7 +78,7 @@ def tails(x: float, sum_of: Weights) -> tuple[float, float]:
     second = 0.5 * float(counts @ factors**2) + 1.0 / c**2
     third = float(counts @ factors**3) - 2.0 / c**3
     width = 1.0 / np.sqrt(second)
-    # Towards steepest descent, but neither so straight that it never decays nor so bent that M grows on it before.
+    # Near steepest descent, but bent enough to decay, and not so much that M grows first.
     kappa = min(max(third / (6.0 * second), 0.01 / width), 0.03 / width)
     level = -0.5 * float(counts @ np.log1p(-2.0 * w * c)) - c * x
 
@@ -86,7 +86,7 @@ def tails(x: float, sum_of: Weights) -> tuple[float, float]:
         y = width * u
         s = c + kappa * y**2 + 1j * y
         real, imaginary = 1.0 - 2.0 * np.outer(s.real, w), -2.0 * np.outer(y, w)
-        # The path never crosses the cut beyond the branch point: each factor keeps to its principal branch.
+        # The path never crosses the cut beyond the branch point, so that each factor has its principal branch.
         logarithm = -0.25 * np.log(real**2 + imaginary**2) @ counts - 0.5j * (np.arctan2(imaginary, real) @ counts)
         logarithm = logarithm - s * x - level
         return np.asarray(np.imag(np.exp(logarithm) / s * (2.0 * kappa * y + 1j)) * width)
@@ -113,7 +113,7 @@ def quantile(probability: float, sum_of: Weights, *, upper: bool = True) -> floa
 
 
 def _saddle(x: float, w: Floats, counts: Floats, upper: bool) -> float:
-    """Return where M(s) exp(-s x) / |s| is least on the real axis: between 0 and the branch point, or left of 0."""
+    """Return the minimum of M(s) exp(-s x) / |s| on the real axis: between 0 and the branch point, or left of 0."""
     from scipy.optimize import brentq
 
     def slope(s: float) -> float:
@@ -129,7 +129,7 @@ def _saddle(x: float, w: Floats, counts: Floats, upper: bool) -> float:
 
 
 def _half_line(integrand: Callable[[Floats], Floats]) -> float:
-    """Integrate an even function, which decays, over the positive half line by the trapezoidal rule."""
+    """Integrate a decaying even function over the positive half line by the trapezoidal rule."""
     middle, end = float(integrand(np.zeros(1))[0]), 8.0
     while abs(integrand(np.array([end]))[0]) > 1e-15 * abs(middle):
         end *= 1.2

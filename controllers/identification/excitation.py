@@ -1,4 +1,4 @@
-"""Whether a recording's inputs move enough to tell what they do."""
+"""Tests whether a recording's inputs move enough for identification."""
 
 from __future__ import annotations
 
@@ -7,25 +7,24 @@ import numpy as np
 from bayesftc.cosim.types import Floats
 
 MOVES = 5.0
-"""A direction of past inputs that was moved by less than this many samples' worth was not moved: noise does not average out."""
+"""Least sum of squares, in samples of variance 1, of a direction of past inputs that counts as moved."""
 
 ROWS = 20_000
-"""Samples that are looked at, from the first on."""
+"""Largest number of samples in the tests, from the first one on."""
 
 
 def order_of_excitation(u: Floats, most: int) -> tuple[int, list[int]]:
-    """Return the order of which inputs are persistently exciting, up to `most`, and which of them are not of the next one.
+    """Return the order of persistent excitation, up to `most`, and the inputs that lack the next order.
 
-    Inputs are exciting of order L if the block Hankel matrix of L rows of them has full rank (Willems et al., Systems & Control
-    Letters 54, 2005): no combination of their last L samples stays what it is. A single step has order 1, each sine 2, white
-    noise any.
+    Inputs are exciting of order L if their block Hankel matrix of L rows has full rank (Willems et al., Systems & Control Letters
+    54, 2005): no combination of their last L samples is constant. A single step has order 1, each sine 2, white noise any.
 
     Parameters
     ----------
     u : ndarray, samples x inputs
-        Inputs of mean 0 and variance 1; rows with NaN are left out with all that needs them.
+        Inputs of mean 0 and variance 1; stretches with NaN are left out.
     most : int
-        Orders beyond this are not asked about.
+        Largest order to test.
     """
     u = u[:ROWS]
     for order in range(1, most + 1):
@@ -41,27 +40,27 @@ def order_of_excitation(u: Floats, most: int) -> tuple[int, list[int]]:
 
 
 def moved_by_outputs(u: Floats, y: Floats, past: int) -> list[int]:
-    """Return which inputs follow from the outputs and the past: a controller moves them, and nothing else does.
+    """Return the inputs that follow from the outputs and the past: only a controller moves them.
 
-    Those which follow from the inputs' own past alone (sums of sines) do not count.
+    Inputs that follow from the inputs' past alone (sums of sines) do not count.
 
     Parameters
     ----------
     u, y : ndarray, samples x inputs or outputs
-        Of mean 0 and variance 1.
+        Inputs and outputs of mean 0 and variance 1.
     past : int
-        How many samples ago counts.
+        Number of past samples.
     """
     u, y = u[:ROWS], y[:ROWS]
     rows = np.arange(past, len(u))
-    own = np.hstack([u[rows - lag] for lag in range(1, past + 1)])
-    both = np.hstack([own, *(y[rows - lag] for lag in range(past + 1))])
+    input_past = np.hstack([u[rows - lag] for lag in range(1, past + 1)])
+    both = np.hstack([input_past, *(y[rows - lag] for lag in range(past + 1))])
     whole = np.isfinite(both).all(axis=1) & np.isfinite(u[rows]).all(axis=1)
     if whole.sum() < 4 * both.shape[1]:
         return []
     left = []
-    for known in (own, both):
-        given = np.hstack([known, np.ones((len(rows), 1))])[whole]
-        e = u[rows][whole] - given @ np.linalg.lstsq(given, u[rows][whole], rcond=None)[0]
+    for predictors in (input_past, both):
+        regressors = np.hstack([predictors, np.ones((len(rows), 1))])[whole]
+        e = u[rows][whole] - regressors @ np.linalg.lstsq(regressors, u[rows][whole], rcond=None)[0]
         left.append((e**2).sum(axis=0))
     return [int(i) for i in np.flatnonzero((left[1] < MOVES) & (left[1] < 1e-2 * left[0]))]

@@ -1,4 +1,4 @@
-"""What a recording with gaps says of the states in between: forward by Kalman, backward by Rauch, Tung and Striebel."""
+"""The states of a recording with gaps: forward by Kalman, backward by Rauch, Tung and Striebel."""
 
 from bayesftc.controllers.linalg.dense import apply, cholesky, congruence, multiply, solve_columns
 from bayesftc.cosim.ops import log
@@ -6,33 +6,33 @@ from bayesftc.cosim.ops import log
 _VECTOR, _TABLE, _TABLES = "float64[::1]", "float64[:, ::1]", "float64[:, :, ::1]"
 _TYPES = [_TABLE] * 5 + [_VECTOR] + [_TABLE, _TABLES] * 2 + [_TABLE, _TABLES]
 SMOOTH = f"float64({', '.join(_TYPES)})"
-"""What `smooth` is compiled for."""
+"""Types for which `smooth` is compiled."""
 
 CALLS = (multiply, congruence, apply, cholesky, solve_columns)
-"""What it calls."""
+"""Functions that it calls."""
 
 TWO_PI = 6.283185307179586
 
 
 def smooth(y, drive, A, C, Q, R, ahead, P_ahead, x, P, between, space):
-    """Write means and covariances of the states given all samples; return the logarithm of the samples' density.
+    """Write means and covariances of the states given all samples; return the samples' log density.
 
     Parameters
     ----------
     y : array, steps x outputs
-        Samples, what the model says of them without a state taken off; NaN where there is none.
+        Samples minus the model's offset; NaN where there is none.
     drive : array, steps x states
-        What inputs do to the state until the next step.
+        Effect of inputs and drift on the state until the next step.
     A, C, Q : array
         Transition, outputs of the state, covariance of the process noise.
     R : array
         Variances of the outputs' noise.
     ahead, P_ahead : array, (steps + 1) x states, (steps + 1) x states x states
-        The first: the state before the first sample. Written: the states given the samples before theirs.
+        The first element is the state before the first sample. Written: the states given the samples before theirs.
     x, P : array, steps x states, steps x states x states
         Written: the states given all samples.
     between : array, states x states
-        Added to: covariances of each state but the first with the one before it, given all samples.
+        Increased by the covariances of each state after the first with the one before it, given all samples.
     space : array, 5 x states x states
         Scratch space.
     """
@@ -44,7 +44,7 @@ def smooth(y, drive, A, C, Q, R, ahead, P_ahead, x, P, between, space):
             x[k, i] = ahead[k, i]
             for j in range(n):
                 P[k, i, j] = P_ahead[k, i, j]
-        for s in range(m):  # one sensor after the other, for their noises are independent
+        for s in range(m):  # one sensor after the other, because their noises are independent
             if y[k, s] == y[k, s]:
                 e, spread = y[k, s], R[s]
                 for i in range(n):

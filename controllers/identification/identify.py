@@ -1,4 +1,4 @@
-"""The linear model, noise included, of a plant known by a recording alone, and how well it explains what it has not seen."""
+"""Identification of a linear model with noise from a recording, and its test on the held-out part."""
 
 from __future__ import annotations
 
@@ -28,45 +28,45 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LAGS = 20
-"""Lags up to which residuals are looked through for what they still know of each other."""
+"""Largest lag of the residuals' autocorrelations."""
 
 WORSE = 1.2
-"""Errors on held-out data that are larger than those of a long autoregression by this are said."""
+"""Ratio of errors on held-out data to those of a long autoregression from which on there is a warning."""
 
 FEW = 2 * LAGS
-"""Samples of each output that are needed at least to judge the model by."""
+"""Least number of samples of each output for the tests."""
 
 GAPS = 0.5
-"""Where less than this share of the stretches that tell of a prediction are whole, gaps are bridged and not left out."""
+"""If less than this share of the stretches for a prediction is complete, gaps are bridged and not left out."""
 
 CORRELATED = 0.2
-"""So are autocorrelations of the residuals beyond this (or beyond four standard deviations of white ones')."""
+"""Autocorrelation of the residuals from which on there is a warning, unless within four standard deviations of white noise."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """A model that was identified from a recording, and how it does on the part of it that was held out.
+    """A model identified from a recording, and its quality on the held-out part.
 
-    `LinearModel.identify` makes it; `design` takes it as a plant.
+    `LinearModel.identify` makes it; `design` accepts it as a plant.
 
     Attributes
     ----------
     model : LinearModel
-        The model, in the recording's own values.
+        The model, in the recording's values.
     inputs, outputs : tuple of str
-        The columns of which it is.
+        Names of the columns.
     fit : ndarray
-        Of each output: share of its standard deviation that the prediction one sample ahead explains, in percent
+        Share of each output's standard deviation that the prediction one sample ahead explains, in percent
         (``100 (1 - rms error / std)``), on held-out data.
     simulated_fit : ndarray
-        The same of a simulation from the inputs alone; of a noisy or integrating plant it says little. NaN of an unstable one.
+        The same for a simulation from the inputs alone; it has little meaning for noisy or integrating plants. NaN if unstable.
     whiteness : ndarray
-        Of each output: probability that white residuals would be as correlated in time as these (Ljung and Box, 20 lags).
+        Probability, for each output, that white residuals are as correlated in time as these (Ljung and Box, 20 lags).
     correlations : ndarray
-        Canonical correlations between past and future: those of the states, and what is left. Where gaps were bridged: of the
-        recording with straight lines in them, and the order is that of the best information criterion.
+        Canonical correlations between past and future: those of the states, and the remaining ones. With bridged gaps they are
+        those of the recording with straight lines in the gaps, and the order is that of the best information criterion.
     poor : tuple of str
-        What is not as it should be, in sentences; empty where nothing is.
+        Deficiencies of the model, as sentences; empty if there are none.
     time, measured, predicted, simulated, residuals : ndarray
         Held-out data in seconds and in the outputs' units.
     """
@@ -86,12 +86,12 @@ class Identification:
     residuals: Floats = field(repr=False)
 
     def describe(self) -> str:
-        """Return what was found, in sentences."""
+        """Return a description of the model and its quality as text."""
         order = self.model.moving.states
         poles = np.linalg.eigvals(self.model.moving.matrix("A"))
         lines = [f"Order {order}, poles {', '.join(f'{p:.4g}' for p in poles)}."]
         for i, name in enumerate(self.outputs):
-            simulated = "no simulation, for it is unstable"
+            simulated = "no simulation, because the model is unstable"
             if np.isfinite(self.simulated_fit[i]):
                 simulated = f"{self.simulated_fit[i]:.1f} % by simulation"
             lines.append(
@@ -101,7 +101,7 @@ class Identification:
         return "\n".join([*lines, *self.poor])
 
     def plot(self) -> Figure:
-        """Return a figure: held-out data, predictions and residuals of each output, and what told the order."""
+        """Return a figure: held-out data, predictions and residuals of each output, and the choice of the order."""
         from bayesftc.controllers.identification.figure import draw
         from bayesftc.cosim.judging.panels import shown_figure
 
@@ -119,7 +119,7 @@ def identify(
     held_out: float,
     past: int | None,
 ) -> Identification:
-    """Return the model of a recording; see `LinearModel.identify`."""
+    """Identify the model of a recording; see `LinearModel.identify`."""
     table = _table(data)
     names_in, names_out = _columns(table, inputs, "input"), _columns(table, outputs, "output")
     step = _step(table, time, dt)
@@ -136,18 +136,18 @@ def identify(
     _refuse_alike(v, names_in)
     _refuse_alike(z, names_out)
     if _whole(v, z, past) >= GAPS:
-        found = identify_innovations(v, z, order, past, longest)
-        C, K, S = y_size[:, None] * found.C, found.K / y_size, found.S * np.outer(y_size, y_size)
-        Q, R = independent_noise(found.A, C, K, S)
+        identified = identify_innovations(v, z, order, past, longest)
+        C, K, S = y_size[:, None] * identified.C, identified.K / y_size, identified.S * np.outer(y_size, y_size)
+        Q, R = independent_noise(identified.A, C, K, S)
         A, B, drift, offset, past, correlations = (
-            found.A,
-            found.B,
-            found.drift,
-            found.offset,
-            found.past,
-            found.correlations,
+            identified.A,
+            identified.B,
+            identified.drift,
+            identified.offset,
+            identified.past,
+            identified.correlations,
         )
-        yardstick = np.sqrt(np.diag(found.yardstick)) * y_size
+        yardstick = np.sqrt(np.diag(identified.yardstick)) * y_size
     else:
         _refuse_gaps(u[:split], names_in)
         noisy, correlations, past = identify_with_gaps(v, z, order, past, longest)
@@ -167,40 +167,40 @@ def identify(
 def _enough(
     y: Floats, inputs: int, split: int, share: float, order: int | None, past: int | None, names: Sequence[str]
 ) -> int:
-    """Return the longest autoregression that the recording's length admits; refuse one that is too short.
+    """Return the longest autoregression that the recording's length allows; refuse too short a recording.
 
     Raises
     ------
     ModelError
-        That tells the length which is needed, and for what.
+        With the required length.
     """
     learn, least = samples_needed(inputs, len(names), order, past)
     held = 2 * least + 5 * LAGS
-    asked = f"{len(names)} output{'s' * (len(names) > 1)} and {inputs} input{'s' * (inputs > 1)}"
-    asked += "" if order is None else f", with order={order}"
-    asked += "" if past is None else f", with past={past}"
+    request = f"{len(names)} output{'s' * (len(names) > 1)} and {inputs} input{'s' * (inputs > 1)}"
+    request += "" if order is None else f", with order={order}"
+    request += "" if past is None else f", with past={past}"
     if split < learn or len(y) - split < held:
         needed = max(int((learn - 1) / (1 - share)), int((held - 1) / share))
         while round(needed * (1 - share)) < learn or needed - round(needed * (1 - share)) < held:
             needed += 1
-        other = "" if order is None and past is None else ", or ask for less"
+        other = "" if order is None and past is None else " , or give a smaller order or past"
         raise ModelError(
-            f"The recording has {len(y)} samples; of {asked}, at least {needed} are needed: {learn} to learn from, and in the "
-            f"last {100 * share:.3g} % of them {held} to judge the model by. Record more{other}."
+            f"The recording has {len(y)} samples. {request} need at least {needed}: {learn} for learning, and {held} for tests "
+            f"in the last {100 * share:.3g} % of them. Record more{other}."
         )
     for name, first, last in zip(
         names, np.isfinite(y[:split]).sum(axis=0), np.isfinite(y[split:]).sum(axis=0), strict=True
     ):
         if first < FEW or last < FEW:
             raise ModelError(
-                f"The column {name!r} has {first} samples in the part of the recording that is learned from and {last} samples "
-                f"in what is held out to judge the model by; of each {FEW} are needed: record more, or leave it out."
+                f"The column {name!r} has {first} samples in the part of the recording for learning and {last} samples in the "
+                f"held-out part. Both need {FEW}; record more, or leave the column out."
             )
     return (len(y) - split - 5 * LAGS) // 2
 
 
 def _whole(u: Floats, y: Floats, past: int | None) -> float:
-    """Return which share of the stretches of the shortest autoregression has no gap."""
+    """Return the share of the stretches of the shortest autoregression that have no gap."""
     whole = np.isfinite(u).all(axis=1) & np.isfinite(y).all(axis=1)
     length = 1 + (past or PASTS[0])
     return float(np.mean(np.convolve(whole, np.ones(length), "valid") > length - 0.5))
@@ -210,33 +210,35 @@ def _refuse_gaps(u: Floats, names: Sequence[str]) -> None:
     for name, column in zip(names, u.T, strict=True):
         if not np.isfinite(column).all():
             raise ModelError(
-                f"The outputs have gaps nearly everywhere, which can be bridged; the input {name!r} has gaps as well, which "
-                "cannot. An input that stays what it is until the next sample is filled with its last value (ffill() of pandas)."
+                f"The outputs have gaps nearly everywhere, which can be bridged, but the input {name!r} has gaps as well, which "
+                "cannot. Fill an input that is held until the next sample with its last value (ffill() of pandas)."
             )
 
 
 def _doubts(u: Floats, y: Floats, held: Floats, order: int, past: int, names: Sequence[str]) -> list[str]:
-    """Return in sentences why the inputs may not have moved as they should."""
-    said = []
+    """Return deficiencies of the inputs' motion, as sentences."""
+    message = []
     needed = 2 * order
-    known, weak = order_of_excitation(u, needed)
-    how = "Move the inputs all the time, at random: by a random binary signal, or a noise."
+    order_found, weak = order_of_excitation(u, needed)
+    how = "Move the inputs at random all the time, by a random binary signal or noise."
     if weak:
-        said.append(
-            f"{_listed(names, weak)}: exciting of order {known}, where {needed} is wanted for a model of {order} "
-            f"state{'s' * (order > 1)} (a step has the order 1, each sine 2), so that others explain the recording as well. {how}"
+        message.append(
+            f"{_listed(names, weak)}: the order of excitation is {order_found}, but a model of {order} state{'s' * (order > 1)} needs "
+            f"{needed} (a step has the order 1, each sine 2), so that other models explain the recording as well. {how}"
         )
     still = [i for i in range(len(names)) if np.nanstd(held[:, i]) < 1e-2]
     if still:
-        text = f"{_listed(names, still)}: nearly still in the held-out data, which so say little of what it does."
-        said.append(text if weak else f"{text} {how}")
+        text = (
+            f"{_listed(names, still)}: nearly constant in the held-out part, which therefore hardly tests its effect."
+        )
+        message.append(text if weak else f"{text} {how}")
     led = moved_by_outputs(u, y, past)
     if led:
-        said.append(
-            f"{_listed(names, led)}: follows from the outputs, so that nothing tells what it does from what the controller does; "
-            "while recording let something else move it too: a changing goal, or a small random signal added to it."
+        message.append(
+            f"{_listed(names, led)}: follows from the outputs, so that its effect cannot be separated from the controller's. "
+            "During the recording move it by something else too: a changing goal, or a small random signal added to it."
         )
-    return said
+    return message
 
 
 def _listed(names: Sequence[str], places: Sequence[int]) -> str:
@@ -256,7 +258,7 @@ def _validated(
     correlations: Floats,
     doubts: list[str],
 ) -> Identification:
-    """Return the model with what held-out samples say of it; warn where that is not good."""
+    """Test the model on held-out samples; warn about deficiencies."""
     predicted, simulated = _run(model, u, y, begin)
     measured, residuals = y[begin:], (y - predicted)[begin:]
     spread = np.nanstd(measured, axis=0)
@@ -265,7 +267,7 @@ def _validated(
     if np.abs(np.linalg.eigvals(model.moving.matrix("A"))).max() > 1 + 1e-3:
         simulated[:] = np.nan
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # of means of nothing
+        warnings.simplefilter("ignore")  # about means without numbers
         simulated_fit = 100 * (1 - np.sqrt(np.nanmean((measured - simulated[begin:]) ** 2, axis=0)) / spread)
     tests = [_whiteness(residuals[:, i]) for i in range(len(outputs))]
     poor = list(doubts)
@@ -274,17 +276,17 @@ def _validated(
         if errors[i] > WORSE * yardstick[i] + floor:
             poor.append(
                 f"{name}: on held-out data the errors are {errors[i] / max(yardstick[i], floor):.2g} times those of a long "
-                "autoregression; a higher order may do, or the plant is not linear, or has changed."
+                "autoregression. Try a higher order; else the plant is not linear, or has changed."
             )
         limit = max(CORRELATED, 4 / np.sqrt(np.isfinite(residuals[:, i]).sum()))
         if errors[i] > floor and tests[i][1] > limit:
-            poor.append(f"{name}: residuals have an autocorrelation of {tests[i][1]:.2g}; a higher order may do.")
+            poor.append(f"{name}: residuals have an autocorrelation of {tests[i][1]:.2g}; try a higher order.")
         if errors[i] > 0.9 * spread[i]:
             poor.append(
-                f"{name}: the model explains {100 * (1 - errors[i] / spread[i]):.0f} % of it; do the inputs move it at all?"
+                f"{name}: the model explains {100 * (1 - errors[i] / spread[i]):.0f} % of it; check whether the inputs move it."
             )
     if poor:
-        warnings.warn("The identified model is in doubt. " + " ".join(poor), PoorFitWarning, stacklevel=4)
+        warnings.warn("The identified model may be poor. " + " ".join(poor), PoorFitWarning, stacklevel=4)
     return Identification(
         model=model,
         inputs=inputs,
@@ -303,7 +305,7 @@ def _validated(
 
 
 def _run(model: LinearModel, u: Floats, y: Floats, begin: int) -> tuple[Floats, Floats]:
-    """Return predictions one sample ahead by the steady Kalman filter, and a simulation that leaves it after `begin` samples."""
+    """Return predictions one sample ahead by the steady Kalman filter, and a simulation from its state after `begin` samples."""
     from scipy.linalg import solve_discrete_are
 
     moving = model.moving
@@ -312,8 +314,8 @@ def _run(model: LinearModel, u: Floats, y: Floats, begin: int) -> tuple[Floats, 
     Q, R = moving.matrix("process_covariance"), moving.matrix("sensor_covariance")
     P = solve_discrete_are(A[:n, :n].T, C[:, :n].T, Q + 1e-12 * (np.trace(Q) + 1e-12) * np.eye(n), R)
     steady = _gain(C[:, :n], P, R)
-    seen = np.isfinite(y)
-    # The first state: what explains the first samples best, the inputs being what they were.
+    present = np.isfinite(y)
+    # The first state is the one that explains the first samples best, given the inputs.
     x = _first_state(A, B, C, u[:begin], y[:begin])
     free = x
     predicted, simulated = np.empty_like(y), np.empty_like(y)
@@ -322,55 +324,55 @@ def _run(model: LinearModel, u: Floats, y: Floats, begin: int) -> tuple[Floats, 
             if k == begin:
                 free = x
             predicted[k], simulated[k] = C @ x, C @ free
-            if seen.all():
+            if present.all():
                 gain = steady
             else:
-                rows = seen[k]
+                rows = present[k]
                 gain = np.zeros((n, len(R)))
                 gain[:, rows] = _gain(C[rows, :n], P, R[np.ix_(rows, rows)])
                 P = A[:n, :n] @ (P - gain @ C[:, :n] @ P) @ A[:n, :n].T + Q
                 P = (P + P.T) / 2
             x = x.copy()
-            x[:n] += gain @ np.where(seen[k], y[k] - predicted[k], 0.0)
+            x[:n] += gain @ np.where(present[k], y[k] - predicted[k], 0.0)
             push = B @ np.where(np.isfinite(u[k]), u[k], 0.0)
             x, free = A @ x + push, A @ free + push
     return predicted, simulated
 
 
 def _gain(C: Floats, P: Floats, R: Floats) -> Floats:
-    """Return what a Kalman filter makes of a reading."""
+    """Return the gain of a Kalman filter."""
     return np.asarray(np.linalg.solve(C @ P @ C.T + R, C @ P).T)
 
 
 def _first_state(A: Floats, B: Floats, C: Floats, u: Floats, y: Floats) -> Floats:
-    rows, rest, power = [], [], np.eye(len(A))
-    forced = np.eye(len(A))[-1]  # the constant alone, and what the inputs do
+    rows, free_response, power = [], [], np.eye(len(A))
+    forced = np.eye(len(A))[-1]  # the response to the constant and the inputs alone
     for k in range(len(y)):
         rows.append((C @ power)[:, :-1])
-        rest.append(y[k] - C @ forced)
+        free_response.append(y[k] - C @ forced)
         power, forced = A @ power, A @ forced + B @ np.where(np.isfinite(u[k]), u[k], 0.0)
-    known = np.isfinite(np.concatenate(rest))
-    state = np.linalg.lstsq(np.vstack(rows)[known], np.concatenate(rest)[known], rcond=None)[0]
+    order_found = np.isfinite(np.concatenate(free_response))
+    state = np.linalg.lstsq(np.vstack(rows)[order_found], np.concatenate(free_response)[order_found], rcond=None)[0]
     return np.append(state, 1.0)
 
 
 def _whiteness(residual: Floats) -> tuple[float, float]:
-    """Return the probability of a residual that is as correlated in time if it is white, and its largest autocorrelation."""
+    """Return the probability that white noise is as correlated in time as the residual, and the largest autocorrelation."""
     from scipy.stats import chi2
 
     correlations, pairs = autocorrelation(residual)
-    n, there = int(np.isfinite(residual).sum()), pairs > 0
-    statistic = (n + 2) / n * float(np.sum(pairs[there] * correlations[there] ** 2))
-    return float(chi2.sf(statistic, there.sum())), float(np.abs(correlations[pairs >= FEW]).max(initial=0.0))
+    n, present = int(np.isfinite(residual).sum()), pairs > 0
+    statistic = (n + 2) / n * float(np.sum(pairs[present] * correlations[present] ** 2))
+    return float(chi2.sf(statistic, present.sum())), float(np.abs(correlations[pairs >= FEW]).max(initial=0.0))
 
 
 def autocorrelation(residual: Floats) -> tuple[Floats, np.ndarray[tuple[int], np.dtype[np.int64]]]:
-    """Return the autocorrelations at the lags 1 to `LAGS`, and from how many pairs of samples each is; 0 where there are none."""
-    there = np.isfinite(residual)
-    e = np.where(there, residual - np.nanmean(residual), 0.0)
-    power = float(e @ e) / max(there.sum(), 1)
+    """Return the autocorrelations at the lags 1 to `LAGS` (0 without samples), and the number of pairs of samples of each."""
+    present = np.isfinite(residual)
+    e = np.where(present, residual - np.nanmean(residual), 0.0)
+    power = float(e @ e) / max(present.sum(), 1)
     products = np.array([float(e[lag:] @ e[:-lag]) for lag in range(1, LAGS + 1)])
-    pairs = np.array([int((there[lag:] & there[:-lag]).sum()) for lag in range(1, LAGS + 1)])
+    pairs = np.array([int((present[lag:] & present[:-lag]).sum()) for lag in range(1, LAGS + 1)])
     return products / np.maximum(pairs, 1) / (power if power > 0 else 1.0), pairs
 
 
@@ -387,66 +389,64 @@ def _table(data: Any) -> pd.DataFrame:
         return data.reset_index() if named else data
     if not isinstance(data, str | PathLike):
         raise ModelError(
-            f"identify() takes a Result, a table of pandas or the path of a CSV file, not {type(data).__name__}."
+            f"identify() has data of the type {type(data).__name__}; give a Result, a table of pandas or the path of a CSV file."
         )
     try:
         return pd.read_csv(data)
     except (OSError, ValueError) as error:
-        said = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
-        raise ModelError(f"The recording {data} cannot be read: {said}; give a CSV file with a header.") from None
+        message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
+        raise ModelError(f"The recording {data} cannot be read: {message}; give a CSV file with a header.") from None
 
 
-def _columns(table: pd.DataFrame, given: str | Sequence[str], what: str) -> list[str]:
-    names = [given] if isinstance(given, str) else list(given)
+def _columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: str) -> list[str]:
+    names = [names_given] if isinstance(names_given, str) else list(names_given)
     if not names or len(set(names)) < len(names):
-        raise ModelError(f"{what}s={given!r}; name at least one column, each once.")
-    found = []
+        raise ModelError(f"{kind}s={names_given!r}; give at least one column, each once.")
+    columns = []
     for name in names:
         several = [column for column in map(str, table.columns) if column.startswith(f"{name}[")]
         if name in table.columns:
-            found.append(name)
-        elif several:  # a signal of several elements
-            found += several
+            columns.append(name)
+        elif several:  # a vector signal
+            columns += several
         else:
             raise UnknownNameError(
-                f"The recording has no {what} {name!r}; {did_you_mean(name, list(map(str, table.columns)))}"
+                f"The recording has no {kind} {name!r}; {did_you_mean(name, list(map(str, table.columns)))}"
             )
     if not len(table):
         raise ModelError("The recording has no rows.")
-    for name in found:
+    for name in columns:
         if list(table.columns).count(name) > 1:
-            raise ModelError(f"The recording has several columns {name!r}; give each a name of its own.")
+            raise ModelError(f"The recording has several columns {name!r}; give each another name.")
         if table[name].dtype.kind not in "fiub":
-            raise ModelError(
-                f"The column {name!r} holds text; it must be numbers, with empty cells where a sample is missing."
-            )
+            raise ModelError(f"The column {name!r} contains text; give numbers, and empty cells for missing samples.")
         if np.isinf(table[name].to_numpy(dtype=np.float64)).any():
-            raise ModelError(f"The column {name!r} holds infinite values; leave cells empty where a sample is missing.")
-    return found
+            raise ModelError(f"The column {name!r} contains infinite values; give empty cells for missing samples.")
+    return columns
 
 
 def _step(table: pd.DataFrame, time: str, dt: float | str | Fraction | None) -> Fraction:
-    """Return the sample time: what is given, or what the column of times says."""
+    """Return the sample time, given or from the column of times."""
     if dt is not None:
         return rational_step(dt)
     if time not in table.columns:
         raise StepSizeError(
-            f"The recording has no column {time!r}; name the one with the times (time=...), or give dt= in seconds."
+            f"The recording has no column {time!r}; give the name of the column of times (time=...), or dt= in seconds."
         )
     if list(table.columns).count(time) > 1 or table[time].dtype.kind not in "fiu":
         raise StepSizeError(
-            f"The column {time!r} is not one of numbers; it must hold the times in seconds. Convert them, or give dt= in seconds."
+            f"The column {time!r} does not contain numbers. Convert the times to seconds, or give dt= in seconds."
         )
     t = table[time].to_numpy(dtype=np.float64)
     steps = np.diff(t)
     if len(steps) == 0 or not np.isfinite(steps).all() or steps.min() <= 0:
         raise StepSizeError(
-            f"The times in {time!r} do not rise from row to row; sort the recording, or give dt= in seconds."
+            f"The times in {time!r} do not increase from row to row; sort the recording, or give dt= in seconds."
         )
     mean = float(t[-1] - t[0]) / len(steps)
     if np.abs(steps - mean).max() > 0.01 * mean:
         raise StepSizeError(
-            f"The times in {time!r} are not evenly spaced: steps from {steps.min():g} to {steps.max():g} s; resample the "
+            f"The times in {time!r} are not evenly spaced: steps are from {steps.min():g} to {steps.max():g} s. Resample the "
             "recording, with empty rows where nothing was recorded."
         )
     return Fraction(f"{mean:.6g}")
@@ -459,20 +459,22 @@ def _centre(rows: Floats, names: Sequence[str]) -> tuple[Floats, Floats]:
         mean, size = np.nanmean(rows, axis=0), np.nanstd(rows, axis=0)
     for name, value, spread in zip(names, mean, size, strict=True):
         if not np.isfinite(value):
-            raise ModelError(f"The column {name!r} has no numbers in the part of the recording that is learned from.")
+            raise ModelError(
+                f"The column {name!r} has no numbers in the part of the recording for learning; leave it out."
+            )
         if spread <= 1e-12 * max(abs(value), 1e-300):
             raise ModelError(
-                f"The column {name!r} does not move in the part of the recording that is learned from; leave it out."
+                f"The column {name!r} is constant in the part of the recording for learning; leave it out."
             )
     return mean, size
 
 
 def _refuse_alike(rows: Floats, names: Sequence[str]) -> None:
-    """Refuse columns of which one follows from the others: nothing tells what each of them does."""
+    """Refuse columns of which one follows from the others, because their effects cannot be separated."""
     _, sizes, directions = np.linalg.svd(rows[np.isfinite(rows).all(axis=1)], full_matrices=False)
     if len(sizes) == len(names) and sizes[-1] <= 1e-9 * sizes[0]:
         alike = [name for name, weight in zip(names, directions[-1], strict=True) if abs(weight) > 1e-3]
         raise ModelError(
             f"The columns {', '.join(map(repr, alike[:-1]))} and {alike[-1]!r} follow from each other in the part of the "
-            "recording that is learned from, so that nothing tells them apart; leave one of them out."
+            "recording for learning, so that their effects cannot be separated; leave one of them out."
         )

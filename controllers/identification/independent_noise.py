@@ -1,4 +1,4 @@
-"""From the innovations model to noise of the process and of the sensors that are independent of each other."""
+"""From the innovations model to independent noise of process and sensors."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import numpy as np
 from bayesftc.cosim.types import Floats
 
 MOST = 60
-"""Numbers that are searched for at most: a gradient takes as many evaluations, each as long as the order's third power."""
+"""Largest number of free parameters; a gradient needs as many evaluations, each of the third power of the order."""
 
 
 def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Floats, Floats]:
     """Return covariances Q (any) and R (diagonal) whose Kalman filter is nearest to the innovations model (A, C, K, S).
 
-    A sensor's noise is its own and has nothing to do with the process: that is what a `LinearModel` believes. Of all such pairs
-    the one is taken under which data of the innovations model have the largest likelihood on average, which is where maximum
-    likelihood on a long recording would end. The criterion is ln |S_QR| + tr(S_QR^-1 V), where S_QR is the innovation
-    covariance that Q and R promise and V the one that their filter really has. Where fewer than (n + 1) / 2 outputs leave Q
-    undetermined, one of the equally good ones is returned. From about order 10 on, where a free Q would have more than `MOST`
-    numbers, it is a multiple of what the innovations do to the state, K S K'.
+    A `LinearModel` assumes that a sensor's noise is independent of the process and of the other sensors. Of all such pairs, the
+    one is taken with the largest average likelihood of data from the innovations model, the limit of maximum likelihood on a long
+    recording. The criterion is ln |S_QR| + tr(S_QR^-1 V), where S_QR is the innovation covariance by Q and R, and V the actual
+    one of their filter. Fewer than (n + 1) / 2 outputs do not determine Q; then one of the equally good ones is returned. From
+    about order 10 on, where a free Q would have more than `MOST` parameters, Q is a multiple of K S K', the effect of the
+    innovations on the state.
     """
     from scipy.optimize import minimize
 
@@ -53,13 +53,13 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
         return value if np.isfinite(value) else 1e10
 
     best = None
-    for share in (0.8, 0.3):  # how much of the innovations is the sensors' own, to begin with
-        with np.errstate(all="ignore"):  # what is too large for a number is no better than what it is compared with
-            found = minimize(
+    for share in (0.8, 0.3):  # initial share of the sensors' noise in the innovations
+        with np.errstate(all="ignore"):  # an overflow compares as no better
+            optimum = minimize(
                 criterion, np.concatenate([start, np.full(m, np.log(share))]), method="BFGS", options={"gtol": 1e-7}
             )
-        if best is None or found.fun < best.fun:
-            best = found
+        if best is None or optimum.fun < best.fun:
+            best = optimum
     assert best is not None
     Q, R = unpack(best.x)
     return Q, R * np.outer(units, units)
@@ -68,7 +68,7 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
 def _riccati(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
     """Return the covariance of the prediction, by structure-preserving doubling (Chu et al., Linear Algebra Appl. 396, 2005).
 
-    SciPy's solver is more careful and, for matrices as small as these, a hundred times slower; it is called once per evaluation.
+    SciPy's solver is more careful but, for such small matrices, a hundred times slower; there is one call per evaluation.
     """
     F, G, P, one = A.T, C.T @ np.linalg.solve(R, C), Q, np.eye(len(A))
     for _ in range(60):

@@ -1,10 +1,10 @@
 """Subspace identification of the innovations model from inputs and outputs, in open or closed loop.
 
-The predictor form is identified (Jansson's SSARX, IFAC SYSID 2003; Chiuso and Picci, Automatica 41, 2005): a long autoregression
-gives the predictor's pulse responses, what it says of future inputs and outputs is taken off the future, and the canonical
-variables between what is left and the past are the state. Since the predictor is stable and its input, the past, is independent
-of the innovation, neither feedback nor an unstable plant does harm, which rules out N4SID and MOESP of other packages: they are
-biased in closed loop, where unstable plants have to be recorded.
+The predictor form is identified (Jansson's SSARX, IFAC SYSID 2003; Chiuso and Picci, Automatica 41, 2005). A long autoregression
+gives the predictor's pulse responses. Their effect of future inputs and outputs is subtracted from the future. The canonical
+variables between the result and the past are the state. The predictor is stable, and its input, the past, is independent of the
+innovation. Feedback and unstable plants are therefore allowed, unlike in N4SID and MOESP of other packages, which are biased in
+closed loop, where unstable plants have to be recorded.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
 PASTS = (4, 6, 8, 12, 16, 24, 32, 48)
-"""Lengths of the autoregression that are tried."""
+"""Lengths of the autoregression to try."""
 
 RIDGE = 1e-12
-"""Relative size of what keeps covariances invertible where signals are without noise."""
+"""Relative ridge that keeps the covariances of signals without noise invertible."""
 
 
 @dataclass(frozen=True, eq=False)
 class Innovations:
     """``x+ = A x + B u + drift + K e``, ``y = C x + offset + e`` with white e of the covariance S.
 
-    ``correlations`` are the canonical correlations between past and future, of which the first are the states'; ``past`` is the
-    length of the autoregression, ``yardstick`` the covariance of its residuals.
+    ``correlations`` are the canonical correlations between past and future, those of the states first; ``past`` is the length of
+    the autoregression, ``yardstick`` the covariance of its residuals.
     """
 
     A: Floats
@@ -46,7 +46,7 @@ class Innovations:
 def identify_innovations(
     u: Floats, y: Floats, order: int | None, past: int | None, longest: int = PASTS[-1]
 ) -> Innovations:
-    """Return the innovations model of samples (N x p, N x m); rows with NaN are left out with all that needs them.
+    """Return the innovations model of samples (N x p, N x m); stretches with NaN are left out.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ def identify_innovations(
     order : int or None
         Number of states; None for that of the singular value criterion (Bauer, Automatica 37, 2001).
     past : int or None
-        Length of the autoregression; None for Akaike's choice.
+        Length of the autoregression; None for the choice by Akaike's criterion.
     longest : int
-        The longest one that may be chosen.
+        Largest length of the autoregression.
 
     Raises
     ------
     ModelError
-        If there are too few samples, or the inputs move too little to tell anything.
+        If there are too few samples, or the inputs move too little.
     """
     m = y.shape[1]
     past = choose_past(u, y, longest) if past is None else past
@@ -80,7 +80,7 @@ def identify_innovations(
     coupling = np.linalg.solve(left, np.linalg.solve(right, _covariance(before, future, 0.0)).T)
     _, correlations, back = np.linalg.svd(coupling, full_matrices=False)
     n = _choose_order(correlations, number, u.shape[1], m) if order is None else order
-    states = np.linalg.solve(right.T, back[:n].T)  # of the past, in units of the state's own spread
+    states = np.linalg.solve(right.T, back[:n].T)  # from the past, in units of the state's spread
     x = np.full((len(y) + 1, n), np.nan)
     at = np.arange(past, len(y) + 1)
     x[at] = _stacked(np.hstack([u, y]), at, past) @ states
@@ -129,8 +129,8 @@ def _autoregress(u: Floats, y: Floats, past: int) -> tuple[Floats, Floats]:
     count = int(whole.sum())
     if count < 4 * regressors.shape[1]:
         raise ModelError(
-            f"The recording has {count} samples in a row that tell of {regressors.shape[1]} numbers of an autoregression of "
-            f"{past} samples; record at least {4 * regressors.shape[1]}, or give a smaller past=."
+            f"The recording has {count} samples for {regressors.shape[1]} coefficients of an autoregression of {past} samples; "
+            f"record at least {4 * regressors.shape[1]} without gaps, or give a smaller past=."
         )
     solution = lstsq(regressors[whole], y[rows][whole], lapack_driver="gelsy")[0]
     e = y[rows][whole] - regressors[whole] @ solution
@@ -140,7 +140,7 @@ def _autoregress(u: Floats, y: Floats, past: int) -> tuple[Floats, Floats]:
 def _without_future(
     u: Floats, y: Floats, gain: Floats, rows: np.ndarray[tuple[int], np.dtype[np.int64]], steps: int
 ) -> Floats:
-    """Return the outputs at rows without what the predictor says the last `steps` samples before them did."""
+    """Return the outputs at rows without the predicted effect of the last `steps` samples before them."""
     if steps == 0:
         return y[rows]
     width = u.shape[1] + y.shape[1]
@@ -148,12 +148,12 @@ def _without_future(
 
 
 def least_past(order: int, outputs: int) -> int:
-    """Return the shortest autoregression of which a model of an order can be made."""
+    """Return the shortest autoregression for a model of an order."""
     return max(-(-order // outputs) + 1, 1)
 
 
 def samples_needed(inputs: int, outputs: int, order: int | None, past: int | None) -> tuple[int, int]:
-    """Return how many samples are needed to learn from, and how long an autoregression they then have at least."""
+    """Return the number of samples needed for learning, and the shortest autoregression with these."""
     width = inputs + outputs
     least = 1 if order is None else least_past(order, outputs)
     if past is None and least <= PASTS[0]:
@@ -163,7 +163,7 @@ def samples_needed(inputs: int, outputs: int, order: int | None, past: int | Non
 
 
 def choose_past(u: Floats, y: Floats, longest: int) -> int:
-    """Return the length of the autoregression by Akaike's criterion, on the same samples for all."""
+    """Return the length of the autoregression by Akaike's criterion, on the same samples for all lengths."""
     width, m = u.shape[1] + y.shape[1], y.shape[1]
     lengths = [past for past in PASTS if past <= longest and 8 * (past * width + 1) <= len(y)] or [PASTS[0]]
     rows = np.arange(lengths[-1], len(y))
@@ -171,19 +171,19 @@ def choose_past(u: Floats, y: Floats, longest: int) -> int:
     table = table[np.isfinite(table).all(axis=1)]
     if len(table) <= table.shape[1]:
         return lengths[0]
-    # One triangle has them all: what the columns of a shorter past leave of the outputs stands below these columns.
+    # One triangle serves all lengths: below the columns of a shorter past are the residuals of the outputs.
     triangle = np.asarray(np.linalg.qr(table, mode="r"))[:, -m:]
     criteria = []
     for past in lengths:
-        rest = triangle[1 + past * width :]
-        S = rest.T @ rest / len(table)
+        residual = triangle[1 + past * width :]
+        S = residual.T @ residual / len(table)
         size = np.linalg.slogdet(S + 1e-14 * np.trace(S) * np.eye(m))[1]
         criteria.append(len(table) * size + 2 * m * (past * width + 1))
     return lengths[int(np.argmin(criteria))]
 
 
 def _choose_order(correlations: Floats, number: int, p: int, m: int) -> int:
-    """Return the order at which what is left of the correlations no longer pays for the numbers that a state costs."""
+    """Return the order at which the remaining correlations do not outweigh the parameters of a further state."""
     left = np.append(correlations[1:], 0.0)[: len(correlations)]
     cost = [(left[n - 1] ** 2 + (2 * n * m + n * p) * np.log(number) / number) for n in range(1, len(left) + 1)]
     return 1 + int(np.argmin(cost))

@@ -1,8 +1,7 @@
-"""Backward through a recording: what each sensor's mode was, given all samples, and how large its faults were at their onsets.
+"""The backward pass through a recording: each sensor's modes given all samples, and the faults' sizes at their onsets.
 
-Going back, what a filter says of a sensor's mode at a sample is corrected by what is known of the mode one sample later (Kim,
-J. Econometrics 60, 1994). That is exact if a sample depends on its own mode only; with moments that are merged, as those of
-offsets are, it is an approximation.
+The backward pass corrects the filtered probabilities of a sensor's mode by those one sample later (Kim, J. Econometrics 60,
+1994). It is exact if a sample depends on its own mode only. With merged moments, such as those of offsets, it is approximate.
 """
 
 from bayesftc.cosim.ops import square
@@ -13,26 +12,26 @@ OFFSETS = (
     f"void({_TABLES}, {_TABLES}, {_TABLE}, {_TABLE}, float64[::1], int64, float64, float64, float64, float64[::1])"
 )
 SCATTER = f"void({_TABLES}, {_TABLES}, {_TABLE}, {_TABLE}, int64, float64, float64, float64, float64[::1])"
-"""What the passes are compiled for."""
+"""Types for which the passes are compiled."""
 
 ONSETS, RECOVERIES, HEALTHY, FAULTY = range(4)
-"""What is counted for each mode: onsets, recoveries, and samples before which the sensor was healthy or in the mode."""
+"""Counts of each mode: onsets, recoveries, and samples before which the sensor was healthy or in the mode."""
 
 
 def smooth(filtered, begins, ends, begun, lasts, counts):
-    """Count how often each mode begins and ends, and for how long it lasts.
+    """Count how often each mode begins and ends, and how long it lasts.
 
     Parameters
     ----------
     filtered : array, steps x sensors x (1 + modes)
-        Probability of each mode given the samples so far, of being healthy first.
+        Probability of each mode given the samples so far, healthy first.
     begins, ends : array
-        Of each mode, the probabilities per sample.
+        Probabilities per sample of each mode.
     begun, lasts : array, steps x sensors x modes
-        Written: the probability given all samples that a mode begins with this one; and that it lasts to the next one, if it is
-        there.
+        Written: the probability given all samples that a mode begins with this sample; and that a present mode lasts to the next
+        sample.
     counts : array, 4 x modes
-        Added to: expected numbers of them.
+        Increased by the expected counts.
     """
     steps, sensors, modes = filtered.shape[0], filtered.shape[1], begins.shape[0]
     stays = 1.0
@@ -40,7 +39,9 @@ def smooth(filtered, begins, ends, begun, lasts, counts):
         stays -= begins[k]
     for i in range(sensors):
         for k in range(modes):
-            begun[0, i, k] = filtered[steps - 1, i, 1 + k]  # until it is known better: the mode after the last sample
+            begun[0, i, k] = filtered[
+                steps - 1, i, 1 + k
+            ]  # work space for the mode's probability, at first after the last sample
             lasts[steps - 1, i, k] = 0.0
         sound = filtered[steps - 1, i, 0]
         for back in range(steps - 1):
@@ -53,8 +54,8 @@ def smooth(filtered, begins, ends, begun, lasts, counts):
             sound = was * stays * healed
             for k in range(modes):
                 p = filtered[t - 1, i, 1 + k]
-                known = begun[0, i, k] / (was * begins[k] + p * (1.0 - ends[k]))
-                new, old, over = was * begins[k] * known, p * (1.0 - ends[k]) * known, p * ends[k] * healed
+                factor = begun[0, i, k] / (was * begins[k] + p * (1.0 - ends[k]))
+                new, old, over = was * begins[k] * factor, p * (1.0 - ends[k]) * factor, p * ends[k] * healed
                 begun[t, i, k] = new
                 lasts[t - 1, i, k] = old / (old + over) if old + over > 0.0 else 0.0
                 begun[0, i, k] = old + over
@@ -72,8 +73,8 @@ def smooth(filtered, begins, ends, begun, lasts, counts):
 def measure_offsets(begun, lasts, e, variance, nominal, k, jump, slope, walk, totals):
     """Add up the expected squares of the offsets and their slopes at the onsets of a mode.
 
-    What the samples from an onset on say of offset and slope comes from an information filter that runs backward; it forgets
-    what lies beyond the mode's end.
+    The information of the samples from an onset on comes from an information filter that runs backward. It forgets samples beyond
+    the mode's end.
 
     Parameters
     ----------
@@ -82,13 +83,13 @@ def measure_offsets(begun, lasts, e, variance, nominal, k, jump, slope, walk, to
     e, variance : array, steps x sensors
         Innovations, NaN where there is no sample, and their variances with healthy sensors.
     nominal : array
-        Of each sensor, the variance of its noise.
+        Variance of each sensor's noise.
     k : int
         The mode.
     jump, slope, walk : float
-        Variances of the mode's offset at its onset, of its slope, and of its walk, in those of the noise.
+        Variances of the mode's offset at its onset, of its slope, and of its walk, in units of the noise variance.
     totals : array
-        Added to: the number of onsets, the squares of the offsets, those of the slopes, in variances of the noise.
+        Increased by the number of onsets, and by the squares of offsets and of slopes in units of the noise variance.
     """
     for i in range(e.shape[1]):
         cc, cb, bb, c, b = 0.0, 0.0, 0.0, 0.0, 0.0  # information: matrix and vector
@@ -116,18 +117,18 @@ def measure_offsets(begun, lasts, e, variance, nominal, k, jump, slope, walk, to
 
 
 def measure_scatter(begun, lasts, e, variance, k, shape, rate, forgetting, totals):
-    """Add up the expected precisions, in nominal ones, at the onsets of a mode whose noise is gamma distributed.
+    """Add up the expected precisions, in nominal ones, at the onsets of a mode with gamma distributed precision.
 
     Parameters
     ----------
     begun, lasts, e, variance, k
-        As of `measure_offsets`.
+        See `measure_offsets`.
     shape, rate : float
-        Of the gamma distribution at the onset.
+        The gamma distribution at the onset.
     forgetting : float
-        Factor per sample.
+        Forgetting factor per sample.
     totals : array
-        Added to: the number of onsets, the precisions.
+        Increased by the number of onsets and by the precisions.
     """
     for i in range(e.shape[1]):
         a, b = 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Learning from recorded runs, without labels: how often faults come and go, how large they are, how coarse sensors are."""
+"""Learn rates and sizes of faults, and the sensors' resolution, from recorded runs without labels."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
 PRIOR_FAULTS = 0.5
-"""How many faults what is believed before counts for, as Jeffreys' prior of a rate does: a mode that never shows keeps a time to
-a fault of twice the recordings' length and what was believed before."""
+"""Weight of the initial settings in faults, as of Jeffreys' prior of a rate. A mode that never occurs gets a time to a fault of
+twice the recordings' length plus the initial one."""
 
 SETTLED = 0.01
-"""Learning ends when no setting changes by more than this share of it."""
+"""Learning ends when no setting has a larger relative change."""
 
 SETTINGS = ("time_to_fault", "time_to_recovery", "jump", "slope", "scale")
-"""What is learned of modes that have it."""
+"""Settings that are learned, for modes that have them."""
 
 
 class RecordedRun(NamedTuple):
@@ -42,7 +42,7 @@ class RecordedRun(NamedTuple):
     y : array_like, steps x sensors
         Samples; NaN where there is none.
     u : array_like, steps x controls, optional
-        Known inputs, each acting until the next sample; by default 0.
+        Known inputs, each held until the next sample; by default 0.
     initial_mean, initial_covariance : optional
         Belief before the first sample, as for `StateEstimator`.
     """
@@ -55,22 +55,22 @@ class RecordedRun(NamedTuple):
 
 @dataclass(frozen=True)
 class LearnedModes:
-    """What `learn_modes` has learned.
+    """The result of `learn_modes`.
 
     Attributes
     ----------
     precision : SwitchingPrecision
-        With the learned modes, of which all durations are exponential, as they were learned (an infinite `duration_shape`).
+        The learner with the learned modes. All durations are exponential, as in learning (an infinite `duration_shape`).
     onsets, recoveries : tuple of float
-        Expected numbers of them in the recordings, of each mode.
+        Expected numbers of onsets and recoveries of each mode in the recordings.
     faulty : tuple of float
-        Seconds that sensors were in each mode, all sensors together.
+        Seconds in each mode, summed over all sensors.
     healthy : float
-        Seconds that sensors were healthy, all together.
+        Healthy seconds, summed over all sensors.
     log_likelihood : tuple of float
         Logarithm of the recordings' density before each iteration, in nats.
     settled : bool
-        Whether the last one changed no setting by more than a hundredth.
+        Whether the last iteration changed no setting by more than a hundredth.
     """
 
     precision: SwitchingPrecision
@@ -90,29 +90,29 @@ def learn_modes(
     iterations: int = 20,
     compiled: bool | None = None,
 ) -> LearnedModes:
-    """Learn from recorded runs how often each fault mode begins and ends, how large its faults are, and how coarse sensors are.
+    """Learn from recorded runs how often each fault mode begins and ends, its faults' sizes, and the sensors' resolution.
 
-    By expectation-maximisation (Dempster, Laird and Rubin 1977; for hidden Markov models Baum and Welch): the learner runs over
-    the recordings, and backward; then each mode gets the times to a fault and to recovery, an `Offset` and `Drifting` the sizes
-    ``jump`` and ``slope``, and a `Noisier` the ``scale``, for which what was expected is most probable; and so on until
-    nothing changes. Nobody need say when there was a fault. What was believed before counts as half a fault: a mode that does
-    not show gets rare, never impossible. A size of 0 stays 0.
+    The method is expectation-maximisation (Dempster, Laird and Rubin 1977; for hidden Markov models Baum and Welch). The learner
+    runs forward and backward over the recordings. Then each mode gets the most probable settings: the times to a fault and to
+    recovery, for `Offset` and `Drifting` the sizes ``jump`` and ``slope``, for `Noisier` the ``scale``. This repeats until
+    nothing changes. Labels are not needed. The initial settings count as half a fault: a mode that does not occur becomes rare,
+    but not impossible. A size of 0 remains 0.
 
-    It is an approximation: moments of offsets are merged, and sensors are judged by their innovations one by one. Faults that
-    cannot be told apart, such as small offsets and slow drifts, are shared out between their modes.
+    The result is approximate, because moments of offsets are merged and innovations are judged sensor by sensor. Faults that
+    cannot be distinguished, such as small offsets and slow drifts, are shared between their modes.
 
     Parameters
     ----------
     recordings : sequence of RecordedRun
-        With faults and without, as they come.
+        Recordings with and without faults.
     model : LinearModel
-        Of plant and sensors.
+        The model of plant and sensors.
     precision : SwitchingPrecision, optional
-        Where to begin. A `Frozen` without a resolution gets each sensor's by `find_resolution`.
+        Initial settings. A `Frozen` without a resolution gets that of each sensor by `find_resolution`.
     iterations : int
-        At most how many.
+        Largest number of iterations.
     compiled : bool, optional
-        False to step through the plain Python form; by default short recordings do.
+        False for interpreted runs, which a debugger can step through; by default for short recordings.
 
     Raises
     ------
@@ -121,14 +121,14 @@ def learn_modes(
     """
     start = SwitchingPrecision() if precision is None else precision
     if not isinstance(start, SwitchingPrecision):
-        raise ModelError(f"learn_modes learns the modes of a SwitchingPrecision, not of a {type(start).__name__}.")
-    given = _listed(recordings, model)
+        raise ModelError(f"learn_modes needs a SwitchingPrecision, but precision is a {type(start).__name__}.")
+    listed_runs = _listed(recordings, model)
     as_number("learn_modes has iterations", iterations, least=1, whole=True)
-    StateEstimator(model, start)  # a model or settings that do not fit are named here, not after the first recording
-    runs = [_checked(number, run, model) for number, run in enumerate(given)]
+    StateEstimator(model, start)  # raises now, not after the first recording, if model and settings do not fit
+    runs = [_checked(number, run, model) for number, run in enumerate(listed_runs)]
     if not runs:
-        raise ModelError("learn_modes has no recording to learn from; give at least one RecordedRun.")
-    # How probable it is that all sensors jump alike is believed, not learned, and would be shared out over their offsets.
+        raise ModelError("learn_modes has no recording; give at least one RecordedRun.")
+    # The probability that all sensors jump alike is not learned; left in, it would change the sensors' offsets.
     alike = start.alike
     start = replace(start, modes=[_resolved(mode, runs) for mode in start.modes], alike=0.0, duration_shape=inf)
     start = start.paced(float(model.step))
@@ -154,55 +154,55 @@ def learn_modes(
 
 
 def _listed(recordings: object, model: object) -> list[RecordedRun]:
-    """Return the recordings, or say by its type what was given in place of them or of the model: numbers would fill a page."""
+    """Return the recordings; refuse other types with the type's name, because numbers would fill a page."""
     if not isinstance(model, LinearModel):
         raise ModelError(
-            f"learn_modes needs a LinearModel after the recordings, not something of the type {type(model).__name__}."
+            f"learn_modes needs a LinearModel after the recordings, but model has the type {type(model).__name__}."
         )
     several = isinstance(recordings, Iterable) and not isinstance(recordings, RecordedRun)
     runs: list[RecordedRun] = []
     for run in recordings if several else [recordings]:  # type: ignore[attr-defined]
         if not several or not isinstance(run, RecordedRun):
-            what = "a recording" if several else "recordings"
+            received = "a recording" if several else "recordings"
             raise ModelError(
-                f"learn_modes has {what} of the type {type(run).__name__}; give a list of RecordedRun, as [RecordedRun(y, u)]."
+                f"learn_modes has {received} of the type {type(run).__name__}; give a list of RecordedRun: [RecordedRun(y, u)]."
             )
         runs.append(run)
     return runs
 
 
 def _checked(number: int, run: RecordedRun, model: LinearModel) -> RecordedRun:
-    """Return a recording with arrays, or say what does not fit."""
+    """Return a recording with arrays; refuse one that does not fit the model."""
     title = f"Recording {number}"
     y = as_numbers(f"{title}: y", run.y, "give a row of samples for each step")
     if y.ndim != 2 or y.shape[1] != model.sensors or not len(y):
-        raise ModelError(f"{title} has y of shape {y.shape}; it must be steps x {model.sensors} sensors.")
+        raise ModelError(f"{title} has y of shape {y.shape}; give steps x {model.sensors} sensors.")
     shape = (len(y), model.controls)
     u = np.zeros(shape) if run.u is None else as_numbers(f"{title}: u", run.u, "give a row of inputs for each step")
     if u.ndim == 1 and model.controls == 1:
         u = u[:, np.newaxis]
     if u.shape != shape:
-        raise ModelError(f"{title} has u of shape {u.shape}; it must be {shape[0]} steps x {shape[1]} controls.")
+        raise ModelError(f"{title} has u of shape {u.shape}; give {shape[0]} steps x {shape[1]} controls.")
     return run._replace(y=y, u=u)
 
 
 def _resolved(mode: FaultMode, runs: Sequence[RecordedRun]) -> FaultMode:
-    """Return a mode; one that must know the sensors' resolution and does not gets it."""
+    """Return a mode, with the sensors' resolution if it needs one and has none."""
     if not isinstance(mode, Frozen) or np.any(mode.resolution):
         return mode
-    y = np.vstack([np.asarray(run.y) for run in runs])  # the changes from one to the next are too few to count
+    y = np.vstack([np.asarray(run.y) for run in runs])  # the few changes between runs have no effect
     return replace(mode, resolution=tuple(find_resolution(samples) for samples in y.T))
 
 
 def _expect(
     run: RecordedRun, model: LinearModel, precision: SwitchingPrecision, compiled: bool | None
 ) -> tuple[float, Floats]:
-    """Return the logarithm of the samples' density, and what is expected of each mode: a row of counts and sizes for each."""
+    """Return the log density of the samples, and a row of expected counts and sizes for each mode."""
     estimator = StateEstimator(model, precision, run.initial_mean, run.initial_covariance)
     y, u = np.asarray(run.y), np.asarray(run.u)
-    found = estimate(estimator, y, u, ("mode_probability", "innovation", "P", "log_density"), compiled)
-    filtered, e = found["mode_probability"], found["innovation"]
-    variance = np.ascontiguousarray(np.diagonal(innovation_covariances(estimator, found["P"]), axis1=1, axis2=2))
+    estimates = estimate(estimator, y, u, ("mode_probability", "innovation", "P", "log_density"), compiled)
+    filtered, e = estimates["mode_probability"], estimates["innovation"]
+    variance = np.ascontiguousarray(np.diagonal(innovation_covariances(estimator, estimates["P"]), axis1=1, axis2=2))
     nominal = np.ascontiguousarray(np.diag(model.matrix("sensor_covariance")))
     modes, step = precision.modes, float(model.step)
     smooth, offsets, scatter = _passes(len(y) > SHORT if compiled is None else compiled)
@@ -219,13 +219,15 @@ def _expect(
         elif isinstance(mode, Noisier):
             gamma = float(mode.shape), float(mode.shape * mode.scale**2), float(mode.forgetting)
             scatter(begun, lasts, e, variance, k, *gamma, sizes[k])
-    seen = filtered[:, :, 1:].max(axis=(0, 1)) > LEAST  # others take no part in this form
-    return float(found["log_density"].sum()), np.where(seen[:, np.newaxis], np.column_stack([counts.T, sizes]), 0.0)
+    occurring = filtered[:, :, 1:].max(axis=(0, 1)) > LEAST  # other modes have no part in this form
+    return float(estimates["log_density"].sum()), np.where(
+        occurring[:, np.newaxis], np.column_stack([counts.T, sizes]), 0.0
+    )
 
 
 @cache
 def _passes(compiled: bool) -> tuple[Any, Any, Any]:
-    """Return the passes backward through a recording, compiled or as they stand."""
+    """Return the backward passes through a recording, compiled or not."""
     passes: list[tuple[Any, str]] = [
         (kernels.smooth, kernels.SMOOTH), (kernels.measure_offsets, kernels.OFFSETS), (kernels.measure_scatter, kernels.SCATTER),
     ]  # fmt: skip
@@ -237,7 +239,7 @@ def _passes(compiled: bool) -> tuple[Any, Any, Any]:
 
 
 def _maximised(start: FaultMode, now: FaultMode, expected: Floats, step: float) -> FaultMode:
-    """Return a mode with the settings that are most probable after what was expected of it, and was believed at the start."""
+    """Return a mode with the most probable settings, given the expected counts and the initial settings."""
     onsets, recoveries, healthy, faulty, times, first, second = expected
     if not healthy:
         return now
@@ -255,6 +257,6 @@ def _maximised(start: FaultMode, now: FaultMode, expected: Floats, step: float) 
 
 
 def _change(before: FaultMode, after: FaultMode) -> float:
-    """Return by which share the setting has changed that has changed most."""
+    """Return the largest relative change of a setting."""
     pairs = [(getattr(before, name), getattr(after, name)) for name in SETTINGS if hasattr(before, name)]
     return float(max(abs(new - old) / old for old, new in pairs if old))

@@ -8,37 +8,37 @@ from numpy.typing import ArrayLike
 from bayesftc.controllers.models.checks import as_numbers
 
 RANKS = (0.002, 0.01, 0.05, 0.25)
-"""Among the changes from sample to sample, the smallest first, these are taken for multiples of the resolution ..."""
+"""Ranks of changes, the smallest first, that are tried as multiples of the resolution."""
 
 MULTIPLES = 12
-"""... up to this one."""
+"""Largest multiple to try."""
 
 FEWEST, FURTHEST = 20, 50
-"""Changes that are needed, and how many times the resolution they may be, so that it need not be known too well."""
+"""Least number of changes, and largest multiple among them, so that an error of the resolution has little effect."""
 
 NEAR, SHARE = 0.1, 0.95
-"""What share of them must be nearer than this to a whole multiple, in resolutions: of any numbers a fifth are."""
+"""Largest distance from a multiple, in resolutions, and share of changes that must be nearer; of random ones a fifth are."""
 
 ROUNDING, USUAL = 1e-9, 0.98
-"""Smaller changes, in units of this quantile of the samples' magnitude, are rounding. A few absurd samples are beyond it."""
+"""Smaller changes are rounding, in units of this quantile of the samples' magnitude, which excludes a few absurd samples."""
 
 
 def find_resolution(samples: ArrayLike) -> float:
-    """Return the resolution of a sensor: of what the changes from sample to sample are whole multiples, or 0.
+    """Return the resolution of a sensor, of which the changes from sample to sample are whole multiples; 0 if there is none.
 
-    A few changes that are none, as at the onset of a fault, do no harm; nor do samples that repeat themselves.
+    A few other changes, such as at the onset of a fault, and repeated samples have no effect.
 
     Parameters
     ----------
     samples : array_like
-        Of one sensor in their order; NaN where there is none.
+        Samples of one sensor in order of time; NaN where there is none.
 
     Returns
     -------
     float
-        The largest such number, in the sensor's unit; 0 if there is none, or too few samples tell.
+        The largest such number, in the sensor's unit; 0 if there is none, or there are too few changes.
     """
-    y = as_numbers("The samples", samples, "give the numbers that one sensor has sent").ravel()
+    y = as_numbers("The samples", samples, "give the numbers of one sensor").ravel()
     y = y[np.isfinite(y)]
     changes = np.sort(np.abs(np.diff(y)))
     if len(y):
@@ -59,7 +59,7 @@ def find_resolution(samples: ArrayLike) -> float:
 
 
 def _fitted(changes: np.ndarray, width: float) -> float:
-    """Return the width of which the changes are multiples with the least squares of errors."""
+    """Return the width with the least squared errors of its multiples from the changes."""
     times = np.rint(changes / width)
     squares = float(times @ times)
     return float(times @ changes) / squares if squares else width
