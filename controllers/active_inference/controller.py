@@ -44,81 +44,85 @@ Law = ControlLaw | Block | Callable[..., None]
 class UnbiasedActiveInference(Block):
     """Unbiased active inference (u-AIC): the belief about state and control descends the free energy (paper, section 2.2).
 
-    With the prediction errors ``eps_i = y_i - g_i(mu)`` of each sensor modality, ``eps_x = mu - x_pred`` of the state prior and
-    ``eps_u = mu_u - f*(mu, goal)`` of the control, the free energy is::
+    The prediction errors are ``eps_i = y_i - g_i(mu)`` of each sensor modality, ``eps_x = mu - x_pred`` of the state prior and
+    ``eps_u = mu_u - f*(mu, goal)`` of the control. The free energy is::
 
         F = 1/2 (sum_i eps_i' P_i eps_i + eps_x' P_x eps_x + eps_u' P_u eps_u - ln |P_u P_x prod_i P_i|) + C
 
     where C is ln(2 pi) / 2 for each element of the errors, so that F = -ln p(mu_u, mu, y). Means move against its gradient,
-    ``mu <- mu - dt belief_rate dF/dmu`` and ``mu_u <- mu_u - dt control_rate dF/dmu_u``, `inner_steps` times a sample; dF/dmu
-    contains the control's error too. With a random walk and one inner step eps_x is zero where the gradient is taken: the
-    prior then does nothing but start the belief where it was.
+    ``mu <- mu - dt belief_rate dF/dmu`` and ``mu_u <- mu_u - dt control_rate dF/dmu_u``, `inner_steps` times a sample. dF/dmu
+    contains the control's error as well. With a random walk and one inner step eps_x is zero where the gradient is taken; the
+    prior then only sets the start of the belief.
 
-    Inputs ``y`` (the samples of all modalities, one after the other; one that is not finite is missing) and ``goal``.
-    Outputs ``u`` (the control's mean), ``x_hat`` (mu), ``innovation`` (``y - g(mu)`` before the sample is used; NaN for a missing
-    one), ``R`` (the learner's sensor covariance), ``precision``, ``beta``, ``fault_probability``, ``free_energy``, ``eps_x`` and
-    ``eps_u``, and the precision learner's own. Free energy and prediction errors are those at which the last gradient was
-    taken. With ``state_prior="kalman"`` and linear modalities there is ``model_suspect`` as well, by Kalman filters of the model;
-    otherwise no model says what the sensors should read next.
+    Inputs are ``y`` (the samples of all modalities, one after the other; one that is not finite is missing) and ``goal``.
 
-    A precision learner sees the errors before the sample is used, and no uncertainty of the belief (``spread`` is zero: means
-    are all this controller has). Its sensor covariance R becomes the precision ``P = S R^-1 S`` with S = diag(sqrt(gain) std):
-    each sensor's `Modality.precision` at nominal trust, however small its noise. A sensor that the learner leaves out, or
-    whose sample is missing, has the precision zero and no part in the log-determinant.
+    Outputs, besides those of the precision learner:
 
-    To a learner, a belief that lags behind the plant looks like faulty sensors, and a belief that trusts them less lags more.
-    A random walk or Euler's prior, which do not know the control, can so lose a lightly damped plant. They lost an oscillator
-    of 1 Hz (damping ratio 0.01, two encoders and two tachometers, a step of the goal under a PD law) without a fault as well as
-    with one of the encoders faulty: it still swung after 20 s, with the belief 17 to 214 standard deviations of a sensor away
-    (root mean square). With ``state_prior="kalman"``, one inner step and ``dt * belief_rate * state_precision = 1``, where the
-    belief follows the prediction in full, it came to rest as with fixed precisions; at half that only under the softer of two
-    laws, with the noisier of two kinds of sensors.
+    - ``u``: the control's mean; ``x_hat``: mu.
+    - ``innovation``: ``y - g(mu)`` before the sample is used; NaN for a missing one.
+    - ``R`` (the learner's sensor covariance), ``precision``, ``beta``, ``fault_probability``.
+    - ``free_energy``, ``eps_x``, ``eps_u``: their values where the last gradient was taken.
+    - ``model_suspect``: only with ``state_prior="kalman"`` and linear modalities, by Kalman filters of the model. Otherwise no
+      model predicts the sensors' readings.
 
-    Errors are held within a million nominal standard deviations. Where learned precisions or the slopes of measurement
-    functions and law make the curvature too large for the rates, a step is shortened to stay stable, at nominal trust and the
-    initial mean's slopes never (`bayesftc.controllers.active_inference.curvature` has the rule; it is the same in all units).
+    A precision learner gets the errors before the sample is used. Its ``spread`` is zero, because this belief consists of means
+    alone. The learner's sensor covariance R becomes the precision ``P = S R^-1 S`` with S = diag(sqrt(gain) std). At nominal
+    noise that is each sensor's `Modality.precision`, however small the noise. A sensor that the learner leaves out, or whose
+    sample is missing, has the precision zero and no part in the log-determinant.
+
+    To a learner, a belief that lags behind the plant looks like faulty sensors, and lower precisions increase the lag. With a
+    random walk or Euler's prior, which do not depend on the control, the belief can therefore lose a lightly damped plant. They
+    lost an oscillator of 1 Hz (damping ratio 0.01, two encoders and two tachometers, a step of the goal under a PD law), both
+    without a fault and with one faulty encoder. It still oscillated after 20 s, with the belief 17 to 214 standard deviations of
+    a sensor away (root mean square). With ``state_prior="kalman"``, one inner step and
+    ``dt * belief_rate * state_precision = 1``, where the belief follows the prediction fully, it settled as with fixed
+    precisions. At half of that it settled only under the softer of two laws, with the noisier of two kinds of sensors.
+
+    Errors are limited to a million nominal standard deviations. If learned precisions or the slopes of measurement functions and
+    law make the curvature too large for the rates, a step is shortened to remain stable. At nominal precisions and the slopes at
+    the initial mean no step is shortened (`bayesftc.controllers.active_inference.curvature` has the rule, which does not depend
+    on units).
 
     Parameters
     ----------
     modalities : Modality or sequence of Modality
-        What the sensors measure; if there are none, the model's C and sensor covariance.
+        The sensors' measurements; by default the model's C and sensor covariance.
     law : block or function
         The control law f*: a block with the inputs ``x_hat`` and ``goal`` and the output ``u``, such as `Proportional`, `PID`
-        or one of your own, or a step function ``law(x_hat, goal, u)``. What a block keeps from step to step
-        moves on once a sample.
+        or your own, or a step function ``law(x_hat, goal, u)``. The state of a block advances once a sample.
     dt : float, str or Fraction, optional
-        Sample time in seconds; by default the model's.
+        Sample time in seconds; by default that of the model.
     belief_rate : number or vector
         Rate of the belief's descent, for all states or for each, per second and unit of precision.
     control_rate : number or vector, optional
-        Rate of the control's descent; needed for ``control="gradient"``.
+        Rate of the control's descent; required for ``control="gradient"``.
     inner_steps : int
         Gradient steps a sample.
     control : {"gradient", "law"}
-        Let the control's mean descend the free energy, or put it to f* (then eps_u = 0). A law of high gain needs a small
-        `control_precision` to descend in a stable way, for dF/dmu contains its square.
+        "gradient": the control's mean descends the free energy. "law": the mean is set to f*, so that eps_u = 0. With "gradient"
+        a law of high gain needs a small `control_precision` for stability, because dF/dmu contains the square of the gain.
     state_prior : {"random walk", "euler", "kalman"}
-        How the state is predicted: as it was (the paper's choice); by Euler integration, where the second half of the states
-        are the rates of the first half; or by the model's A and B with the control that was applied.
+        The predicted state: the last one (the paper's choice); Euler integration, where the second half of the states are the
+        rates of the first half; or the model's A and B with the control that was applied.
     model : LinearModel, optional
-        For ``state_prior="kalman"``.
+        The model for ``state_prior="kalman"``.
     state_precision, control_precision : number, vector or matrix
-        P_x and P_u.
+        Precisions P_x and P_u.
     precision : PrecisionLearner
-        How sensor precisions are learned. By default they are fixed, unlike in the other controllers: what a belief lags behind
-        the plant, by how its rates are set, looks like faulty sensors.
+        Learns the sensors' precisions. By default they are fixed, unlike in the other controllers, because the belief's lag
+        behind the plant, which depends on the rates, looks like faulty sensors.
     initial_mean : number or vector
-        Belief before the first sample.
+        Mean of the belief before the first sample.
     sizes : tuple of three ints, optional
-        Numbers of states, goals and controls; needed where the law is a plain function.
+        Numbers of states, goals and controls; required if the law is a plain function.
     invalid : sequence of number, or of one for each sensor
-        Values that devices send in place of a sample, as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
+        Values that mark a missing sample, such as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
 
     Raises
     ------
     ModelError
-        If sizes do not fit, a setting is missing or out of range, or at nominal trust and the initial mean the descent is
-        unstable (an eigenvalue of rate times curvature of 2 or more; the sentence gives the largest).
+        If sizes do not fit, a setting is missing or out of range, or the descent is unstable at nominal precisions and the
+        initial mean (rate times curvature has an eigenvalue of 2 or more, which the message gives).
     """
 
     modalities: Modality | Sequence[Modality] = ()
@@ -154,11 +158,11 @@ class UnbiasedActiveInference(Block):
             values["control_rate"] = as_vector("The control_rate", self.control_rate, p)
         for name, value in values.items():
             if name.endswith("rate") and (value <= 0).any():
-                raise ModelError(f"The {name} is {value.tolist()}; it must be positive.")
+                raise ModelError(f"The {name} is {value.tolist()}; give positive rates.")
             object.__setattr__(self, name, value)
         self._check_prior()
-        invalid_values(type(self).__name__, self.invalid, self._sensors)  # wrong ones fail here
-        self._learner()  # settings that do not fit fail here, not in the loop
+        invalid_values(type(self).__name__, self.invalid, self._sensors)  # raises for wrong values
+        self._learner()  # raises now, not in the loop, for settings that do not fit
         remedy = "belief_rate" if self.control == "law" else "belief_rate, control_rate, the control_precision"
         check_stable(*self._nominal_curvature(), remedy)
 
@@ -175,12 +179,12 @@ class UnbiasedActiveInference(Block):
 
     @property
     def measurement_matrix(self) -> Floats:
-        """What each sensor reads of ``x_hat``, a row of NaN where that is no linear function."""
+        """Matrix from ``x_hat`` to each sensor's reading; NaN in rows that are not linear."""
         return frozen(np.vstack([modality.rows(self._dimensions[0]) for modality in self._groups]))
 
     @property
     def goal_matrix(self) -> Floats | None:
-        """What each element of the goal is of ``x_hat``; None where the law does not say."""
+        """Matrix from ``x_hat`` to what has a goal; None if the law does not define it."""
         return getattr(self.law, "goal_matrix", None)
 
     @property
@@ -190,8 +194,8 @@ class UnbiasedActiveInference(Block):
 
     @property
     def outputs(self) -> tuple[Port, ...]:
-        """The outputs named above, and the precision learner's own."""
-        return *self._own_outputs, *self._learner().ports
+        """The outputs named above, and those of the precision learner."""
+        return *self._common_outputs, *self._learner().ports
 
     def held(self, outputs: Mapping[str, Floats]) -> Block:
         """See `Block.held`."""
@@ -199,7 +203,7 @@ class UnbiasedActiveInference(Block):
         return block
 
     @property
-    def _own_outputs(self) -> tuple[Port, ...]:
+    def _common_outputs(self) -> tuple[Port, ...]:
         (n, _, p), m = self._dimensions, self._sensors
         shapes: dict[str, tuple[int, ...]] = {"u": (p,), "x_hat": (n,), "innovation": (m,), "R": (m, m)}
         shapes |= dict.fromkeys(("precision", "beta", "fault_probability"), (m,))
@@ -225,15 +229,15 @@ class UnbiasedActiveInference(Block):
             "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
             "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
             "prior_curvature": self._prior_curvature(), "root_rate": np.sqrt(rates), "largest": largest,
-            "spread": np.zeros((m, m)),  # its belief has no covariance
+            "spread": np.zeros((m, m)),  # the belief has no covariance
             **law.parameters, **sensing.parameters, **screen_parameters,
         }  # fmt: skip
         sizes: dict[str, tuple[int, ...]] = {
             **dict.fromkeys(("expected", "samples", "e", "present", "used", "weighted"), (m,)),
             **dict.fromkeys(("L", "inverse", "weights"), (m, m)),
             **dict.fromkeys(("G", "PG"), (m, n)),
-            **dict.fromkeys(("pull_x", "slope"), (n,)),
-            **dict.fromkeys(("law_control", "pull_u"), (p,)),
+            **dict.fromkeys(("weighted_x", "slope"), (n,)),
+            **dict.fromkeys(("law_control", "weighted_u"), (p,)),
             **dict.fromkeys(("D", "PD"), (p, n)),
             **dict.fromkeys(("H", "scaled", "squared"), (q, q)),
             "work": (learner.work, m, m),
@@ -253,9 +257,9 @@ class UnbiasedActiveInference(Block):
             state, parameters = {**state, **watching}, parameters | constants
             sizes |= {"seer_row": (n,), "seer_error": (m,)}
         scratch = {**{name: np.zeros(shape) for name, shape in sizes.items()}, **sensing.scratch}
-        ports = (port.name for port in (*self.inputs, *self._own_outputs))
+        ports = (port.name for port in (*self.inputs, *self._common_outputs))
         names = ["t", "k", "outputs", *ports, *state, *parameters, *scratch]
-        first = sum(port.size for port in self._own_outputs)
+        first = sum(port.size for port in self._common_outputs)
         functions = {
             **FUNCTIONS, **law.functions, **sensing.functions, "learn": learner.step, "report": learner.report,
             "alarm": alarm_of(learner, first),
@@ -294,7 +298,7 @@ class UnbiasedActiveInference(Block):
         return A, np.zeros((n, p))
 
     def _prior_curvature(self) -> Floats:
-        """Return what the state prior adds to the curvature: with one step a sample, only what it moves the start by."""
+        """Return the state prior's part of the curvature; with one step a sample, only its shift of the start."""
         Px: Floats = np.asarray(self.state_precision)
         return Px if self.inner_steps > 1 else Px @ (np.eye(len(Px)) - self._prediction()[0])
 
@@ -304,42 +308,45 @@ class UnbiasedActiveInference(Block):
 
     @property
     def watched_model(self) -> LinearModel | None:
-        """The model that is checked beside the controller; None if it has none, or its modalities are not linear."""
+        """The model of the consistency check; None if there is none, or a modality is not linear."""
         C = self.measurement_matrix
         if self.state_prior != "kalman" or self.model is None or not np.isfinite(C).all():
             return None
         return replace(self.model, C=C, sensor_covariance=nominal_covariance(self._groups), names=None)
 
     def _learned_model(self) -> LinearModel:
-        """Return what a precision learner is told about the loop: the sensors, linear around the initial mean."""
+        """Return the model for the precision learner: the sensors, linearised at the initial mean."""
         A, B = self._prediction()
         G = jacobian_of(self._groups, np.asarray(self.initial_mean))
         return LinearModel(A, B, G, np.zeros_like(A), nominal_covariance(self._groups), self.sample_time)
 
     def _sizes(self) -> tuple[int, int, int]:
-        known = law_sizes(self.law)
-        if known is None and self.sizes is None:
+        law_dimensions = law_sizes(self.law)
+        if law_dimensions is None and self.sizes is None:
+            raise ModelError("A law that is a function has no sizes; give sizes=(states, goals, controls).")
+        sizes: Any = law_dimensions if self.sizes is None else self.sizes
+        requested = tuple(sizes) if isinstance(sizes, Sequence) and not isinstance(sizes, str) else ()
+        if len(requested) != 3 or any(
+            isinstance(s, bool) or not isinstance(s, int | np.integer) or s < 1 for s in requested
+        ):
+            raise ModelError(f"sizes is {self.sizes!r}; give three whole numbers (states, goals, controls).")
+        if law_dimensions is not None and law_dimensions != requested:
             raise ModelError(
-                "With a function as law give sizes=(states, goals, controls), which a function does not say."
+                f"The law has {law_dimensions} states, goals and controls, but sizes={requested}; leave it out."
             )
-        sizes: Any = known if self.sizes is None else self.sizes
-        given = tuple(sizes) if isinstance(sizes, Sequence) and not isinstance(sizes, str) else ()
-        if len(given) != 3 or any(isinstance(s, bool) or not isinstance(s, int | np.integer) or s < 1 for s in given):
-            raise ModelError(f"sizes is {self.sizes!r}; it must be three whole numbers (states, goals, controls).")
-        if known is not None and known != given:
-            raise ModelError(f"The law has {known} states, goals and controls, but sizes={given}; leave sizes out.")
-        return given  # type: ignore[no-any-return]
+        return requested  # type: ignore[no-any-return]
 
     def _modalities(self) -> tuple[Modality, ...]:
-        given: Any = self.modalities
-        modalities = (given,) if isinstance(given, Modality) else tuple(given) if isinstance(given, Iterable) else ()
+        choice: Any = self.modalities
+        modalities = (
+            (choice,) if isinstance(choice, Modality) else tuple(choice) if isinstance(choice, Iterable) else ()
+        )
         if not modalities and self.model is not None:
             covariance = self.model.matrix("sensor_covariance")
             modalities = (Modality("sensors", matrix=self.model.matrix("C"), covariance=covariance),)
         if not modalities or not all(isinstance(s, Modality) for s in modalities):
             raise ModelError(
-                f"modalities must be Modality objects, at least one, not {given!r}; or give a model that says what is "
-                "measured."
+                f"modalities is {choice!r}; give at least one Modality object, or a model, whose C is then used."
             )
         for modality in modalities:
             modality.try_out(self._dimensions[0])
@@ -350,15 +357,15 @@ class UnbiasedActiveInference(Block):
         check_choice(self, "state_prior", "random walk", "euler", "kalman")
         check_number(self, "inner_steps", least=1, most=10_000, whole=True)
         if not isinstance(self.model, LinearModel | None):
-            raise ModelError(f"model must be a LinearModel, not {self.model!r}.")
+            raise ModelError(f"model is {self.model!r}; give a LinearModel.")
         if self.model is None and self.dt is None:
             raise ModelError("Give the controller's sample time dt= in seconds.")
         if self.dt is not None and self.model is not None and rational_step(self.dt) != self.model.step:
-            raise ModelError(f"dt is {self.dt!r}, but the model's is {float(self.model.step):g} s; leave dt out.")
+            raise ModelError(f"dt is {self.dt!r}, but that of the model is {float(self.model.step):g} s; leave dt out.")
         if self.control == "gradient" and self.control_rate is None:
-            raise ModelError("control='gradient' needs a control_rate; or put the control to its law by control='law'.")
+            raise ModelError("control='gradient' needs a control_rate; give one, or set control='law'.")
         if not isinstance(self.precision, PrecisionLearner):
-            raise ModelError(f"precision must be a precision learner such as GammaPrecision(), not {self.precision!r}.")
+            raise ModelError(f"precision is {self.precision!r}; give a precision learner such as GammaPrecision().")
 
     def _check_prior(self) -> None:
         n, _, p = self._dimensions
@@ -366,14 +373,14 @@ class UnbiasedActiveInference(Block):
             raise ModelError(f"state_prior='euler' needs as many rates as positions, but there are {n} states.")
         if self.state_prior == "kalman":
             if self.model is None:
-                raise ModelError("state_prior='kalman' needs a model, whose A and B predict the state.")
+                raise ModelError("state_prior='kalman' needs a model, whose A and B predict the state; give model=.")
             if (self.model.states, self.model.controls) != (n, p):
                 raise ModelError(
-                    f"The model has {self.model.states} states and {self.model.controls} controls; the law has {n} and {p}."
+                    f"The model has {self.model.states} states and {self.model.controls} controls, but the law has {n} and {p}."
                 )
 
     def _nominal_curvature(self) -> tuple[Floats, Floats]:
-        """Return the curvature of the free energy at nominal trust and the initial mean, and the rates per sample."""
+        """Return the curvature of the free energy at nominal precisions and the initial mean, and the rates per sample."""
         (n, goals, p), h = self._dimensions, float(self.sample_time)
         mean = np.asarray(self.initial_mean)
         G, nominal = jacobian_of(self._groups, mean), nominal_covariance(self._groups)
@@ -390,7 +397,7 @@ class UnbiasedActiveInference(Block):
         if not np.isfinite(arrays["law_control"]).all():
             raise ModelError(
                 f"The control law gives {arrays['law_control'].tolist()} at the initial mean and a goal of zero; it must write "
-                "finite numbers into all of u."
+                "finite numbers to all elements of u."
             )
         descends = self.control == "gradient"
         H: Floats = np.empty((n + p,) * 2 if descends else (n, n))
@@ -399,8 +406,8 @@ class UnbiasedActiveInference(Block):
             run_once(law, "law_derivative", arrays)
             if not np.isfinite(arrays["D"]).all():
                 raise ModelError(
-                    f"The control law's derivative is {arrays['D'].tolist()} at the initial mean and a goal of zero; start where "
-                    "it is finite, or put the control to the law by control='law'."
+                    f"The control law's derivative is {arrays['D'].tolist()} at the initial mean and a goal of zero. Give an "
+                    "initial_mean at which it is finite, or set control='law'."
                 )
             curvature_of_control(arrays["D"], np.asarray(self.control_precision), np.empty((p, n)), H)
             rates = np.concatenate([rates, h * np.asarray(self.control_rate, float)])

@@ -1,25 +1,25 @@
-"""How far a gradient step may go: the curvature of the free energy, a bound on its eigenvalues, and the step's fraction.
+"""Stable gradient steps: the curvature of the free energy, a bound on its eigenvalues, and the step's fraction.
 
-A step ``z <- z - fraction rate dF/dz`` multiplies an error in z = (mu, mu_u) by ``I - fraction diag(rate) H``, with H the second
-derivatives of the free energy (those of g and f* left out, as Gauss and Newton do)::
+A step ``z <- z - fraction rate dF/dz`` multiplies an error in z = (mu, mu_u) by ``I - fraction diag(rate) H``. H has the second
+derivatives of the free energy, without those of g and f* (as in Gauss-Newton)::
 
-    H = [G' P G + C   0]  +  [D' P_u D   -D' P_u],    C = P_x, or what the state prior moves the start by
+    H = [G' P G + C   0]  +  [D' P_u D   -D' P_u],    C = P_x, or the prior's shift of the start
         [0            0]     [-P_u D         P_u]
 
-For symmetric H it shrinks while ``fraction`` times the largest eigenvalue of M = diag(sqrt(rate)) H diag(sqrt(rate)) is below 2.
-M is the same in all units of states and controls, for rates have the square of a unit that H has one over.
+For symmetric H the error decreases while ``fraction`` times the largest eigenvalue of M = diag(sqrt(rate)) H diag(sqrt(rate)) is
+below 2. M does not depend on the units of states and controls: rates have the square of a unit, and H its inverse.
 
 That eigenvalue is at most ``||M^k||^(1/k)``, where ||.|| is the largest sum of magnitudes in a row (Gelfand), also if C is not
-symmetric. With k = 1 that is Gershgorin's bound, up to sqrt(n) too large for n rows; each doubling of k, a squaring of the
-matrix, takes the root of that factor. `largest_step` chooses the least k for which the nominal curvature, whose eigenvalues
-are known to be stable, has a bound below 2, and takes that bound as the limit, or 1.9 if it is less. So
+symmetric. With k = 1 that is Gershgorin's bound, up to a factor sqrt(n) too large for n rows. Each squaring of the matrix doubles
+k and takes the root of that factor. `largest_step` chooses the least k for which the nominal curvature, whose eigenvalues are
+stable, has a bound below 2. The limit is that bound, or 1.9 if it is less. Therefore
 
 - a step at nominal curvature is never shortened;
 - for symmetric H a step within the limit is stable, as its eigenvalues are below the bound, and the bound is below 2 (unless the
   nominal curvature itself is within a thousandth of 2);
-- a step beyond it is shortened to ``1 / bound``: it ends at the minimum of the steepest direction, or before it.
+- a step beyond it is shortened to ``1 / bound``, and ends at the minimum of the steepest direction or before it.
 
-The prediction of a Kalman or Euler prior makes H unsymmetric: `check_stable` then judges the nominal curvature by its own rule.
+The prediction of a Kalman or Euler prior makes H unsymmetric; `check_stable` has a rule for that case.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from bayesftc.cosim.ops import absolute, maximum, select, sqrt
 from bayesftc.cosim.types import Floats
 
 USUAL_LIMIT = 1.9
-"""Up to this no step is shortened, whatever the nominal curvature; from 2 on it may diverge."""
+"""Bound up to which no step is shortened, whatever the nominal curvature; from 2 on steps may diverge."""
 
 MOST_SQUARINGS = 10
-"""Then the bound of n states and controls is at most n^(1/2048) times the eigenvalue: 0.1 % too large for ten."""
+"""With these the bound for n states and controls is at most n^(1/2048) times the eigenvalue: 0.1 % too large for ten."""
 
 
 def curvature_of_belief(G, P, prior_curvature, PG, H):
-    """Write the part of H that sensors and state prior make."""
+    """Write the part of sensors and state prior in H."""
     multiply(P, G, PG)
     add_product(prior_curvature, G, PG, H)
 
 
 def curvature_of_control(D, Pu, PD, H):
-    """Add the part of H that the control's error makes, which couples control and belief by D, the law's derivative."""
+    """Add the part of the control's error in H, which couples control and belief by D, the law's derivative."""
     multiply(Pu, D, PD)
     n = D.shape[1]
     for j in range(n):
@@ -72,7 +72,7 @@ def _row_sum(M):
 
 
 def bound_on_eigenvalues(H, root_rate, squarings, M, squared):
-    """Return ``||M^k||^(1/k)`` with k = 2^squarings; `M` and `squared` are scratch of H's size."""
+    """Return ``||M^k||^(1/k)`` with k = 2^squarings; `M` and `squared` are scratch space of H's size."""
     n = H.shape[0]
     for j in range(n):
         for k in range(n):
@@ -82,7 +82,7 @@ def bound_on_eigenvalues(H, root_rate, squarings, M, squared):
     for s in range(squarings):
         for j in range(n):
             for k in range(n):
-                M[j, k] = M[j, k] / maximum(1e-300, norm)  # so that no power overflows; NaN stays
+                M[j, k] = M[j, k] / maximum(1e-300, norm)  # avoids overflow of the powers; keeps NaN
         multiply(M, M, squared)
         for j in range(n):
             for k in range(n):
@@ -96,13 +96,13 @@ def bound_on_eigenvalues(H, root_rate, squarings, M, squared):
 
 
 def shortening(H, root_rate, largest, squarings, M, squared):
-    """Return the fraction of a gradient step to take, at most 1; NaN, so that nothing moves, if H is not finite."""
+    """Return the fraction of a gradient step, at most 1; if H is not finite, NaN, so that nothing moves."""
     bound = bound_on_eigenvalues(H, root_rate, squarings, M, squared)
     return select(bound <= largest[0], 1.0, 1.0 / bound)
 
 
 def largest_step(H: Floats, rates: Floats) -> tuple[float, int]:
-    """Return up to which bound no step is shortened, and with how many squarings the bound is computed.
+    """Return the bound up to which no step is shortened, and the number of squarings for the bound.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def largest_step(H: Floats, rates: Floats) -> tuple[float, int]:
     bound, squarings = np.inf, -1
     while not bound < 2.0 and squarings < MOST_SQUARINGS:
         squarings += 1
-        bound = (1 + 1e-9) * float(  # rounding is no reason to shorten
+        bound = (1 + 1e-9) * float(  # margin for rounding
             bound_on_eigenvalues(H, np.sqrt(rates), squarings, np.empty_like(H), np.empty_like(H))
         )
     return max(USUAL_LIMIT, bound), squarings
@@ -126,18 +126,18 @@ def check_stable(H: Floats, rates: Floats, remedy: str) -> None:
     Raises
     ------
     ModelError
-        If one is too large; `remedy` is what to lower.
+        If one is too large; `remedy` names the settings to lower.
     """
-    # A step multiplies the error by 1 - z: by less than one where |z|^2 < 2 Re z (a turning prediction makes z complex).
+    # A step multiplies the error by 1 - z, whose magnitude is below 1 if |z|^2 < 2 Re z (a rotating prediction makes z complex).
     with np.errstate(over="ignore"):
         steps = rates[:, np.newaxis] * H
     if not np.isfinite(steps).all():
-        raise ModelError(f"The curvature of the free energy is beyond all numbers; lower {remedy} or the precisions.")
+        raise ModelError(f"The curvature of the free energy is not finite; lower {remedy} or the precisions.")
     z = np.linalg.eigvals(steps)
-    z = z[z.real > 1e-9]  # in other directions no rate is too large
+    z = z[z.real > 1e-9]  # other directions do not limit the rates
     largest = float((np.abs(z) ** 2 / z.real).max(initial=0.0))
     if not largest < 2.0:
         raise ModelError(
-            f"The descent is unstable: rate times curvature of the free energy has an eigenvalue of {largest:.3g} at the "
-            f"initial mean, and must stay below 2. Lower {remedy} or the precisions of the modalities."
+            f"The descent is unstable: rate times curvature of the free energy has an eigenvalue of {largest:.3g} at the initial "
+            f"mean, but the limit is 2. Lower {remedy} or the precisions of the modalities."
         )

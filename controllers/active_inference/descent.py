@@ -5,14 +5,14 @@ from bayesftc.controllers.linalg.special import LOG_2_PI
 from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
 
 MEAN_CAP = 1e150
-"""Largest magnitude of a state's belief; its square is still a double."""
+"""Largest magnitude of a state's mean, whose square does not overflow."""
 
 STEP_CAP = 1e100
-"""No gradient step goes further: an absurd goal asks for it, and from there the quadratic terms are no numbers any more."""
+"""Largest magnitude of a mean after a gradient step, so that an absurd goal does not make the quadratic terms overflow."""
 
 
 def read(y, expected, limit, e, present):
-    """Write the errors ``y - expected``, held within ``limit``; a sample that is not finite is none, with the error 0."""
+    """Write the errors ``y - expected``, limited to ``limit``; a sample that is not finite is missing, with the error 0."""
     for i in range(y.shape[0]):
         d = y[i] - expected[i]
         finite = d - d == 0.0
@@ -65,31 +65,31 @@ def quadratic(e, P, weighted):
     return total
 
 
-def belief_gradient(weighted, G, pull_x, gradient):
-    """Write what sensors and state prior add to dF/dmu: ``P_x eps_x - G' P e``."""
+def belief_gradient(weighted, G, weighted_x, gradient):
+    """Write the part of sensors and state prior in dF/dmu: ``P_x eps_x - G' P e``."""
     for j in range(gradient.shape[0]):
-        total = pull_x[j]
+        total = weighted_x[j]
         for i in range(G.shape[0]):
             total = total - G[i, j] * weighted[i]
         gradient[j] = total
 
 
-def add_control_gradient(pull_u, D, gradient):
-    """Add what the control's error adds to dF/dmu: ``-D' P_u eps_u``, with D the derivative of the control law."""
+def add_control_gradient(weighted_u, D, gradient):
+    """Add the part of the control's error in dF/dmu: ``-D' P_u eps_u``, with D the derivative of the control law."""
     for j in range(gradient.shape[0]):
         for i in range(D.shape[0]):
-            gradient[j] = gradient[j] - D[i, j] * pull_u[i]
+            gradient[j] = gradient[j] - D[i, j] * weighted_u[i]
 
 
 def descend(fraction, rate, gradient, mean):
-    """Move the means against the gradient; one that would not be finite, or so far away that it never came back, stays."""
+    """Move the means against the gradient; skip a step to a value that is not finite or too large."""
     for i in range(mean.shape[0]):
         moved = mean[i] - fraction * rate[i] * gradient[i]
         mean[i] = select(absolute(moved) <= STEP_CAP, moved, mean[i])
 
 
 def free_energy_of(quadratics, determinant, used, means):
-    """Return F = -ln p(mu_u, mu, y): half the quadratic terms, minus the log-determinants, plus ln 2 pi for each error."""
+    """Return F = -ln p(mu_u, mu, y): half of the quadratic terms, minus the log-determinants, plus ln 2 pi for each error."""
     count = means[0]
     for i in range(used.shape[0]):
         count = count + used[i]
@@ -97,7 +97,7 @@ def free_energy_of(quadratics, determinant, used, means):
 
 
 def predict_state(mean, u, A, B, predicted):
-    """Write ``predicted = A mean + B u``; of a random walk exactly the mean."""
+    """Write ``predicted = A mean + B u``; exactly the mean for a random walk."""
     for i in range(mean.shape[0]):
         total = A[i, 0] * mean[0]
         for j in range(1, mean.shape[0]):
@@ -108,7 +108,7 @@ def predict_state(mean, u, A, B, predicted):
 
 
 def act(mu_u, applied, u):
-    """Apply the control's mean; where it is not finite the last control stays, and the mean goes back to it."""
+    """Apply the control's mean; where it is not finite, keep the last control and reset the mean to it."""
     for i in range(u.shape[0]):
         applied[i] = select(mu_u[i] - mu_u[i] == 0.0, mu_u[i], applied[i])
         mu_u[i] = applied[i]

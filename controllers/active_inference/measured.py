@@ -1,4 +1,4 @@
-"""All of a controller's modalities together: what they read, its derivatives, their nominal noise and weights."""
+"""All modalities of a controller together: readings, derivatives, nominal noise and weights."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bayesftc.cosim.types import Floats
 
 @dataclass(frozen=True)
 class Measured:
-    """What evaluates modalities inside a step function with the arrays ``mean``, ``expected`` and ``G``.
+    """The evaluation of modalities in a step function with the arrays ``mean``, ``expected`` and ``G``.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Measured:
     calls : mapping of str to str
         The statements that write ``expected`` (``measure``) and ``G`` (``differentiate``).
     scratch, parameters : mapping of str to array
-        Scratch space, and the matrices of modalities that are linear.
+        Scratch space, and the matrices of linear modalities.
     """
 
     functions: Mapping[str, Any]
@@ -34,7 +34,7 @@ class Measured:
 
 
 def measured(modalities: Sequence[Modality], states: int) -> Measured:
-    """Return what evaluates the modalities, whose samples stand one after the other."""
+    """Return the evaluation of the modalities, with their samples one after the other."""
     functions: dict[str, Any] = {}
     measure, differentiate, first = [], [], 0
     scratch, parameters = {}, {}
@@ -74,5 +74,5 @@ def nominal_covariance(modalities: Sequence[Modality]) -> Floats:
 
 
 def weights_of(modalities: Sequence[Modality]) -> Floats:
-    """Return `Modality.precision` of all samples."""
+    """Return `Modality.precision` for all samples."""
     return np.concatenate([np.asarray(modality.precision) for modality in modalities])

@@ -15,14 +15,14 @@ from bayesftc.controllers.precision.base import NAN, Trust
 from bayesftc.cosim.ops import select
 from bayesftc.cosim.stepping.records import named_alike, written
 
-# What stands in braces are the calls of the modalities' functions and of the law, and what the form of control makes of them.
+# In braces are the calls of the modalities' functions and of the law, and lines that depend on the options.
 _STEP = """
 {records}
 {measure}
 screen_samples(reading, sample, screen)
 count_doubts(reading, sample, screen)
 accept_confirmed(reading, sample, screen)
-read(heard, expected, limit, e, present)
+read(samples, expected, limit, e, present)
 for i in range(e.shape[0]):
     innovation[i] = select(present[i] > 0.5, y[i] - expected[i], NAN)
 learn(sample, trust, memory, settings, work)
@@ -33,11 +33,11 @@ log_determinant = weigh(R, used, sigma, gain, L, inverse, weights) + prior_log_d
 for s in range(inner_steps):
     if s > 0:
         {measure_again}
-        read(heard, expected, limit, e, present)
+        read(samples, expected, limit, e, present)
     {differentiate}
     prior_error(mean, predicted, eps_x)
-    energy = quadratic(e, weights, weighted) + quadratic(eps_x, Px, pull_x)
-    belief_gradient(weighted, G, pull_x, slope)
+    energy = quadratic(e, weights, weighted) + quadratic(eps_x, Px, weighted_x)
+    belief_gradient(weighted, G, weighted_x, slope)
     curvature_of_belief(G, weights, prior_curvature, PG, H)
     {descent}
     free_energy[0] = free_energy_of(energy, log_determinant, used, means)
@@ -50,7 +50,7 @@ place(mean, 0, x_hat)
 """
 
 _WATCH = """
-check_consistency(heard, x_hat, G, bank)
+check_consistency(samples, x_hat, G, bank)
 follow(applied, A, B, seer_row, bank)
 """
 
@@ -58,12 +58,12 @@ _DESCENT_BY_GRADIENT = """
 {law_output}
 {law_derivative}
 prior_error(control, law_control, eps_u)
-energy = energy + quadratic(eps_u, Pu, pull_u)
-add_control_gradient(pull_u, D, slope)
+energy = energy + quadratic(eps_u, Pu, weighted_u)
+add_control_gradient(weighted_u, D, slope)
 curvature_of_control(D, Pu, PD, H)
 fraction = shortening(H, root_rate, largest, squarings, scaled, squared)
 descend(fraction, rate, slope, mean)
-descend(fraction, rate_u, pull_u, control)
+descend(fraction, rate_u, weighted_u, control)
 """
 
 _DESCENT_OF_THE_BELIEF = """
@@ -101,7 +101,7 @@ FUNCTIONS: dict[str, Any] = {
     **{name: getattr(_consistency, name) for name in ("check_consistency", "follow")},
     **{name: getattr(_curvature, name) for name in ("curvature_of_belief", "curvature_of_control", "shortening")},
 }  # fmt: skip
-"""What the text calls, besides the functions of modalities, law and learner."""
+"""Functions that the text calls, besides those of modalities, law and learner."""
 
 
 def step_lines(calls: Mapping[str, str], *, descends: bool, watches: bool) -> list[str]:
@@ -110,17 +110,17 @@ def step_lines(calls: Mapping[str, str], *, descends: bool, watches: bool) -> li
     Parameters
     ----------
     calls : mapping of str to str
-        The statements ``measure`` and ``differentiate`` of the modalities; ``law_output`` and, where there are, ``law_update``
-        and ``law_derivative``.
+        The statements ``measure`` and ``differentiate`` of the modalities, ``law_output`` and, if they exist, ``law_update`` and
+        ``law_derivative``.
     descends : bool
-        Whether the control descends the free energy; else it is put to the law.
+        Whether the control descends the free energy; else it is set by the law.
     watches : bool
         Whether the model is checked.
     """
     descent = (_DESCENT_BY_GRADIENT if descends else _DESCENT_OF_THE_BELIEF).format_map(calls).strip("\n")
-    known = {name: record for name, record in _RECORDS.items() if watches or name != "bank"}
+    records = {name: record for name, record in _RECORDS.items() if watches or name != "bank"}
     text = _STEP.format(
-        records="\n".join(f"{name} = {written(record)}" for name, record in known.items()),
+        records="\n".join(f"{name} = {written(record)}" for name, record in records.items()),
         measure=calls["measure"],
         measure_again=indent(calls["measure"], " " * 8).lstrip(),
         differentiate=indent(calls["differentiate"], " " * 4).lstrip(),

@@ -1,4 +1,4 @@
-"""The explanations that a diagnosis compares: controls that arrive otherwise, other time scales, loads, other dynamics."""
+"""The explanations in a diagnosis: changed controls, other time scales, loads, other dynamics."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 LATEST = 1.0
-"""Longest delay and lag in seconds that are tried."""
+"""Longest delay and lag to try, in seconds."""
 
 COARSE = 40
-"""Delays that are tried before those about the best."""
+"""Number of delays in the coarse search."""
 
 LAGS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
-"""Time constants that are tried, in longest ones."""
+"""Time constants to try, relative to the longest one."""
 
 FACTORS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0)
-"""Time scales that are tried..."""
+"""Time scales in the coarse search."""
 
 NEAR = (0.87, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.15)
-"""...before these multiples of the best."""
+"""Multiples of the best time scale in the fine search."""
 
 LEVELS = tuple(np.linspace(0.1, 0.97, 24))
-"""Quantiles of the control's size that are tried as limits before those about the best."""
+"""Quantiles of the control's size to try as limits in the coarse search."""
 
 Course = tuple[str, tuple[float, ...], "Floats"]
-"""A kind, its values, and the controls as they are taken to have arrived."""
+"""A kind, its values, and the assumed controls at the plant."""
 
 
 def explanations(judge: Judge) -> list[Explanation]:
@@ -45,48 +45,48 @@ def explanations(judge: Judge) -> list[Explanation]:
     model = judge.model
     coarse = judge.inputs([*_late(judge), *(c for j in range(model.controls) for c in _limits(judge, j))])
     fine = judge.inputs([*_late(judge, coarse), *(c for j in range(model.controls) for c in _limits(judge, j, coarse))])
-    found = coarse + fine + _times(judge) + _pushed(judge)
+    results = coarse + fine + _times(judge) + _pushed(judge)
     best: dict[str, Explanation] = {}
-    for x in found:
+    for x in results:
         if x.kind not in best or x.total > best[x.kind].total:
             best[x.kind] = x
     return sorted(best.values(), key=lambda x: -x.total)
 
 
 def _pushed(judge: Judge) -> list[Explanation]:
-    """Judge all that pushes of the state explain: another gain, a load, other dynamics."""
-    model, u = judge.model, judge.seen.u
+    """Judge the explanations by pushes of the state: another gain, a load, other dynamics."""
+    model, u = judge.model, judge.recording.u
     B, plant = model.matrix("B"), model.states - model.disturbances
     linear, bent = _features(judge)
     directions = np.eye(model.states)[:plant]
     p, each, first = len(B.T), plant, len(linear) * plant
     pushes = [u[:, j, None] * B[:, j] for j in range(p)] + [np.outer(np.ones(len(u)), b) for b in B.T]
     answers = judge.pushes(np.array(pushes + [np.outer(f, d) for f in linear + bent for d in directions]))
-    found = []
+    results = []
     for j in range(p):
         fit = judge.fitted("gain", answers[:, j : j + 1])
         g = 1.0 + fit.values[0]
-        found.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, j)))
-    found.append(judge.fitted("load", answers[:, p : 2 * p]))
+        results.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, j)))
+    results.append(judge.fitted("load", answers[:, p : 2 * p]))
     effects, answers = answers[:, :p], answers[:, 2 * p :]
     for j in range(p):
-        # Free all dynamics but control j's own effect, which the fit must give; with and without terms that bend.
-        own = (1 + plant + j) * plant
-        others = np.concatenate([answers[:, :own], answers[:, own + plant :]], axis=1)
+        # Free all dynamics except control j's effect, which the fit gives; with and without nonlinear terms.
+        effect_start = (1 + plant + j) * plant
+        others = np.concatenate([answers[:, :effect_start], answers[:, effect_start + plant :]], axis=1)
         for last in (first - plant, others.shape[1]):
-            found += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
-    found.append(judge.fitted("dynamics", answers[:, :first]))
+            results += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
+    results.append(judge.fitted("dynamics", answers[:, :first]))
     for i in range(first, answers.shape[1], each):
-        found.append(judge.fitted("nonlinear", answers[:, i : i + each]))
-    found.append(judge.fitted("nonlinear", answers[:, first:]))
-    found.append(judge.fitted("nonlinear", answers))
-    return found
+        results.append(judge.fitted("nonlinear", answers[:, i : i + each]))
+    results.append(judge.fitted("nonlinear", answers[:, first:]))
+    results.append(judge.fitted("nonlinear", answers))
+    return results
 
 
 def _features(judge: Judge) -> tuple[list[Floats], list[Floats]]:
-    model, seen = judge.model, judge.seen
+    model, recording = judge.model, judge.recording
     plant = model.states - model.disturbances
-    x, u = judge.states - seen.mean, seen.u - holding(model, seen.mean)
+    x, u = judge.states - recording.mean, recording.u - holding(model, recording.mean)
     rows = np.unique(model.quantities, axis=0)
     outputs = [x @ row for row in rows]
     linear = [np.ones(len(u)), *x[:, :plant].T, *u.T]
@@ -95,13 +95,13 @@ def _features(judge: Judge) -> tuple[list[Floats], list[Floats]]:
     return linear, bent
 
 
-def _best(found: list[Explanation], kind: str, chosen: Callable[[Explanation], bool]) -> Explanation:
-    return max((x for x in found if x.kind == kind and chosen(x)), key=lambda x: x.total)
+def _best(results: list[Explanation], kind: str, chosen: Callable[[Explanation], bool]) -> Explanation:
+    return max((x for x in results if x.kind == kind and chosen(x)), key=lambda x: x.total)
 
 
 def _late(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]:
-    """Return late controls: coarsely, or about the best of the coarse ones."""
-    u, dt = judge.seen.u, float(judge.model.step)
+    """Return late controls: a coarse search, or a fine one about the best of `coarse`."""
+    u, dt = judge.recording.u, float(judge.model.step)
     most = max(1, min(round(LATEST / dt), 2 * len(u) // 3))
     steps = sorted({max(1, round(k)) for k in np.linspace(1, most, COARSE)})
     if coarse is None:
@@ -114,46 +114,46 @@ def _late(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]
 
 
 def _limits(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> list[Course]:
-    """Return limited controls, to both sides alike, above and below: coarsely, or about the best of the coarse ones."""
-    u = judge.seen.u
+    """Return controls limited on both sides, above or below: a coarse search, or a fine one about the best of `coarse`."""
+    u = judge.recording.u
     levels = np.unique(np.quantile(np.abs(u[:, j]), LEVELS))
     if coarse is not None:
         low, high, _ = _best(coarse, "limit", lambda x: x.values[2] == j).values
         i = int(np.argmin(np.abs(levels - (high if np.isfinite(high) else -low))))
         levels = np.linspace(levels[max(i - 1, 0)], levels[min(i + 1, len(levels) - 1)], 9)[1:-1]
-    found: list[Course] = []
+    results: list[Course] = []
     for level in levels:
         for low, high in ((-level, level), (-np.inf, level), (-level, np.inf)):
             course = u.copy()
             course[:, j] = np.clip(u[:, j], low, high)
-            found.append(("limit", (float(low), float(high), float(j)), course))
-    return found
+            results.append(("limit", (float(low), float(high), float(j)), course))
+    return results
 
 
-@lru_cache(maxsize=128)  # recordings do not change it, and each shorter part of one asks again
+@lru_cache(maxsize=128)  # called again for each shorter part of a recording
 def _faster(
     model: LinearModel, sets: tuple[tuple[int, ...], ...], factor: float
 ) -> tuple[LinearModel, Observers] | None:
-    """Return the model of a plant that is `factor` times as fast, and its observers; None where there is none."""
+    """Return the model of a plant that is `factor` times as fast, and its observers; None if they do not exist."""
     changed = faster(model, factor)
-    seers = None if changed is None else observers(changed, sets)
-    return None if changed is None or seers is None else (changed, seers)
+    bank = None if changed is None else observers(changed, sets)
+    return None if changed is None or bank is None else (changed, bank)
 
 
 def _times(judge: Judge) -> list[Explanation]:
-    """Judge time scales, first coarsely, then about the best."""
+    """Judge time scales, by a coarse and a fine search."""
 
     def tried(factors: Iterable[float]) -> list[Explanation]:
-        known = [(f, *found) for f in factors if (found := _faster(judge.model, judge.seers.sensors, f))]
-        if not known:
+        possible = [(f, *results) for f in factors if (results := _faster(judge.model, judge.bank.sensors, f))]
+        if not possible:
             return []
-        moved = np.array([(judge.seen.u @ model.matrix("B").T)[None] for _, model, _ in known])
-        models, observing = [m for _, m, _ in known], [s for _, _, s in known]
-        whites, _ = innovations(models, observing, judge.seen, moved)
+        moved = np.array([(judge.recording.u @ model.matrix("B").T)[None] for _, model, _ in possible])
+        models, observing = [m for _, m, _ in possible], [s for _, _, s in possible]
+        whites, _ = innovations(models, observing, judge.recording, moved)
         return [
-            judge.of("dt", [(f,)], judge.cost(white[:, :1], seers, judge.beginnings(white)))[0]
-            for (f, _, seers), white in zip(known, whites, strict=True)
+            judge.of("dt", [(f,)], judge.cost(white[:, :1], bank, judge.beginnings(white)))[0]
+            for (f, _, bank), white in zip(possible, whites, strict=True)
         ]
 
-    found = tried(FACTORS)
-    return found + tried(max(found, key=lambda x: x.total).values[0] * f for f in NEAR) if found else []
+    results = tried(FACTORS)
+    return results + tried(max(results, key=lambda x: x.total).values[0] * f for f in NEAR) if results else []

@@ -1,6 +1,6 @@
-"""Ways in which a model may be wrong, each a change of what an observer predicts: its input, its matrices, or pushes besides.
+"""Ways in which a model may be wrong, each a change of an observer: its input, its matrices, or additional pushes.
 
-All are run over the same recording by the same observers, many at once.
+Many explanations run at once over the same recording with the same observers.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a diagnosis sees of a run of T samples.
+    """The part of a run of T samples in a diagnosis.
 
     Attributes
     ----------
     y : ndarray, T x m
         Samples; NaN is a missing one.
     u : ndarray, T x p
-        What was applied from each sample to the next.
+        Controls from each sample to the next.
     mean : ndarray, shape (n,)
         Belief before the first sample.
     begins : tuple of int
-        Samples before which nothing is known of the state: the first one, and those after a stretch that is left out.
+        Samples before which the state is unknown: the first one, and those after a stretch that is left out.
     """
 
     y: Floats
@@ -44,50 +44,50 @@ class Recording:
 
 
 def innovations(
-    models: Sequence[LinearModel], seers: Sequence[Observers], seen: Recording, moved: Floats
+    models: Sequence[LinearModel], banks: Sequence[Observers], recording: Recording, moved: Floats
 ) -> tuple[list[Floats], Floats]:
-    """Return the whitened innovations of the observers of several models, and the states that the first one's predict.
+    """Return the whitened innovations of the observers of several models, and the states predicted by the first model.
 
     Parameters
     ----------
     models : sequence of LinearModel
-        What the observers predict by.
+        The models of the observers.
     seers : sequence of Observers
-        Those of each model, of the same sets.
+        The observers of each model, with the same sets.
     seen : Recording
         The run.
     moved : ndarray, models x H x T x n
-        What moves the state from each sample to the next, for each of H explanations: ``B u`` and whatever else.
+        Inputs of the state from each sample to the next, for each of H explanations: ``B u`` and pushes.
 
     Returns
     -------
     list of ndarray
-        For each model the innovations, sets x (H + errors) x T x m. The last ones are what an error of each state (a constant
-        is known) before each of the samples ``seen.begins`` adds to those of the first explanation.
+        For each model the innovations, sets x (H + errors) x T x m. The last ones are the changes of the first explanation's
+        innovations by an error of each state (except the constant) before each of the samples ``recording.begins``.
     ndarray, T x n
         Predictions of the state by the first model under the first explanation, on average over its sets.
     """
-    each, n, samples = len(seers[0]), moved.shape[3], len(seen.y)
-    gains = np.concatenate([s.gain for s in seers]).transpose(0, 2, 1)
-    whiten = np.concatenate([s.whiten for s in seers])
+    each, n, samples = len(banks[0]), moved.shape[3], len(recording.y)
+    gains = np.concatenate([s.gain for s in banks]).transpose(0, 2, 1)
+    whiten = np.concatenate([s.whiten for s in banks])
     At, Ct = (np.repeat([model.matrix(name).T for model in models], each, axis=0) for name in "AC")
     unknown = n - models[0].constant
-    errors_of = unknown * len(seen.begins)
+    errors_of = unknown * len(recording.begins)
     courses = np.concatenate([moved, np.repeat(moved[:, :1], errors_of, axis=1)], axis=1)
     courses = np.ascontiguousarray(np.repeat(courses, each, axis=0).transpose(2, 0, 1, 3))
-    y, there = np.where(np.isfinite(seen.y), seen.y, 0.0), np.isfinite(seen.y).astype(float)
+    y, present = np.where(np.isfinite(recording.y), recording.y, 0.0), np.isfinite(recording.y).astype(float)
     z = np.empty((len(At), courses.shape[2], n))
     errors, predicted = np.empty((samples, *z.shape[:2], y.shape[1])), np.empty((samples, each, n))
-    with np.errstate(all="ignore"):  # an explanation that is far off may diverge; it then explains nothing
+    with np.errstate(all="ignore"):  # a wrong explanation may diverge; it then explains nothing
         for k in range(samples):
-            if k in seen.begins:
-                first = moved.shape[1] + seen.begins.index(k) * unknown
-                z[:] = seen.mean
+            if k in recording.begins:
+                first = moved.shape[1] + recording.begins.index(k) * unknown
+                z[:] = recording.mean
                 z[:, first : first + unknown, :unknown] += np.eye(unknown)
             e = errors[k]
             predicted[k] = z[:each, 0]
             np.subtract(y[k], z @ Ct, out=e)
-            e *= there[k]
+            e *= present[k]
             z = z @ At + e @ gains + courses[k]
         white = np.matmul(errors.transpose(1, 2, 0, 3), whiten.transpose(0, 2, 1)[:, None])
         white[:, -errors_of:] -= white[:, :1]
@@ -95,7 +95,7 @@ def innovations(
 
 
 def delayed(u: Floats, steps: int) -> Floats:
-    """Return the controls `steps` samples late; before the first one arrives there is none."""
+    """Return the controls `steps` samples late, with zeros before."""
     late = np.zeros_like(u)
     late[steps:] = u[: len(u) - steps]
     return late
@@ -106,17 +106,17 @@ def lagged(u: Floats, steps: float) -> Floats:
     import pandas as pd  # scipy.signal takes a second to import
 
     share = 1.0 - float(np.exp(-1.0 / steps))
-    from_rest = pd.DataFrame(np.vstack([np.zeros((1, u.shape[1])), u]))
-    return from_rest.ewm(alpha=share, adjust=False).mean().to_numpy()[1:]
+    padded = pd.DataFrame(np.vstack([np.zeros((1, u.shape[1])), u]))
+    return padded.ewm(alpha=share, adjust=False).mean().to_numpy()[1:]
 
 
 def faster(model: LinearModel, factor: float) -> LinearModel | None:
-    """Return the model of a plant in which `factor` times as much time passes in a step; None if A has no real logarithm."""
+    """Return the model of a plant that is `factor` times as fast; None if A has no real logarithm."""
     from scipy.linalg import expm, logm
 
     n, plant, p = model.states, model.states - model.disturbances, model.controls
     A, B = model.matrix("A"), model.matrix("B")
-    # What acts on the plant from outside (controls, estimated disturbances, the constant) is held during a step.
+    # Inputs of the plant (controls, estimated disturbances, the constant) are held during a step.
     outside = np.hstack([A[:plant, plant:], B[:plant]])
     whole = np.block([[A[:plant, :plant], outside], [np.zeros((outside.shape[1], plant)), np.eye(outside.shape[1])]])
     try:
@@ -136,6 +136,6 @@ def faster(model: LinearModel, factor: float) -> LinearModel | None:
 
 
 def holding(model: LinearModel, x: Floats) -> Floats:
-    """Return the control that holds the plant in a state, as nearly as one does."""
+    """Return the control that holds the plant in a state as nearly as possible."""
     A, B = model.matrix("A"), model.matrix("B")
     return np.asarray(np.linalg.lstsq(B, x - A @ x, rcond=None)[0])

@@ -1,4 +1,4 @@
-"""When the sensors of a recording agree among themselves, whatever the model says of the plant."""
+"""Stretches of a recording in which the sensors agree with each other, whatever the model."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 WINDOW = 25
-"""Samples over which two sensors are compared."""
+"""Samples in a comparison of two sensors."""
 
 MEAN_APART = 5.0
-"""Standard errors of the mean difference in a window from which on one of them is faulty."""
+"""Standard errors of the mean difference in a window from which on one of the sensors is faulty."""
 
 SPREAD_APART = (0.25, 2.7)
-"""Mean squares of the difference, in usual ones, outside of which one of them is faulty."""
+"""Range of the difference's mean square, relative to the usual one, outside of which one of the sensors is faulty."""
 
 LEAST_IN_WINDOW, LEAST_WINDOWS = 5, 4
-"""Samples of a window, and windows of a run, without which nothing is said."""
+"""Least number of samples in a window, and of windows in a run, for a comparison."""
 
 LEAST_SHARE = 0.2
-"""Share of the run below which nothing is left out: then two sensors disagree for good."""
+"""Share of healthy samples below which nothing is left out, because two sensors disagree all the time."""
 
 MOST_STRETCHES = 6
-"""Agreeing stretches that count, the longest ones."""
+"""Largest number of stretches, the longest ones."""
 
 
 def healthy_stretches(model: LinearModel, y: Floats) -> NDArray[np.bool_]:
-    """Return which samples (T) count: not those where sensors of one quantity disagree, nor a window before and after.
+    """Return which samples (T) count: not those where sensors of one quantity disagree, with a window before and after.
 
     The differences between sensors of one quantity are compared with their own median and spread over the run.
     """
@@ -54,7 +54,7 @@ def healthy_stretches(model: LinearModel, y: Floats) -> NDArray[np.bool_]:
 
 
 def _apart(difference: Floats) -> NDArray[np.bool_]:
-    """Return in which samples two sensors disagree: those of windows whose mean or mean square is not as usual."""
+    """Return in which samples two sensors disagree: those of windows with an unusual mean or mean square."""
     flags = np.zeros(len(difference), dtype=bool)
     windows = []
     for start in range(0, len(difference), WINDOW):

@@ -1,4 +1,4 @@
-"""How well an explanation of a wrong model predicts a recorded run, by the sensors of each set."""
+"""Evidence for explanations of a wrong model in a recorded run, by the sensors of each set."""
 
 from __future__ import annotations
 
@@ -16,42 +16,41 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 EVIDENCE = 10.0
-"""Log-likelihood ratio over the model as it is that an explanation needs from the sensors of every set, beyond its BIC.
+"""Least log-likelihood ratio of an explanation to the unchanged model, by the sensors of every set, beyond its BIC.
 
-This and the following were chosen on the seeds 1000 to 1023 of
-``tests/controllers/diagnosis/wrong_models.py``. What stretches are
-left out, and which explanations count as nearly as good, was changed after a look at the seeds 0 to 24: only those from 25 on are
-unseen."""
+This and the following were chosen on the seeds 1000 to 1023 of ``tests/controllers/diagnosis/wrong_models.py``. The rules for
+left-out stretches and for nearly equal explanations were changed after a look at the seeds 0 to 24, so that only the seeds from
+25 on are unseen."""
 
 CLOSE = 0.07
-"""A gain or a time scale closer to 1 than this is right."""
+"""A gain or a time scale closer to 1 than this counts as right."""
 
 REVERSED, SURELY = (-2.0, -0.5), 3.0
 """A control counts as reversed if its fitted effect is between -2 and -0.5 times the model's, and 3 standard deviations
 below it."""
 
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
-"""Share by which these, which fit anything, must lessen the mean squared innovation of every set."""
+"""Least relative decrease of every set's mean squared innovation by these flexible kinds."""
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """A way in which the model may be wrong, and what speaks for it.
+    """A way in which the model may be wrong, and the evidence for it.
 
     Attributes
     ----------
     kind : str
-        Which way.
+        Kind of the explanation.
     values : tuple of float
-        Its parameters.
+        Parameters of the explanation.
     support : tuple of float
-        Log-likelihood ratio over the model as it is less the BIC of the parameters, by set of sensors.
+        Log-likelihood ratio to the unchanged model less the BIC of the parameters, by set of sensors.
     left : tuple of float
-        Mean squared innovation over that of the model as it is, by set.
+        Mean squared innovation relative to that of the unchanged model, by set.
     square : tuple of float
-        Mean squared innovation, by set; 1 where all is explained.
+        Mean squared innovation, by set; 1 if all is explained.
     parameters : int
-        How many were fitted.
+        Number of fitted parameters.
     """
 
     kind: str
@@ -63,57 +62,57 @@ class Explanation:
 
     @property
     def total(self) -> float:
-        """What all sets together say for it."""
+        """Sum of the evidence of all sets."""
         return sum(self.support)
 
     @property
     def counts(self) -> bool:
-        """Whether the sensors of every set say that the model is wrong in this way, and by more than a trifle."""
+        """Whether the sensors of every set have enough evidence for it, and the error is large enough."""
         off = abs(self.values[0] - 1.0) if self.kind in ("gain", "dt") else 1.0
         return min(self.support) > EVIDENCE and max(self.left) < 1 - RELEVANT.get(self.kind, 0.0) and off > CLOSE
 
 
 class Judge:
-    """The run, its observers, and what the model as it is leaves unexplained."""
+    """The run, its observers, and the innovations of the unchanged model."""
 
-    def __init__(self, model: LinearModel, seers: Observers, seen: Recording):
-        self.model, self.seers = model, seers
-        self.seen = seen = _agreeing(model, seen)
-        self.moved = seen.u @ model.matrix("B").T
-        (white,), self.states = innovations([model], [seers], seen, self.moved[None, None])
+    def __init__(self, model: LinearModel, bank: Observers, recording: Recording):
+        self.model, self.bank = model, bank
+        self.recording = recording = _agreeing(model, recording)
+        self.moved = recording.u @ model.matrix("B").T
+        (white,), self.states = innovations([model], [bank], recording, self.moved[None, None])
         self.base = white[:, :1]
-        there = np.isfinite(seen.y)
-        self.masks = [there[:, list(chosen)].all(axis=1) for chosen in seers.sensors]
+        present = np.isfinite(recording.y)
+        self.masks = [present[:, list(chosen)].all(axis=1) for chosen in bank.sensors]
         self.begin = self.beginnings(white)
-        self.first, self.first_squares = self.cost(self.base, seers, self.begin)
+        self.first, self.first_squares = self.cost(self.base, bank, self.begin)
 
     def part(self, white: Floats, k: int) -> Floats:
-        """Return what counts of one set's innovations under H explanations (H x scalars)."""
-        return np.asarray(white[k][:, self.masks[k]][:, :, list(self.seers.sensors[k])].reshape(len(white[k]), -1))
+        """Return the innovations of one set that count, under H explanations (H x scalars)."""
+        return np.asarray(white[k][:, self.masks[k]][:, :, list(self.bank.sensors[k])].reshape(len(white[k]), -1))
 
     def beginnings(self, white: Floats) -> list[Floats]:
-        """Return an orthonormal basis of what unknown states at the begins do to each set's innovations (scalars x basis)."""
-        found = []
-        for k in range(len(self.seers)):
+        """Return an orthonormal basis of the effects of unknown initial states on each set's innovations (scalars x basis)."""
+        bases = []
+        for k in range(len(self.bank)):
             u, s, _ = np.linalg.svd(
-                self.part(white, k)[-self.model.moving.states * len(self.seen.begins) :].T, full_matrices=False
+                self.part(white, k)[-self.model.moving.states * len(self.recording.begins) :].T, full_matrices=False
             )
-            found.append(u[:, s > 1e-9 * s.max(initial=1e-300)])
-        return found
+            bases.append(u[:, s > 1e-9 * s.max(initial=1e-300)])
+        return bases
 
     def free(self, white: Floats, k: int, begin: list[Floats]) -> Floats:
-        """Return the part that does not depend on unknown states at the begins."""
+        """Return the part that does not depend on unknown initial states."""
         part = self.part(white, k)
         return part - (part @ begin[k]) @ begin[k].T
 
-    def cost(self, white: Floats, seers: Observers, begin: list[Floats]) -> tuple[Floats, Floats]:
+    def cost(self, white: Floats, bank: Observers, begin: list[Floats]) -> tuple[Floats, Floats]:
         """Return the negative log-likelihood by set and explanation, and mean squares (sets x H)."""
         losses, squares = [], []
-        for k, chosen in enumerate(map(list, seers.sensors)):
+        for k, chosen in enumerate(map(list, bank.sensors)):
             with np.errstate(all="ignore"):
                 part = self.free(white, k, begin)
                 square = np.nan_to_num((part**2).mean(axis=1), nan=np.inf)
-            volume = np.log(np.diag(seers.whiten[k])[chosen]).sum() * self.masks[k].sum()
+            volume = np.log(np.diag(bank.whiten[k])[chosen]).sum() * self.masks[k].sum()
             losses.append(0.5 * part.shape[1] * np.log(np.maximum(square, 1e-300)) - volume)
             squares.append(square)
         return np.array(losses), np.array(squares)
@@ -121,44 +120,47 @@ class Judge:
     def of(
         self, kind: str, values: list[tuple[float, ...]], costs: tuple[Floats, Floats], parameters: int = 1
     ) -> list[Explanation]:
-        """Return the explanations of one kind, each with what it gains over the model as it is, by sets of sensors."""
+        """Return the explanations of one kind, each with its evidence relative to the unchanged model, by sets of sensors."""
         losses, squares = costs
         price = np.array([0.5 * parameters * np.log(mask.sum()) for mask in self.masks])
         gain = self.first - losses - price[:, None]
         left = squares / self.first_squares
         by_set = [[tuple(map(float, column)) for column in table.T] for table in (gain, left, squares)]
         return [
-            Explanation(kind, v, s, share, rest, parameters) for v, s, share, rest in zip(values, *by_set, strict=True)
+            Explanation(kind, v, s, share, residual, parameters)
+            for v, s, share, residual in zip(values, *by_set, strict=True)
         ]
 
     def inputs(self, courses: list[tuple[str, tuple[float, ...], Floats]]) -> list[Explanation]:
-        """Judge courses of the control, each with its kind and its values, of which one is fitted."""
+        """Judge courses of the control, each with its kind and its values, one of them fitted."""
         if not courses:
             return []
         moved = np.array([course for _, _, course in courses]) @ self.model.matrix("B").T
-        (white,), _ = innovations([self.model], [self.seers], self.seen, moved[None])
-        costs = self.cost(white[:, : len(courses)], self.seers, self.begin)
+        (white,), _ = innovations([self.model], [self.bank], self.recording, moved[None])
+        costs = self.cost(white[:, : len(courses)], self.bank, self.begin)
         return [
             self.of(kind, [values], (costs[0][:, h : h + 1], costs[1][:, h : h + 1]))[0]
             for h, (kind, values, _) in enumerate(courses)
         ]
 
     def pushes(self, pushes: Floats) -> Floats:
-        """Return the innovations' answers to pushes (H x T x n) of any size."""
+        """Return the responses of the innovations to pushes (H x T x n) of any size."""
         scale = np.maximum(np.abs(pushes).max(axis=(1, 2), keepdims=True), 1e-300)
         silent = replace(
-            self.seen, y=np.where(np.isfinite(self.seen.y), 0.0, np.nan), mean=np.zeros_like(self.seen.mean)
+            self.recording,
+            y=np.where(np.isfinite(self.recording.y), 0.0, np.nan),
+            mean=np.zeros_like(self.recording.mean),
         )
-        (white,), _ = innovations([self.model], [self.seers], silent, (pushes / scale)[None])
+        (white,), _ = innovations([self.model], [self.bank], silent, (pushes / scale)[None])
         return np.asarray(white[:, : len(pushes)] * scale[:, 0, 0][:, None, None])
 
     def fitted(self, kind: str, answers: Floats) -> Explanation:
-        """Fit the sizes of pushes, whose answers are given, by least squares."""
+        """Fit the sizes of pushes by least squares, from their responses."""
         theta, _, costs = self._fit(answers)
         return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
 
     def flipped(self, answers: Floats, control: int) -> list[Explanation]:
-        """Fit pushes of which the first is the control's effect; say ``"sign"`` where that is nearest to its reverse."""
+        """Fit pushes of which the first is the control's effect; return ``"sign"`` if that effect is clearly reversed."""
         theta, spreads, costs = self._fit(answers)
         ratio = 1.0 + float(theta[0])
         surely = ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 1.0
@@ -168,24 +170,22 @@ class Judge:
 
     def _fit(self, answers: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
         """Return the sizes of pushes by least squares, their standard deviations for unit noise, and the costs."""
-        sets = range(len(self.seers))
+        sets = range(len(self.bank))
         D = np.concatenate([self.free(answers, k, self.begin) for k in sets], axis=1).T
         e = np.concatenate([self.free(self.base, k, self.begin)[0] for k in sets])
         with np.errstate(all="ignore"):
             scale = np.maximum(np.sqrt((D**2).sum(axis=0)), 1e-300)
-        if not (
-            np.isfinite(scale).all() and np.isfinite(e).all()
-        ):  # a plant or a model that has gone beyond all numbers
+        if not (np.isfinite(scale).all() and np.isfinite(e).all()):  # plant or model are not finite
             nothing = np.full(len(answers), np.nan)
-            return nothing, nothing, self.cost(self.base * np.nan, self.seers, self.begin)
+            return nothing, nothing, self.cost(self.base * np.nan, self.bank, self.begin)
         inverse = np.linalg.pinv(D / scale, rcond=1e-10)
         theta = -(inverse @ e) / scale
-        rest = self.base + np.tensordot(answers, theta, axes=(1, 0))[:, None]
-        return theta, np.sqrt((inverse**2).sum(axis=1)) / scale, self.cost(rest, self.seers, self.begin)
+        residual = self.base + np.tensordot(answers, theta, axes=(1, 0))[:, None]
+        return theta, np.sqrt((inverse**2).sum(axis=1)) / scale, self.cost(residual, self.bank, self.begin)
 
 
-def _agreeing(model: LinearModel, seen: Recording) -> Recording:
+def _agreeing(model: LinearModel, recording: Recording) -> Recording:
     """Return a recording without the samples of stretches in which sensors of one quantity disagree."""
-    healthy = healthy_stretches(model, seen.y)
+    healthy = healthy_stretches(model, recording.y)
     begins = [k for k in range(1, len(healthy)) if healthy[k] and not healthy[k - 1]]
-    return replace(seen, y=np.where(healthy[:, None], seen.y, np.nan), begins=(0, *begins))
+    return replace(recording, y=np.where(healthy[:, None], recording.y, np.nan), begins=(0, *begins))

@@ -223,7 +223,7 @@ def _doubts(u: Floats, y: Floats, held: Floats, order: int, past: int, names: Se
     how = "Move the inputs at random all the time, by a random binary signal or noise."
     if weak:
         message.append(
-            f"{_listed(names, weak)}: the order of excitation is {order_found}, but a model of {order} state{'s' * (order > 1)} needs "
+            f"{_listed(names, weak)}: the order of excitation is {order_found}, but a model of order {order} needs "
             f"{needed} (a step has the order 1, each sine 2), so that other models explain the recording as well. {how}"
         )
     still = [i for i in range(len(names)) if np.nanstd(held[:, i]) < 1e-2]
