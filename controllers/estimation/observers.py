@@ -43,7 +43,7 @@ class Observers:
         Matrix that whitens an observer's innovations to variance 1; zero rows and columns for sensors of other sets.
     noise : ndarray, shape (K, n, n)
         Process covariance of each filter.
-    rest : int
+    settling : int
         Samples in which the slowest observer forgets its initial state.
     """
 

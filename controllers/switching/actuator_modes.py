@@ -1,18 +1,18 @@
-"""Actuator modes: the ways in which an actuator or the process can fail, which `SwitchingPrecision` tells from sensors' faults.
+"""Actuator modes: the ways in which an actuator or the process can fail, which `SwitchingPrecision` infers beside sensor faults.
 
 Each is a number c that acts through the control channel: the plant gets ``u + c`` (`InputOffset`), ``(1 - c) u`` (`LostEffect`)
-or ``c`` (`StuckActuator`). c is estimated together with the state, so a mode is linear and said in numbers; it needs no step
+or ``c`` (`StuckActuator`). c is estimated together with the state. A mode is linear and consists of numbers; it needs no step
 function. To write one you must:
 
 1. make it a frozen dataclass, a subclass of `ActuatorMode`, whose settings all have defaults;
 2. give it a method ``expected(self, scale)`` that returns three numbers: mean and variance of c at its onset, and the variance of
-   its walk per sample. ``scale`` is the control that moves the state in one sample as far as its process noise does: c in units
-   of the control is best said in it;
-3. name how it acts, by attributes of the class: the plant gets ``(1 + takes + relative c) u + absolute c``; `follows` is 1 if c
+   its walk per sample. ``scale`` is the control that moves the state in one sample as far as its process noise does; use it as
+   the unit of a c in units of the control;
+3. define its effect by attributes of the class: the plant gets ``(1 + takes + relative c) u + absolute c``; `follows` is 1 if c
    begins at the last control, else 0.
 
-That is all in Python: ``SwitchingPrecision(actuator_modes=[Released()])``; ``docs/extend.md`` has a whole one. Scenario files
-choose by name from `ACTUATOR_MODES`, over which the tests run as well: one that they shall know is added there.
+This suffices in Python: ``SwitchingPrecision(actuator_modes=[Released()])``; ``docs/extend.md`` has a complete example. Scenario
+files and tests use `ACTUATOR_MODES`; add the mode to it for them.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ class ActuatorMode:
     Parameters
     ----------
     time_to_fault : float
-        Mean time in seconds until a healthy actuator fails in this way. By default ten times that of a sensor: then the insurance
-        costs nothing while all is well.
+        Mean time in seconds until a healthy actuator fails in this way. By default it is ten times that of a sensor, so that the
+        modes cost nothing while all is healthy.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
 
-    Both defaults grow with the sample time as those of `FaultMode` do.
+    Both defaults grow with the sample time, as for `FaultMode`.
     """
 
     time_to_fault: float = DefaultTime(3000.0)
@@ -53,12 +53,12 @@ class ActuatorMode:
 
     def expected(self, scale: float) -> tuple[float, float, float]:
         """Return mean and variance of c at the onset, and the variance of its walk per sample."""
-        raise TypeError(f"{type(self).__name__} does not say what to expect: give it a method expected(scale).")
+        raise TypeError(f"{type(self).__name__} has no method expected(scale); give it one.")
 
 
 @dataclass(frozen=True)
 class InputOffset(ActuatorMode):
-    """An unknown amount is added to the control: an additive fault of actuator or process, such as a leak or an external force.
+    """An unknown offset of the control: an additive fault of actuator or process, such as a leak or an external force.
 
     Parameters
     ----------
@@ -95,9 +95,9 @@ class LostEffect(ActuatorMode):
     time_to_fault, time_to_recovery
         See `ActuatorMode`.
     share : float
-        Mean of the share that is lost, at the onset.
+        Mean of the lost share at the onset.
     spread : float
-        Its standard deviation.
+        Standard deviation of the lost share.
     walk : float
         Standard deviation of its random walk per sample.
     """
@@ -121,15 +121,15 @@ class LostEffect(ActuatorMode):
 
 @dataclass(frozen=True)
 class StuckActuator(ActuatorMode):
-    """The plant gets a constant, whatever the control: the actuator is stuck, at or near the last control.
+    """The actuator is stuck at or near the last control: the plant gets a constant, whatever the control.
 
     Parameters
     ----------
     time_to_fault, time_to_recovery
         See `ActuatorMode`.
     spread : float
-        Standard deviation of where it is stuck around the last control, in units of the control that moves the state in one
-        sample as far as process noise does.
+        Standard deviation of the stuck value around the last control, in units of the control that moves the state in one sample
+        as far as process noise does.
     """
 
     spread: float = 5.0
@@ -149,6 +149,6 @@ class StuckActuator(ActuatorMode):
 
 
 ACTUATOR_MODES: tuple[type[ActuatorMode], ...] = (InputOffset, LostEffect, StuckActuator)
-"""To add an actuator mode, write it by the rules above and name it here."""
+"""To add an actuator mode, write it by the rules above and list it here."""
 
 __all__ = ["ACTUATOR_MODES", "ActuatorMode", "InputOffset", "LostEffect", "StuckActuator"]

@@ -1,4 +1,4 @@
-"""What the joint form of `SwitchingPrecision` is told of the ways in which each actuator can fail."""
+"""Settings of the actuator modes in the joint form of `SwitchingPrecision`."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ if TYPE_CHECKING:
 
 
 def control_scales(model: LinearModel) -> list[float]:
-    """Return for each control how much of it moves the state in one sample as far as its process noise does; 0: there is none.
+    """Return the size of each control that moves the state in one sample as far as its process noise does; 0 if there is none.
 
-    Of several states that of the one that tells most.
+    With several states it is that of the most informative direction.
     """
-    told = np.linalg.pinv(model.matrix("process_covariance"), hermitian=True)
-    information = [float(effect @ told @ effect) for effect in model.matrix("B").T]
+    precision = np.linalg.pinv(model.matrix("process_covariance"), hermitian=True)
+    information = [float(effect @ precision @ effect) for effect in model.matrix("B").T]
     return [value**-0.5 if value > 0 else 0.0 for value in information]
 
 
 def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Sequence[str]) -> list[float]:
-    """Refuse modes of controls that cannot be told; return the scale of each control, if there are modes.
+    """Refuse modes of controls without effect; return the scale of each control, if there are modes.
 
     Parameters
     ----------
     modes : sequence of ActuatorMode
-        Of each control.
+        The modes of each control.
     model : LinearModel
-        What the controls move.
+        The model of the plant.
     names : sequence of str
-        What each control is called in a sentence.
+        Name of each control in messages.
 
     Raises
     ------
@@ -49,8 +49,8 @@ def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Seq
     for name, effect, scale in zip(names, model.matrix("B").T, scales, strict=True):
         if not effect.any():
             raise ModelError(
-                f"SwitchingPrecision has actuator_modes, but {name} moves no state (its column of B is zero); leave it out, or "
-                "the actuator modes."
+                f"SwitchingPrecision has actuator_modes, but {name} moves no state (its column of B is zero); leave it or the "
+                "actuator modes out."
             )
         for mode in modes:
             if mode.absolute and not scale:
@@ -67,7 +67,7 @@ def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list
     Raises
     ------
     ModelError
-        As of `check_controls`, or if a mode expects no numbers.
+        See `check_controls`; or if a mode's expectation is not three numbers.
     """
     settings: list[float] = []
     for scale in check_controls(modes, model, [f"control {j} of the model" for j in range(model.controls)]):
@@ -79,7 +79,7 @@ def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list
 
 
 def chance(mode: FaultMode | ActuatorMode, name: str, step: float) -> float:
-    """Return the probability per sample of what takes a mean time in seconds."""
+    """Return the probability per sample of an event with a mean time in seconds."""
     per_sample = step / float(getattr(mode, name))
     if per_sample >= 1:
         raise ModelError(

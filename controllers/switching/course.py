@@ -1,53 +1,53 @@
-"""A course of its own: the innovations of a failed sensor as a linear regression that is learned online.
+"""The unmodelled course of a failed sensor: its innovations as a linear regression that is learned online.
 
 The innovation r, in the sensor's nominal standard deviations, is explained by three regressors:
 
 1. one: an offset;
-2. the last innovation: an offset that wanders;
-3. the prediction, its slow part left out: a sensor of another gain; one that is frozen, filtered or late follows it too little.
+2. the last innovation: a wandering offset;
+3. the prediction without its slow part: a sensor of another gain, or one that is frozen, filtered or late and follows too little.
 
-Coefficients and noise have a normal-gamma distribution, whose natural parameters decay towards those of the prior (exponential
-forgetting, stabilised; Kulhavy and Zarrop 1993). So the noise may be of any scale: a sensor that is too quiet is as
-suspicious as a wild one. A sample's density is Student's t (Bishop 2006, exercise 3.13).
+Coefficients and noise have a normal-gamma distribution. Its natural parameters decay towards those of the prior (stabilised
+exponential forgetting; Kulhavy and Zarrop 1993). The noise may therefore be of any scale: a sensor that is too quiet is as
+suspicious as a noisy one. A sample's density is Student's t (Bishop 2006, exercise 3.13).
 """
 
 from bayesftc.controllers.linalg.special import LOG_2_PI, squared_gamma_half_step
 from bayesftc.cosim.ops import log, maximum, select, sqrt
 
 ORDER = 3
-"""How many regressors there are."""
+"""Number of regressors."""
 
 WEIGHTS, PULLS, SHAPE, RATE, LAST_ERROR, LEVEL, EQUALS, COUNTED, COURSE = 0, 9, 12, 13, 14, 15, 16, 17, 18
-"""Places in what is kept: the coefficients' precision (lower triangle of a table), its product with their mean, shape and rate of
-the noise's precision, where the rate is that for coefficients of zero; the last innovation; the prediction without its slow part;
-how many samples repeated their predecessor, of how many. Last, how many numbers these are."""
+"""Places in the memory: the coefficients' precision (lower triangle of a table), its product with their mean, shape and rate of
+the noise's precision (the rate is that for coefficients of zero), the last innovation, the prediction without its slow part, the
+numbers of repetitions and of samples. COURSE is the length."""
 
 ROOT, REGRESSORS, SOLVED, REACHED, COURSE_SCRATCH = 0, 9, 12, 15, 18
-"""Places in the scratch space: the Cholesky factor of the precision, the regressors, both solved for; and its length."""
+"""Places in the scratch space: the Cholesky factor of the precision, the regressors, the solutions for both; and its length."""
 
 FORGETTING, FADING, SHAPE0, RATE0, MEANS, WEIGHTS0, EQUALS0, COUNTED0 = 0, 1, 2, 3, 4, 7, 10, 11
 """Places in the settings: the forgetting factor of the regression and of the level, the prior's shape and rate, the coefficients'
-means and precisions; how many repetitions of how many samples are expected."""
+means and precisions, the expected numbers of repetitions and of samples."""
 
 LEAST_RATE = 1e-6
-"""Least rate of the noise's precision: samples that repeat exactly must not make it infinitely precise."""
+"""Least rate of the noise's precision, so that samples that repeat exactly do not make it infinitely precise."""
 
 
 def follow(r, change, present, entered, memory, at, scratch, settings, first):
-    """Return the logarithm of an innovation's density if the sensor goes its own course, and learn from it.
+    """Return the log density of an innovation on an unmodelled course, and learn from it.
 
     Parameters
     ----------
     r, change : float
-        The innovation, and by how much the sample differs from the last one, in nominal standard deviations.
+        The innovation, and the sample's difference from the last one, in nominal standard deviations.
     present : float
-        1 if there is a sample, else 0: then nothing is learned.
+        1 if there is a sample; else 0, and nothing is learned.
     entered : float
         Probability that this course begins with this sample.
     memory : array
-        What is kept stands from the place ``at`` on; scratch space from ``scratch`` on.
+        The regression's numbers are from the place ``at`` on, scratch space from ``scratch`` on.
     settings : array
-        The settings stand from the place ``first`` on.
+        The settings are from the place ``first`` on.
     """
     kept = (1.0 - entered) * settings[first + FORGETTING]
     fresh = 1.0 - kept
@@ -86,7 +86,9 @@ def follow(r, change, present, entered, memory, at, scratch, settings, first):
         explained, mean, spread = explained + x * x, mean + x * z, spread + z * z
     scale = maximum(rate - 0.5 * explained, LEAST_RATE) * spread
     error = r - mean
-    told = 0.5 * log(squared_gamma_half_step(shape) / scale) - (shape + 0.5) * log(1.0 + 0.5 * (error * error / scale))
+    density = 0.5 * log(squared_gamma_half_step(shape) / scale) - (shape + 0.5) * log(
+        1.0 + 0.5 * (error * error / scale)
+    )
     for i in range(ORDER):
         for j in range(i + 1):
             here = at + WEIGHTS + ORDER * i + j
@@ -96,14 +98,14 @@ def follow(r, change, present, entered, memory, at, scratch, settings, first):
     memory[at + RATE] = rate + 0.5 * present * r * r
     memory[at + LAST_ERROR] = select(present > 0.5, r, memory[at + LAST_ERROR])
     memory[at + LEVEL] = select(present > 0.5, level, memory[at + LEVEL])
-    return told - 0.5 * LOG_2_PI
+    return density - 0.5 * LOG_2_PI
 
 
 def repeats_share(equal, present, entered, memory, at, settings, first):
-    """Return which share of the samples repeats its predecessor exactly on this course, and count this one (``equal``: 1 or 0).
+    """Return the share of samples that repeat exactly on this course, and count this sample (``equal``: 1 or 0).
 
-    So a sensor that sticks now and then, as one that clips, is on one course all the while. The share is beta distributed, and
-    forgotten like the regression.
+    A sensor that sticks now and then, for example by clipping, therefore remains on one course. The share is beta distributed,
+    and forgotten like the regression.
     """
     kept = (1.0 - entered) * settings[first + FORGETTING]
     fresh = 1.0 - kept
@@ -115,5 +117,5 @@ def repeats_share(equal, present, entered, memory, at, settings, first):
 
 
 def misfit(memory, at):
-    """Return how far the samples are from what is predicted: the root of their mean square, in nominal standard deviations."""
+    """Return the root mean square of the innovations, in nominal standard deviations."""
     return sqrt(memory[at + RATE] / memory[at + SHAPE])

@@ -1,24 +1,24 @@
-"""Times that nobody gave, as those of modes and alarms: longer where samples are further apart."""
+"""Default times, such as those of modes and alarms, which grow with the sample time."""
 
 from __future__ import annotations
 
 from typing import Self
 
 USUAL_STEP = 0.02
-"""Seconds between samples up to which default times hold as they stand."""
+"""Sample time in seconds up to which default times hold unchanged."""
 
 
 class DefaultTime(float):
-    """A time in seconds that is a default, and so grows with the sample time where samples are far apart.
+    """A default time in seconds, which grows with long sample times.
 
-    A time that the user gives is an ordinary number, which stays as it is, also where it equals the default.
+    A time from the user is an ordinary number and does not change, even if it equals the default.
 
     Parameters
     ----------
     seconds : float
         The time.
     usual_step : float
-        Seconds between samples up to which it holds as it stands; beyond, it is as many samples as at this step.
+        Sample time up to which it holds unchanged; beyond, the number of samples is that at this sample time.
     """
 
     usual_step: float
@@ -31,5 +31,5 @@ class DefaultTime(float):
 
 
 def time_at(time: float, step: float) -> float:
-    """Return the time that holds for samples that are `step` seconds apart: one that was given is as it is."""
+    """Return a time for samples that are `step` seconds apart; a time from the user does not change."""
     return max(1.0, step / time.usual_step) * float(time) if isinstance(time, DefaultTime) else time

@@ -1,4 +1,4 @@
-"""Fault modes: the ways in which a sensor can fail, between which `SwitchingPrecision` decides.
+"""Fault modes: the ways in which a sensor can fail, which `SwitchingPrecision` distinguishes.
 
 To write one you must:
 
@@ -7,20 +7,20 @@ To write one you must:
 
        glitches(e, present, variance, nominal, change, healthy, memory, at, settings, first)
 
-   It returns the logarithm of a sample's density if the sensor has failed in this way. What the arguments are, and what it may
-   write, say `drops` in ``mode_kernels.py`` and the table of ``docs/extend.md``. The places in its memory (`TRUST`, `SIZE`,
-   ...) and `log_density` can be imported from here; the mathematics comes from `bayesftc.cosim.ops`, as in every step function;
-3. return from the property ``first`` what it keeps before the first sample (trust, size, own numbers), and from
+   It returns the log density of a sample if the sensor has failed in this way. `drops` in ``mode_kernels.py`` and the table of
+   ``docs/extend.md`` describe the arguments and what the function may write. The places in its memory (`TRUST`, `SIZE`, ...) and
+   `log_density` can be imported from here. The mathematics comes from `bayesftc.cosim.ops`, as in every step function;
+3. return from the property ``first`` its numbers before the first sample (trust, size, further ones), and from
    ``settings(model, sensor)`` its settings for one sensor.
 
-That is all in Python: ``SwitchingPrecision([Glitching(), Offset()])``; ``docs/extend.md`` has a whole one. Scenario files choose
-by name from `FAULT_MODES`, over which the tests run as well: one that they shall know is added there.
+This suffices in Python: ``SwitchingPrecision([Glitching(), Offset()])``; ``docs/extend.md`` has a complete example. Scenario
+files and tests use `FAULT_MODES`; add the mode to it for them.
 
-In the joint form a subclass of `Offset` is estimated together with the state, from its ``jump``, ``slope`` and ``walk``; its
-``evidence`` then counts only where another sensor has an offset already, or an actuator has failed. A mode with
+In the joint form a subclass of `Offset` is estimated together with the state, from its ``jump``, ``slope`` and ``walk``. Its
+``evidence`` is then used only where another sensor already has an offset, or an actuator has failed. A mode with
 ``own_hypothesis = True`` is a subclass of `Unmodelled`, whose regression the joint form computes in place of its ``evidence``.
 
-A mode with ``is_fault = False`` is harmless: the sensor is trusted as the mode says, but its probability is no part of
+A mode with ``is_fault = False`` is harmless: it determines the sensor's precision, but its probability is no part of
 ``fault_probability``.
 """
 
@@ -45,13 +45,13 @@ if TYPE_CHECKING:
 
 
 HEALTHY_REPEATS = 0.001
-"""Share of the samples that a healthy sensor repeats exactly, where nobody says it."""
+"""Default share of the samples that a healthy sensor repeats exactly."""
 
 REPEATS_STRENGTH = 10.0
-"""How many samples it counts as what share of repetitions is expected of a healthy sensor."""
+"""Weight of the expected share of repetitions, in samples."""
 
 MOST_REPEATS = 0.6
-"""Largest such share that is learned: a sensor of which more repeat is frozen, or has a resolution that should be told."""
+"""Largest share that is learned; a sensor with more repetitions is frozen, or has a resolution that should be given."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,12 @@ class FaultMode:
     Parameters
     ----------
     time_to_fault : float
-        Mean time in seconds until a healthy sensor fails in this way. The default is short enough that faults are found soon, and
-        so long that even a fifth of it would cost healthy sensors less than 1 % of the error.
+        Mean time in seconds until a healthy sensor fails in this way. The default is short enough to find faults soon. It is so
+        long that even a fifth of it would cost healthy sensors less than 1 % of the error.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
 
-    Both defaults are for samples up to 20 ms apart; `SwitchingPrecision.paced` lengthens them where samples are further apart.
+    Both defaults are for samples up to 20 ms apart; `SwitchingPrecision.paced` lengthens them for longer sample times.
     """
 
     time_to_fault: float = DefaultTime(300.0)
@@ -74,15 +74,15 @@ class FaultMode:
 
     evidence: ClassVar[Callable[..., float]]
     arrival: ClassVar[float | None] = None
-    """Probability that there is a sample; None: as of a healthy sensor."""
+    """Probability of a sample; None: that of a healthy sensor."""
     needs_witness: ClassVar[bool] = False
-    """Whether it is told from the state's own motion only while another sensor is healthy (in the joint form)."""
+    """Whether only another healthy sensor can distinguish it from the state's motion (in the joint form)."""
     is_fault: ClassVar[bool] = True
-    """Whether the sensor has failed that is in this mode."""
+    """Whether this mode counts as a fault of the sensor."""
     own_hypothesis: ClassVar[bool] = False
-    """Whether the joint form has a hypothesis for each sensor that fails so, of which the state is inferred without it."""
+    """Whether the joint form has a hypothesis for each sensor in this mode, which infers the state without that sensor."""
     joint_only: ClassVar[bool] = False
-    """Whether it takes part only where its offset is estimated together with the state, as it gains nothing elsewhere."""
+    """Whether it is used only where its offset is estimated together with the state."""
 
     def __post_init__(self) -> None:
         for name in ("time_to_fault", "time_to_recovery"):
@@ -90,7 +90,7 @@ class FaultMode:
 
     @property
     def first(self) -> tuple[float, ...]:
-        """What it keeps of a sensor, before the first sample: trust, size, and its own numbers."""
+        """Its numbers for a sensor before the first sample: trust, size, and further ones."""
         return 0.0, nan
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
@@ -109,13 +109,13 @@ class Frozen(FaultMode):
     repeats : float
         Share of the samples that repeat exactly, between 0 and 1; the others have a dither.
     dither : float
-        Standard deviation of the dither, in those of the sensor's noise.
+        Standard deviation of the dither, in units of the sensor's noise.
     resolution : float or sequence of float
-        Resolution of the sensors in their unit, for all or for each: a healthy sensor repeats itself, too, if that is coarse.
+        Resolution of the sensors in their unit, for all or for each. A healthy sensor of coarse resolution also repeats itself.
     healthy_repeats : float or sequence of float
-        Share of the samples that a healthy sensor repeats exactly, as expected before the first one, for all sensors or for each.
-        It is learned while the sensor is healthy; this counts as ten samples. Where a resolution is given, no more than this is
-        learned: the resolution explains the rest. With 0 none is.
+        Expected share of the samples that a healthy sensor repeats exactly, for all sensors or for each. It is learned while the
+        sensor is healthy; the expected share counts as ten samples. If a resolution is given, at most this share is learned,
+        because the resolution explains the rest. With 0 nothing is learned.
     """
 
     repeats: float = 0.9
@@ -130,11 +130,11 @@ class Frozen(FaultMode):
         check_number(self, "repeats", above=0, below=1)
         check_number(self, "dither", above=0)
         for name, below in (("resolution", None), ("healthy_repeats", 1)):
-            given = getattr(self, name)
-            several = isinstance(given, list | tuple | np.ndarray)
-            for value in given if several else (given,):
+            values = getattr(self, name)
+            several = isinstance(values, list | tuple | np.ndarray)
+            for value in values if several else (values,):
                 as_number(f"Frozen has {name}", value, least=0, below=below)
-            object.__setattr__(self, name, tuple(given) if several else given)
+            object.__setattr__(self, name, tuple(values) if several else values)
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
@@ -146,15 +146,15 @@ class Frozen(FaultMode):
         return 0.5 * width, log(self.repeats / width), near, spread
 
     def healthy(self, model: LinearModel, sensor: int) -> tuple[float, float, float, float]:
-        """Return what is expected of the repetitions of a healthy sensor of a model.
+        """Return the settings for the repetitions of a healthy sensor of a model.
 
-        The width within which two samples count as equal, in the sensor's unit; how many repetitions of how many samples are
-        expected before the first one; and the largest share that is learned.
+        They are the width within which two samples count as equal, in the sensor's unit; the expected numbers of repetitions and
+        of samples before the first one; and the largest share that is learned.
         """
         half = self.settings(model, sensor)[0]
-        told = as_vector("The resolution of Frozen", self.resolution, model.sensors)[sensor] > 0
+        has_resolution = as_vector("The resolution of Frozen", self.resolution, model.sensors)[sensor] > 0
         share = float(as_vector("healthy_repeats of Frozen", self.healthy_repeats, model.sensors)[sensor])
-        most = share if told or share == 0 else max(MOST_REPEATS, share)
+        most = share if has_resolution or share == 0 else max(MOST_REPEATS, share)
         return 2.0 * half, share * REPEATS_STRENGTH, REPEATS_STRENGTH, most
 
 
@@ -165,13 +165,13 @@ class Offset(FaultMode):
     Parameters
     ----------
     time_to_fault, time_to_recovery
-        See `FaultMode`. Jumps are twice as frequent as other faults, for many of them are short (`SwitchingPrecision`).
+        See `FaultMode`. Jumps are twice as frequent as other faults, because many of them are short (`SwitchingPrecision`).
     jump : float
-        Standard deviation of the offset at its onset, in those of the sensor's noise; if the first innovation is larger, that.
+        Standard deviation of the offset at its onset, in units of the sensor's noise, or the first innovation if that is larger.
     slope : float
-        Standard deviation of its rate, in those of the sensor's noise per sample.
+        Standard deviation of its rate, in units of the sensor's noise per sample.
     walk : float
-        Standard deviation of the offset's own random walk, in those of the sensor's noise per sample.
+        Standard deviation of the offset's random walk, in units of the sensor's noise per sample.
     """
 
     time_to_fault: float = DefaultTime(150.0)
@@ -198,7 +198,7 @@ class Offset(FaultMode):
 
 @dataclass(frozen=True)
 class Drifting(Offset):
-    """An offset begins at zero and grows, so slowly at first that nothing jumps.
+    """An offset that begins at zero and grows slowly, without a jump.
 
     Parameters
     ----------
@@ -216,9 +216,9 @@ class Drifting(Offset):
 
 @dataclass(frozen=True)
 class Ramping(Offset):
-    """An offset begins at zero and grows by more than a slow drift: after a few samples it is beyond the noise.
+    """An offset that begins at zero and grows faster than a slow drift: after a few samples it exceeds the noise.
 
-    In the joint form; sensor by sensor an `Offset` does as well.
+    It is used in the joint form only; sensor by sensor an `Offset` is as good.
 
     Parameters
     ----------
@@ -236,14 +236,14 @@ class Ramping(Offset):
 
 @dataclass(frozen=True)
 class DroppedOut(FaultMode):
-    """The sensor sends nothing.
+    """The sensor sends no samples.
 
     Parameters
     ----------
     time_to_fault, time_to_recovery
         See `FaultMode`.
     arrives : float
-        Probability of a sample all the same.
+        Probability of a sample in this mode.
     """
 
     arrives: float = 0.001
@@ -256,13 +256,13 @@ class DroppedOut(FaultMode):
 
     @property
     def arrival(self) -> float:  # type: ignore[override]
-        """Probability that there is a sample."""
+        """Probability of a sample."""
         return self.arrives
 
 
 @dataclass(frozen=True)
 class Noisier(FaultMode):
-    """The sensor's noise has another precision, which is gamma distributed and learned: the paper's learner as a mode.
+    """The sensor's noise has another precision, gamma distributed and learned: the paper's learner as a mode.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class Noisier(FaultMode):
     scale : float
         Expected standard deviation of the noise at the onset, in nominal ones.
     shape : float
-        Shape of the gamma distribution at the onset; the smaller, the less is taken for known.
+        Shape of the gamma distribution at the onset; a smaller one means less prior knowledge.
     forgetting : float
         Forgetting factor in (0, 1] per sample.
     """
@@ -300,12 +300,12 @@ class Noisier(FaultMode):
 
 @dataclass(frozen=True)
 class Unmodelled(FaultMode):
-    """The sensor has failed in a way that has no mode of its own; how its samples then go is learned.
+    """The sensor has failed in a way without a mode of its own; the course of its samples is learned.
 
-    Its innovations are a linear regression on a constant, on their predecessor and on the prediction, with noise of any scale.
-    That fits a sensor that is frozen with a dither, filtered, late, swapped, oscillating or of another gain; and a share of its
-    samples repeats exactly, as of one that clips. In the joint form the state is inferred without this sensor meanwhile, in a
-    hypothesis for each sensor. The fault's size is the root mean square of the innovations, in nominal standard deviations.
+    Its innovations are a linear regression on a constant, on the last innovation and on the prediction, with noise of any scale.
+    This fits a sensor that is frozen with a dither, filtered, late, swapped, oscillating or of another gain. A share of its
+    samples repeats exactly, as with clipping. In the joint form each sensor has such a hypothesis, which infers the state without
+    that sensor. The fault's size is the root mean square of the innovations, in nominal standard deviations.
 
     Parameters
     ----------
@@ -317,14 +317,14 @@ class Unmodelled(FaultMode):
     forgetting : float
         Forgetting factor of the regression in (0, 1] per sample.
     fading : float
-        Factor per sample by which the slow part of the prediction is left out.
+        Factor per sample of the high-pass filter that removes the slow part of the prediction.
     means, deviations : sequence of float
         Means and standard deviations of the three coefficients at the onset: of the constant, of the last innovation, of the
-        prediction. The latter are in those of the regression's noise.
+        prediction. The standard deviations are in units of the regression's noise.
     repeats : float
-        Share of the samples that repeat exactly, between 0 and 1, as expected at the onset; it is learned (in the joint form).
+        Expected share at the onset of samples that repeat exactly, between 0 and 1; it is learned (in the joint form).
     repeats_strength : float
-        How many samples that share counts as.
+        Weight of that share in samples.
     """
 
     scale: float = 1.0
@@ -337,7 +337,7 @@ class Unmodelled(FaultMode):
     repeats_strength: float = 5.0
 
     own_hypothesis: ClassVar[bool] = True
-    evidence: ClassVar[Callable[..., float]] = kernels.goes_its_way
+    evidence: ClassVar[Callable[..., float]] = kernels.regresses
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -347,8 +347,8 @@ class Unmodelled(FaultMode):
         for name in ("forgetting", "fading"):
             check_number(self, name, above=0, most=1)
         for name in ("means", "deviations"):
-            given = as_vector(f"The {name} of Unmodelled", getattr(self, name), ORDER)
-            object.__setattr__(self, name, tuple(map(float, given)))
+            values = as_vector(f"The {name} of Unmodelled", getattr(self, name), ORDER)
+            object.__setattr__(self, name, tuple(map(float, values)))
         for value in self.deviations:
             as_number("Unmodelled has deviations", value, above=0)
 
@@ -368,14 +368,14 @@ class Unmodelled(FaultMode):
 
 @dataclass(frozen=True)
 class Burst(Noisier):
-    """The noise swells for a moment and passes, as a wheel's does on a bump: such a sensor has not failed.
+    """The noise increases for a moment, as that of a wheel on a bump; the sensor is not faulty.
 
-    Samples of a burst are trusted as little as those of a noisier sensor, from which only its brevity tells it.
+    Samples of a burst have the same low precision as those of a noisier sensor; a burst differs only in its short duration.
 
     Parameters
     ----------
     time_to_fault, time_to_recovery
-        Mean time in seconds between two bursts, and how long one lasts; by default at least three samples.
+        Mean time in seconds between two bursts, and mean duration of one; by default at least three samples.
     scale, shape, forgetting
         See `Noisier`.
     """
@@ -388,7 +388,7 @@ class Burst(Noisier):
 
 
 FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Ramping, Unmodelled, Noisier, DroppedOut, Burst)
-"""To add a fault mode, write it by the rules above and name it here."""
+"""To add a fault mode, write it by the rules above and list it here."""
 
 __all__ = [
     "ENTERED", "FACTOR", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Burst", "Drifting", "DroppedOut", "FaultMode", "Frozen",

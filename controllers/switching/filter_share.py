@@ -1,4 +1,4 @@
-"""How fast a model's own filter follows the sensors."""
+"""The speed with which a model's filter follows the sensors."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.errors import ModelError
 
 STEPS = 2000
-"""Of the covariance's recursion, at most, where there is no steady state: a state without noise gets a share that falls on."""
+"""Largest number of recursions without a steady state; the share of a state without noise decreases for ever."""
 
 
 @lru_cache(maxsize=512)
 def filter_share(model: LinearModel) -> float:
-    """Return how much of a deviation of the state the model's Kalman filter takes over with a sample, in steady state.
+    """Return the share of a deviation of the state that the model's steady Kalman filter corrects with a sample.
 
-    That is the trace of gain times C, the degrees of freedom for signal (Rodgers, Inverse Methods for Atmospheric Sounding,
-    2000): between 0 and the number of states. Estimated disturbances, as a sensor's own error is one, are not counted: no loop
-    hangs on them. It is infinite where rounding leaves nothing of the sensors' noise.
+    It is the trace of gain times C, the degrees of freedom for signal (Rodgers, Inverse Methods for Atmospheric Sounding, 2000),
+    between 0 and the number of states. Estimated disturbances, such as sensors' errors, do not count, because no loop depends on
+    them. It is infinite if rounding removes the sensors' noise.
     """
     moving = model.moving
     plant = moving.states - moving.disturbances

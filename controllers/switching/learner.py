@@ -1,4 +1,4 @@
-"""Switching between fault modes: for each sensor a hidden Markov model over the ways in which it can fail."""
+"""Switching between fault modes: a hidden Markov model for each sensor over its fault modes."""
 
 from __future__ import annotations
 
@@ -45,99 +45,105 @@ if TYPE_CHECKING:
 
 
 KNOWN = 1e12
-"""Shape of the gamma distribution of a precision that is not learned: there is no doubt about it."""
+"""Shape of the gamma distribution of a precision that is not learned, and therefore certain."""
 
 
 def _kept(mode: FaultMode) -> int:
-    """Return how many numbers of a mode's block are merged: up to its age if nothing is learned of its faults."""
+    """Return the number of a mode's numbers that are merged: up to its age if its faults have no further numbers."""
     return TRUST if type(mode).evidence in (mode_kernels.freezes, mode_kernels.drops) else TRUST + len(mode.first)
 
 
 MOST_MODES = 32
-"""Of a kind; a step takes time by the square of their number."""
+"""Largest number of modes of each kind; the time of a step grows with its square."""
 
 
 @dataclass(frozen=True)
 class SwitchingPrecision(PrecisionLearner):
-    """For each sensor a hidden Markov model over being healthy and failing in one of several ways.
+    """For each sensor a hidden Markov model over healthy and several fault modes.
 
-    The precision stays what is inferred: a sensor is used with ``P(healthy) + sum_k P(mode k) trust_k`` of its nominal
-    precision, where ``trust_k`` is 0 of a sensor that is frozen or has an offset, and what has been learned of one that is
-    noisier (the paper's learner is that mode). At each sample time passes first (modes begin and end), then each mode says how
-    probable the sample is, as a logarithm, so that none is lost. What a mode has learned about its fault is merged with what it
-    expects of one that has just begun, as in an interacting-multiple-model filter.
+    A sensor has ``P(healthy) + sum_k P(mode k) trust_k`` of its nominal precision. ``trust_k`` is 0 for a frozen sensor or one
+    with an offset, and learned for a noisier one (that mode is the paper's learner). At each sample the modes first begin and
+    end. Then each mode gives the log density of the sample, so that no mode is lost. What a mode has learned about its fault is
+    merged with the prior of a fault that has just begun, as in an interacting-multiple-model filter.
 
-    The model's standard deviations of sensors are a first guess: the noise of each sensor is learned while it is healthy, by a
-    gamma distribution of its precision, and ``precision`` and ``R`` follow it (`noise_factor`). So is the share of samples that
-    a healthy sensor repeats exactly (`Frozen`).
+    The model's standard deviations of sensors are a first guess. The noise of each sensor is learned while it is healthy, by a
+    gamma distribution of its precision, and ``precision`` and ``R`` follow it (`noise_factor`). The share of samples that a
+    healthy sensor repeats exactly is learned as well (`Frozen`).
 
-    ``fault_probability`` is that of all modes which are faults (all but `Burst`), also of a sensor that sends nothing; ``beta``
-    is NaN. It adds the outputs ``mode_probability`` (m x 1 + modes, healthy first), and for each sensor ``fault_kind`` (the most
-    probable mode by its number, 0: healthy), ``fault_size`` (of that mode: an offset in the sensor's unit, the standard
-    deviation of a noisier sensor in nominal ones, the root mean square of an unmodelled one's innovations in the same; NaN where
-    there is none) and ``fault_onset`` (time in seconds since the first
-    sample; NaN of a healthy sensor); and ``log_density``, the logarithm of the density of these samples after those before,
-    whose sum over a recording says how well the settings explain it (a pseudo-likelihood where an offset exceeds its `jump`).
+    ``fault_probability`` is that of all modes which are faults (all but `Burst`), also for a sensor that sends nothing; ``beta``
+    is NaN. The further outputs are:
 
-    In the joint form offsets are estimated together with the state, a hypothesis for each sensor and kind of offset, so that a
-    slow drift of one of two sensors is told from the state's own motion, and a sensor whose offset is known still informs.
-    Further hypotheses are that a sensor fails in a way that has no mode (`Unmodelled`), where the state is inferred without it;
-    that the plant is moved by more than its process noise, or the model says less than it should; that all sensors, if they read
-    one quantity, have jumped alike (`alike`); or that an actuator has failed. The joint form is for controllers with a linear
-    model; with other ones, in `ExplicitDetection`, and where the noise of sensors is correlated, sensors are judged one by one by
-    their innovation from the common prediction (the per-sensor form).
+    - ``mode_probability`` (m x 1 + modes): healthy first.
+    - ``fault_kind`` (m): number of the most probable mode; 0 is healthy.
+    - ``fault_size`` (m): size of that mode's fault; NaN without one. It is an offset in the sensor's unit, the standard deviation
+      of a noisier sensor in nominal ones, or the root mean square of an unmodelled one's innovations in nominal ones.
+    - ``fault_onset`` (m): time in seconds since the first sample; NaN for a healthy sensor.
+    - ``log_density``: log density of these samples given the earlier ones. Its sum over a recording measures how well the
+      settings explain it (a pseudo-likelihood if an offset exceeds its `jump`).
+
+    The joint form estimates offsets together with the state, with a hypothesis for each sensor and kind of offset. It therefore
+    distinguishes a slow drift of one of two sensors from the state's motion, and a sensor with a known offset still informs.
+    Further hypotheses are:
+
+    - A sensor fails in a way without a mode (`Unmodelled`); the state is inferred without it.
+    - The plant moves by more than its process noise, or the model is less precise than assumed.
+    - All sensors, if they measure one quantity, have jumped alike (`alike`).
+    - An actuator has failed.
+
+    The joint form is for controllers with a linear model and sensors of independent noise. With other controllers, in
+    `ExplicitDetection`, and with correlated noise, the per-sensor form judges each sensor by its innovation from the common
+    prediction.
 
     Parameters
     ----------
     modes : sequence of FaultMode
-        The ways in which a sensor can fail, with how often, all on top of each other; see `FAULT_MODES`.
+        The fault modes of a sensor, with their rates; see `FAULT_MODES`.
     loss : float or sequence of float
-        Probability with which a sample of a healthy sensor is missing, for all sensors or for each: of one that is not due at
-        every step (a slow one) the share of the steps without a sample.
+        Probability that a sample of a healthy sensor is missing, for all sensors or for each. For a slow sensor it is the share
+        of steps without a sample.
     joint : bool
-        Whether offsets are estimated together with the state, and the state without a sensor that is `Unmodelled`. The
-        per-sensor form is faster and tells slow drifts later.
+        Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
+        is faster, but detects slow drifts later.
     actuator_modes : sequence of ActuatorMode
-        The ways in which each actuator or the process can fail, see `ACTUATOR_MODES`; in the joint form. Then there are, for each
-        actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``,
-        ``actuator_fault_kind`` (the most probable mode by its number, 0: healthy) and ``actuator_fault_size`` (of that mode: its
-        c, see there; NaN of a healthy one); and the control makes up for what is lost and added: give the controller its limits,
-        ``u_min`` and ``u_max``. By default there is none: an actuator that is slower than the model says looks failed as well,
-        and to make up for that can make the loop unstable.
+        The fault modes of each actuator and of the process, see `ACTUATOR_MODES`; in the joint form only. With them there are,
+        for each actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first),
+        ``actuator_fault_probability``, ``actuator_fault_kind`` (number of the most probable mode, 0: healthy) and
+        ``actuator_fault_size`` (c of that mode; NaN for a healthy one). The control compensates the inferred faults: give the
+        controller its limits ``u_min`` and ``u_max``. By default there are none. An actuator that is slower than in the model
+        also looks faulty, and compensating that can make the loop unstable.
     process_modes : sequence of NoisierProcess
-        Times in which the plant is moved by more than its process noise: by default kicks, and longer ones in which the belief
-        fades, slowly or fast, for the model says less than it should. Without any, what all sensors see alike is taken for faults
-        of all of them. A part of the joint form, which then has the output ``process_mode_probability`` (2 + modes: healthy
-        first; last that one has ended, as far as that is not settled). Without the joint form, a mode with hypotheses of its own
-        (`Offset`, `Unmodelled`) or process noise the default ones are left out.
+        Times with more process noise than nominal: by default kicks, and longer ones in which the belief fades, slowly or fast,
+        because the model is less precise than assumed. Without any, a common deviation of all sensors counts as faults of all
+        of them. They belong to the joint form, which then has the output ``process_mode_probability`` (2 + modes): healthy first;
+        last the probability that a mode has recently ended. The default ones are left out without the joint form, without a mode
+        that has hypotheses (`Offset`, `Unmodelled`), or without process noise.
     alike : float
-        Prior probability, from 0 to below 1, that a jump which all sensors show alike is a fault of the sensors, not a kick of
-        the plant (a process mode with a `scale` above 1): that cannot be known but by how it goes on. The estimate follows the
-        sensors unless a fault is the more probable. A part of the joint form, where two or more sensors all read the same and
-        there are such a mode and an `Offset`; elsewhere it has no effect.
+        Prior probability, from 0 to below 1, that an equal jump of all sensors is a fault of the sensors, not a kick of the plant
+        (a process mode with a `scale` above 1). Only later samples can decide that. The estimate follows the sensors unless a
+        fault is more probable. It belongs to the joint form, with two or more sensors of one quantity, such a process mode and
+        an `Offset`; otherwise it has no effect.
     duration_shape : float
-        Shape, above 1, of the Lomax distribution of how long a fault lasts, whose mean is its ``time_to_recovery``: the closer to
-        1, the more of them are short and a few very long. Infinite: the distribution is exponential, as that of all other modes,
-        for faults whose mean duration is known. A part of the joint form, for offsets that jump and `Unmodelled`.
+        Shape, above 1, of the Lomax distribution of a fault's duration, whose mean is its ``time_to_recovery``. Near 1 many
+        faults are short and a few very long. Infinite gives the exponential distribution of all other modes, for faults of known
+        mean duration. It belongs to the joint form, for offsets that jump and for `Unmodelled`.
     gain_limit : float
-        When it is certain that the belief fades (a process mode with `fading` above 1), the estimate takes over with each sample
-        at most so many times the part of a deviation that the model's own filter takes over; in proportion where it is not
-        certain. Sensors that are followed faster would make the loop unstable where the control comes late. From a product of 1
-        on, as of many sensors or precise ones, there is no limit; infinite: none at all, for an estimate that no control hangs
-        on. A part of the joint form.
+        Limit of the estimate's gain while the belief fades (a process mode with `fading` above 1), relative to the gain of the
+        model's filter. It holds in proportion to the probability of such a mode. Following the sensors faster would make a loop
+        with a late control unstable. There is no limit from a product of 1 on, as for many or precise sensors. Infinite means no
+        limit, for an estimate without a control loop. It belongs to the joint form.
     noise_factor : float
-        The standard deviation of a healthy sensor's noise is learned up to so many times the model's, and down to so many times
-        less. 1: it is the model's, as always under `UnbiasedActiveInference`, whose belief has no covariance.
+        A healthy sensor's standard deviation is learned within this factor of the model's, up or down. With 1 it is the model's,
+        as always under `UnbiasedActiveInference`, whose belief has no covariance.
     noise_strength : float
-        How many samples the belief in the model's standard deviations counts as.
+        Weight of the model's standard deviations in samples.
     noise_forgetting : float
-        Forgetting factor in (0, 1] per sample of what is learned of that noise.
+        Forgetting factor in (0, 1] per sample of the learned noise.
 
     Raises
     ------
     ModelError
-        If there is no mode or one that is none (its step function has other arguments, say), the losses are not one for each
-        sensor, or with the model's sample time a fault would begin or end at each sample.
+        If there is no mode or an invalid one (for example with other arguments of its step function), if the losses are not one
+        for each sensor, or if the model's sample time is so long that a fault would begin or end at each sample.
     """
 
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Unmodelled(), Noisier(), DroppedOut())
@@ -165,7 +171,7 @@ class SwitchingPrecision(PrecisionLearner):
         object.__setattr__(self, "process_modes", as_process_modes(self.process_modes))
         for name in ("modes", "actuator_modes", "process_modes"):
             if (count := len(getattr(self, name))) > MOST_MODES:
-                raise ModelError(f"SwitchingPrecision has {count} {name}; it tells at most {MOST_MODES} apart.")
+                raise ModelError(f"SwitchingPrecision has {count} {name}; give at most {MOST_MODES}.")
         loss = self.loss
         each = (tuple(loss) or (loss,)) if isinstance(loss, list | tuple | np.ndarray) else (loss,)
         for value in each:
@@ -173,12 +179,12 @@ class SwitchingPrecision(PrecisionLearner):
         object.__setattr__(self, "loss", each if len(each) > 1 else each[0])
 
     def slowed(self, factor: float) -> SwitchingPrecision:
-        """Return the same learner for a plant that is `factor` times slower: all mean times of its modes are as much longer.
+        """Return the learner for a plant that is `factor` times slower: all mean times of its modes are multiplied by it.
 
         Parameters
         ----------
         factor : float
-            Positive.
+            Positive factor of the mean times.
 
         Examples
         --------
@@ -190,10 +196,10 @@ class SwitchingPrecision(PrecisionLearner):
         return self._timed(lambda value: factor * value)
 
     def paced(self, step: float) -> SwitchingPrecision:
-        """Return the same learner with the mean times that hold for samples `step` seconds apart; `learner` takes these.
+        """Return the learner with the mean times for samples `step` seconds apart; `learner` uses these.
 
-        Times that were given stay as they are. Default times are for samples of up to 20 ms; beyond, they grow with the step
-        (those of `Burst` beyond 0.1 s).
+        Times from the user do not change. Default times are for samples of up to 20 ms; beyond, they grow with the step (those of
+        `Burst` beyond 0.1 s).
 
         Parameters
         ----------
@@ -211,7 +217,7 @@ class SwitchingPrecision(PrecisionLearner):
         return self._timed(lambda value: time_at(value, step))
 
     def _timed(self, time: Callable[[float], float]) -> SwitchingPrecision:
-        """Return the same learner with other mean times, each a function of what it was."""
+        """Return the learner with other mean times, each a function of the former one."""
 
         def other(modes: Sequence[Any]) -> tuple[Any, ...]:
             names = ("time_to_fault", "time_to_recovery")
@@ -234,22 +240,22 @@ class SwitchingPrecision(PrecisionLearner):
         ends = [chance(mode, "time_to_recovery", step) for mode in self.modes]
         if sum(begins) >= 1:
             raise ModelError(
-                f"SwitchingPrecision has fault modes that begin with a probability of {sum(begins):.3g} together in each sample "
-                f"of {step:g} s; their times to a fault are too short: lengthen time_to_fault."
+                f"SwitchingPrecision has fault modes that begin with a total probability of {sum(begins):.3g} in each sample of "
+                f"{step:g} s. Their times to a fault are too short; give longer ones as time_to_fault."
             )
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
-        own = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
+        mode_settings = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
         bank = self._has_bank(model)
         first = [first_of(mode)[: 2 if bank and mode.own_hypothesis else None] for mode in self.modes]
         width = TRUST + max(map(len, first))
-        settings_width = kernels.OWN_SETTINGS + max(len(values) for of_sensor in own for values in of_sensor)
+        settings_width = kernels.OWN_SETTINGS + max(len(values) for of_sensor in mode_settings for values in of_sensor)
         shape = 0.5 * self.noise_strength if self.noise_factor > 1 else KNOWN
         settings = []
         for i in range(m):
             loss = float(losses[i])
             settings += [1.0 - loss, loss, self.noise_forgetting, shape]
             settings += [self.noise_factor**-2, self.noise_factor**2, *self._repeats(model, i)]
-            for mode, begin, end, values in zip(self.modes, begins, ends, own[i], strict=True):
+            for mode, begin, end, values in zip(self.modes, begins, ends, mode_settings[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 block = [begin, 1.0 - end, end, arrives, 1.0 - arrives, *values]
                 settings += block + [0.0] * (settings_width - len(block))
@@ -289,12 +295,12 @@ class SwitchingPrecision(PrecisionLearner):
         """See `PrecisionLearner.apart`."""
         if self.actuator_modes:
             raise ModelError(
-                f"{who} learns precisions apart from the state, so that faults of actuators cannot be told; {instead}, or leave "
+                f"{who} learns precisions apart from the state, so that actuator faults cannot be inferred; {instead}, or leave "
                 "the actuator modes out."
             )
         if self.process_modes and not self._usual_process:
             raise ModelError(
-                f"{who} learns precisions apart from the state, so that modes of the process cannot be told; {instead}, or leave "
+                f"{who} learns precisions apart from the state, so that process modes cannot be inferred; {instead}, or leave "
                 "the process modes out."
             )
         return replace(self, process_modes=(), joint=False)
@@ -310,7 +316,7 @@ class SwitchingPrecision(PrecisionLearner):
 
     @property
     def _usual_process(self) -> bool:
-        """Whether the modes of the process are the default ones, at whatever pace: these are left out where they cannot act."""
+        """Whether the process modes are the default ones, with any times; these are left out where they have no effect."""
         return [(m.scale, m.fading) for m in self.process_modes] == [(m.scale, m.fading) for m in PROCESS_MODES]
 
     @property
@@ -318,7 +324,7 @@ class SwitchingPrecision(PrecisionLearner):
         return tuple(int(mode.is_fault) for mode in self.modes)
 
     def _repeats(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
-        """Return what is expected of the repetitions of a healthy sensor; without a mode that repeats samples the usual."""
+        """Return the settings for repetitions of a healthy sensor, by default those of `Frozen`."""
         frozen = next((mode for mode in self.modes if isinstance(mode, Frozen)), Frozen())
         return frozen.healthy(model, sensor)
 
@@ -337,32 +343,32 @@ class SwitchingPrecision(PrecisionLearner):
         return self.joint and not np.any(nominal != np.diag(np.diag(nominal)))
 
     def _has_bank(self, model: LinearModel) -> bool:
-        """Return whether there is anything for the joint form to tell."""
+        """Return whether the joint form has any hypotheses."""
         return self._is_joint(model) and bool(self._kinds or self._lost or self.actuator_modes)
 
     def _acting(self, model: LinearModel) -> tuple[NoisierProcess, ...]:
-        """Return the process modes that can act; those that were given must."""
+        """Return the process modes that have an effect; refuse modes from the user that have none."""
         plant = model.states - model.disturbances
         if self._has_bank(model) and np.any(model.matrix("process_covariance")[:plant, :plant]):
             return tuple(self.process_modes)
         if self.process_modes and not self._usual_process:
             raise ModelError(
-                "SwitchingPrecision has process_modes, which are told from sensors' faults in the joint form only, and scale the "
-                "process noise of the plant: leave joint=True, give sensors of independent noise, an Offset or Unmodelled among "
-                "the modes and a process covariance, or leave the process modes out."
+                "SwitchingPrecision has process_modes, which need the joint form and scale the process noise of the plant. Leave "
+                "joint=True, give sensors of independent noise, an Offset or Unmodelled among the modes and a process "
+                "covariance, or leave the process modes out."
             )
         return ()
 
     def _layout(
         self, model: LinearModel, width: int, settings: int, process_modes: Sequence[NoisierProcess]
     ) -> Layout | None:
-        """Return the layout of the joint form's bank, if it is that form."""
+        """Return the layout of the joint form's bank; None for the per-sensor form."""
         kinds, actuator_modes = self._kinds, self.actuator_modes
         if not self._has_bank(model):
             if actuator_modes:
                 raise ModelError(
-                    "SwitchingPrecision has actuator_modes, which are told from sensors' faults in the joint form only; leave "
-                    "joint=True and give sensors of independent noise, or leave the actuator modes out."
+                    "SwitchingPrecision has actuator_modes, which need the joint form. Leave joint=True and give sensors of "
+                    "independent noise, or leave the actuator modes out."
                 )
             return None
         step = float(model.step)
@@ -372,14 +378,14 @@ class SwitchingPrecision(PrecisionLearner):
         begins += sum(mode.settings(step)[0] for mode in process_modes)
         kick = next((q for q, mode in enumerate(process_modes) if mode.scale > 1), -1)
         common = next((k for k in kinds if getattr(self.modes[k], "jump", 0.0) > 0), -1)
-        known = self.alike > 0 and min(kick, common) >= 0
-        groups = tuple(group for group in model.alike if 1 < len(group) == model.sensors) if known else ()
+        competing = self.alike > 0 and min(kick, common) >= 0
+        groups = tuple(group for group in model.alike if 1 < len(group) == model.sensors) if competing else ()
         begins += sum(self._jumps_alike(process_modes[kick], step) for _ in groups)
         if begins >= 1:
             raise ModelError(
-                f"The offsets and unmodelled faults of {model.sensors} sensors, the actuators' faults and process modes begin "
-                f"with a probability of {begins:.3g} together in each sample of {step:g} s; their times to a fault are too short "
-                "for the joint form of SwitchingPrecision: lengthen time_to_fault, or take joint=False."
+                f"The offsets and unmodelled faults of {model.sensors} sensors, the actuator faults and the process modes begin "
+                f"with a total probability of {begins:.3g} in each sample of {step:g} s. Their times to a fault are too short "
+                "for the joint form of SwitchingPrecision; give longer ones as time_to_fault, or joint=False."
             )
         jumping = tuple(q for q, k in enumerate(kinds) if getattr(self.modes[k], "jump", 0.0) > 0)
         becomes = (*range(len(kinds)), *jumping)
@@ -397,13 +403,13 @@ class SwitchingPrecision(PrecisionLearner):
         )  # fmt: skip
 
     def _jumps_alike(self, kick: NoisierProcess, step: float) -> float:
-        """Return the probability per sample that all sensors of a quantity jump alike: that of a kick, by the odds."""
+        """Return the probability per sample that all sensors of a quantity jump alike: that of a kick times the odds."""
         return kick.settings(step)[0] * self.alike / (1.0 - self.alike)
 
     def _parts(self, sensors: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the modes that are judged sensor by sensor where no sensor has an offset, and of the others where one has.
+        """Return the modes judged sensor by sensor without an offset, and those of the other sensors with one.
 
-        There a drift needs a third sensor that bears witness.
+        With an offset, a drift needs a third sensor as a witness.
         """
         alone = tuple(k for k, mode in enumerate(self.modes) if not (isinstance(mode, Offset) or mode.own_hypothesis))
         witness = sensors > 2

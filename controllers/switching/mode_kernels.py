@@ -1,7 +1,7 @@
-"""Step functions of fault modes: how probable a sample is if its sensor has failed in one way, and what is learned from it then.
+"""Step functions of fault modes: the density of a sample if its sensor has failed in one way, and learning from it.
 
-Each has the arguments of `drops` below: one sample of one sensor, and where the mode's numbers stand. It returns the logarithm of
-the sample's density, which counts only if there is a sample; what it writes as the `FACTOR` is still to be multiplied with that.
+Each has the arguments of `drops` below: one sample of one sensor, and the place of the mode's numbers. It returns the sample's
+log density, which counts only if there is a sample. The `FACTOR` that it writes is a further factor of the density.
 """
 
 from bayesftc.controllers.linalg.special import LOG_2_PI, squared_gamma_half_step
@@ -9,25 +9,25 @@ from bayesftc.controllers.switching.course import COURSE, follow, misfit
 from bayesftc.cosim.ops import absolute, log, maximum, minimum, select, sqrt
 
 WEIGHT, ENTERED, FACTOR, AGE, TRUST, SIZE, OWN = range(7)
-"""Places in the block of a mode: two for the switching; a factor of the density, 1 unless it is written, for a root is cheaper
-than its logarithm; the age; the precision that a sample deserves (nominal: 1); the size; own."""
+"""Places in the block of a mode: two for the switching; a factor of the density, 1 unless it is written, because a root is faster
+than its logarithm; the age; the precision of the sample (nominal: 1); the size; further numbers of the mode."""
 
 FURTHEST = 1e12
-"""Largest squared innovation, in units of its variance, that a density is computed of: it is held there."""
+"""Largest squared innovation for a density, in units of its variance; larger ones are limited to it."""
 
 
 def log_density(squared, variance):
-    """Return the logarithm of a normal density where the error has this square."""
+    """Return the log of a normal density at an error with this square."""
     return -0.5 * (squared / variance + log(variance) + LOG_2_PI)
 
 
 def wider(squared, variance, noise, doubt):
-    """Return the logarithm of Student's t density over the normal one of the same scale: that of a healthy sensor's error.
+    """Return the log ratio of Student's t density to the normal one of the same scale, for a healthy sensor's error.
 
-    Its noise has been learned only up to a ``doubt``, the inverse of the degrees of freedom (0: none), and is a part of the
-    error's variance. The logarithm of 1 + x is that by Pade's approximation, which is cheaper and right within 3 % up to x = 5:
-    with five degrees of freedom up to five standard deviations. Beyond, the tails are lighter. The constant of the density is
-    its series' first term.
+    The sensor's noise, a part of the error's variance, is learned only up to a ``doubt``, the inverse of the degrees of freedom
+    (0: certain). The logarithm of 1 + x is Pade's approximation, which is faster, with an error below 3 % up to x = 5: with five
+    degrees of freedom up to five standard deviations. Beyond, the tails are lighter. The density's constant is the first term of
+    its series.
     """
     one = 1.0 / variance
     part, each = noise * one, squared * one
@@ -38,27 +38,27 @@ def wider(squared, variance, noise, doubt):
 
 
 def drops(e, present, variance, nominal, change, healthy, memory, at, settings, first):
-    """Send nothing; a sample that comes all the same is a healthy one.
+    """Send nothing; a sample that arrives anyway counts as a healthy one.
 
     Parameters
     ----------
     e : float
-        Innovation, held within a million of its standard deviations; 0 for a missing sample.
+        Innovation, limited to a million standard deviations; 0 for a missing sample.
     present : float
         1 if there is a sample, else 0.
     variance, nominal : float
-        Variance of a healthy sensor's innovation, and the part of its noise in it.
+        Variance of a healthy sensor's innovation, and the part of it due to the sensor's noise.
     change : float
-        The sample minus the last one that there was; NaN if there is none.
+        The sample minus the last present one; NaN if there is none.
     healthy : float
-        Logarithm of the sample's density if the sensor is healthy and its noise is as believed.
+        Log density of the sample if the sensor is healthy with the learned noise.
     memory : array
-        What is kept; the mode's block begins at the place ``at``. ``memory[at + ENTERED]`` is the probability that the mode
-        begins with this sample, if it is the sensor's mode at all: only to be read. It may write the precision in nominal ones
-        that the sample deserves (``memory[at + TRUST]``), the fault's size (``SIZE``), a factor of the density beside the
-        logarithm that it returns (``FACTOR``), and its own numbers from ``memory[at + OWN]`` on.
+        The mode's block begins at the place ``at``. ``memory[at + ENTERED]`` is the probability that the mode begins with this
+        sample, given that it is the sensor's mode; do not write it. The function may write the precision of the sample relative
+        to the nominal one (``memory[at + TRUST]``), the fault's size (``SIZE``), a factor of the density besides the returned
+        logarithm (``FACTOR``), and its own numbers from ``memory[at + OWN]`` on.
     settings : array
-        The mode's settings stand from the place ``first`` on.
+        The mode's settings are from the place ``first`` on.
     """
     return healthy
 
@@ -66,31 +66,31 @@ def drops(e, present, variance, nominal, change, healthy, memory, at, settings, 
 def freezes(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     """Repeat the last sample, exactly or with a dither far below the noise.
 
-    ``settings``: half the resolution in the sensor's unit; the logarithms of the density of an exact repetition, and of that of
-    another sample with no dither at all; the dither's variance. A repetition has a probability, to which a density over the
-    resolution corresponds: so equal samples tell nothing beyond what a coarse resolution explains. That healthy samples repeat
-    themselves more often than this resolution says is seen to where modes are weighed (``sensor_kernels.py``).
+    ``settings``: half the resolution in the sensor's unit; the log densities of an exact repetition and of another sample without
+    dither; the dither's variance. A repetition has a probability, which becomes a density over the resolution. Equal samples
+    therefore give no evidence beyond what a coarse resolution explains. Repetitions of healthy sensors beyond their resolution
+    are handled where modes are weighted (``sensor_kernels.py``).
     """
     near = settings[first + 2] - 0.5 * (change * change / settings[first + 3])
-    told = select(absolute(change) <= settings[first], settings[first + 1], near)
-    return select(change == change, told, healthy)
+    logp = select(absolute(change) <= settings[first], settings[first + 1], near)
+    return select(change == change, logp, healthy)
 
 
 def expected_jump(e, jump, reach, nominal):
-    """Return the variance of an offset at its onset, in the sensor's unit squared: at least as large as the first innovation.
+    """Return the variance of an offset at its onset, in squared units of the sensor: at least the squared first innovation.
 
-    So an offset far beyond what was expected is not taken for noise, as if any larger scale were as likely as ``jump`` itself.
-    One that grows from zero has none: its ``reach`` is 0, that of others 1.
+    An offset far beyond the expected size is therefore not attributed to noise; any larger scale is as likely as ``jump``. An
+    offset that grows from zero has the ``reach`` 0, others 1.
     """
     return maximum(jump * nominal, reach * (e * e))
 
 
 def shifts(e, present, variance, nominal, change, healthy, memory, at, settings, first):
-    """Add an offset c that moves by b a sample: each starts at zero, uncertain, and is then filtered.
+    """Add an offset c that changes by b a sample: both begin uncertain, with mean zero, and are then filtered.
 
-    ``settings``, in units of the noise's variance: how uncertain c is at the start; likewise b; how far c walks in a sample; the
-    reach of `expected_jump`. Own numbers: b; the covariance of c and b. Onsets and offsets that have been there are merged into
-    one Gaussian distribution, as interacting multiple models do.
+    ``settings``, in units of the noise's variance: variances of c and b at the onset; variance of c's walk per sample; the reach
+    of `expected_jump`. Own numbers: b; the covariance of c and b. New and existing offsets are merged into one Gaussian
+    distribution, as in interacting multiple models.
     """
     jump, slope = expected_jump(e, settings[first], settings[first + 3], nominal), settings[first + 1] * nominal
     walk = settings[first + 2] * nominal
@@ -120,7 +120,7 @@ def shifts(e, present, variance, nominal, change, healthy, memory, at, settings,
 
 
 def scatters(e, present, variance, nominal, change, healthy, memory, at, settings, first):
-    """Have noise of another precision, which is gamma distributed and learned from the innovations (paper, section 3.2).
+    """Have noise of another precision, gamma distributed and learned from the innovations (paper, section 3.2).
 
     ``settings``: shape and rate of the prior, the forgetting factor. Own numbers: shape, rate. The size is the standard deviation
     in nominal ones.
@@ -132,7 +132,7 @@ def scatters(e, present, variance, nominal, change, healthy, memory, at, setting
     each, part = e * e / variance, 1.0 / b
     squared = each * part
     memory[at + FACTOR] = sqrt(squared_gamma_half_step(a) * part)
-    told = healthy + 0.5 * each - (a + 0.5) * log(1.0 + 0.5 * squared)
+    logp = healthy + 0.5 * each - (a + 0.5) * log(1.0 + 0.5 * squared)
     b = b + 0.5 * present * squared * b
     a = a + 0.5 * present
     part = 1.0 / (a * b)
@@ -140,14 +140,14 @@ def scatters(e, present, variance, nominal, change, healthy, memory, at, setting
     memory[at + OWN + 1] = b
     memory[at + TRUST] = minimum(a * a * part, 1.0)
     memory[at + SIZE] = sqrt(b * b * part)
-    return told
+    return logp
 
 
-def goes_its_way(e, present, variance, nominal, change, healthy, memory, at, settings, first):
-    """Go a course of its own, which is learned (``course.py``). Own numbers: what is kept of the course, and scratch space."""
-    deviation, own = sqrt(nominal), at + OWN
-    told = follow(
-        e / deviation, change / deviation, present, memory[at + ENTERED], memory, own, own + COURSE, settings, first
+def regresses(e, present, variance, nominal, change, healthy, memory, at, settings, first):
+    """Follow an unmodelled course, which is learned (``course.py``). Own numbers: the course's, and scratch space."""
+    deviation, start = sqrt(nominal), at + OWN
+    logp = follow(
+        e / deviation, change / deviation, present, memory[at + ENTERED], memory, start, start + COURSE, settings, first
     )  # fmt: skip
-    memory[at + SIZE] = misfit(memory, own)
-    return select(change == change, told - log(deviation), healthy)
+    memory[at + SIZE] = misfit(memory, start)
+    return select(change == change, logp - log(deviation), healthy)

@@ -1,7 +1,7 @@
-"""Process modes: times in which the plant is moved by more than its process noise, as by a kick or on a rough road.
+"""Process modes: times with more process noise than nominal, such as a kick or a rough road.
 
-A learner that does not know of them takes what all sensors see alike for faults of all of them. `SwitchingPrecision` decides
-between these modes and those of sensors and actuators: the precision of the transition model switches.
+A learner without them attributes a common deviation of all sensors to faults of all sensors. `SwitchingPrecision` distinguishes
+these modes from those of sensors and actuators: the precision of the transition model switches.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from bayesftc.cosim.errors import ModelError
 
 @dataclass(frozen=True)
 class NoisierProcess:
-    """The model says less of the plant's states than usual: by default for a single sample and by far, which is a kick.
+    """The model predicts the plant's states less precisely than usual: by default a kick, large and for a single sample.
 
-    Either their process noise is larger (`scale`), or the past tells less of them (`fading`), as in a filter with a fading
-    memory. A fading memory covers models that are wrong in any direction.
+    Either the process noise is larger (`scale`), or the past counts less (`fading`), as in a filter with a fading memory. A
+    fading memory covers models that are wrong in any direction.
 
     Parameters
     ----------
     time_to_fault : float
-        Mean time in seconds until it begins; by default a hundred times that of a sensor's fault: the last sensor that works
-        cannot tell its own offset from a kick.
+        Mean time in seconds until it begins. By default it is a hundred times that of a sensor fault, because the last working
+        sensor cannot distinguish its own offset from a kick.
     time_to_recovery : float
-        Mean time in seconds for which it lasts beyond its first sample.
+        Mean duration in seconds after the first sample.
     scale : float
-        Standard deviation of the process noise meanwhile, in nominal ones. That of a kick by default reaches four times as far;
-        the larger it is, the sooner a plant that is later than its model makes the loop unstable.
+        Standard deviation of the process noise in this mode, in nominal ones. The default kick reaches four times as far. With a
+        larger scale, a plant slower than its model makes the loop unstable sooner.
     fading : float
-        Factor of the predicted covariance of the plant's states at each sample meanwhile (Sorenson and Sacks, Information
-        Sciences 3, 1971); steps without a sample of any sensor do not count, nor those at which
-        it reaches a hundred times the variance of a sensor's noise, as that of a state which no sensor sees any more.
+        Factor of the predicted covariance of the plant's states at each sample in this mode (Sorenson and Sacks, Information
+        Sciences 3, 1971). Steps without a sample of any sensor do not count. Steps do not count either if the covariance reaches
+        a hundred times the variance of a sensor's noise, as for a state that no sensor sees any more.
 
     Raises
     ------
@@ -53,15 +53,14 @@ class NoisierProcess:
         check_number(self, "fading", least=1, most=1e6)
         if self.scale == 1 and self.fading == 1:
             raise ModelError(
-                "NoisierProcess has scale 1 and fading 1: that is no mode; make one of them larger than 1."
+                "NoisierProcess has scale 1 and fading 1, which has no effect; make one of them larger than 1."
             )
 
     def settings(self, step: float) -> tuple[float, float, float, float]:
-        """Return the probabilities per sample with which it begins and ends, the variance that it adds, and the part that fades.
+        """Return the probabilities per sample of begin and end, the added variance, and the faded part.
 
-        The variance is in nominal ones, the part in those of the belief.
-        The time that it lasts counts from its first sample on and may be 0: so a mean time T has the probability
-        step / (step + T).
+        The variance is in units of the nominal one, the part in units of the belief's. The duration T counts from the first
+        sample on and may be 0, so that its probability per sample is step / (step + T).
         """
         begins, ends = step / (step + self.time_to_fault), step / (step + self.time_to_recovery)
         return begins, ends, self.scale**2 - 1.0, self.fading - 1.0
@@ -72,7 +71,7 @@ PROCESS_MODES: tuple[NoisierProcess, ...] = (
     NoisierProcess(time_to_fault=DefaultTime(3000.0), time_to_recovery=DefaultTime(10.0), scale=1.0, fading=1.3),
     NoisierProcess(time_to_fault=DefaultTime(3000.0), time_to_recovery=DefaultTime(10.0), scale=1.0, fading=2.0),
 )
-"""What the plant does by default: kicks; and longer times in which the model says less than it should, as one of a wrong mass."""
+"""The default modes: kicks, and longer times with a less precise model, such as one with a wrong mass."""
 
 
 __all__ = ["PROCESS_MODES", "NoisierProcess"]

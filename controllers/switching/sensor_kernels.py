@@ -1,31 +1,31 @@
-"""Step functions of switching between fault modes: time passing, probabilities, and what they say of a sensor.
+"""Step functions of switching between fault modes: transitions, probabilities, and the resulting outputs of a sensor.
 
-What is kept of a sensor stands in ``memory`` from ``at`` on:
+The state of a sensor is in ``memory`` from ``at`` on:
 
 - `LAST`: its last sample.
 - `HEALTHY`: the probability that it is healthy.
-- `TRUSTED`: the precision that it deserves, in that of its noise while healthy.
-- `DENSITY`: a factor of its last sample's density, beside the logarithm that was returned.
+- `TRUSTED`: its inferred precision, relative to that of its noise while healthy.
+- `DENSITY`: a factor of its last sample's density, besides the returned logarithm.
 - `NOISE`, `NOISE_SHAPE`, `NOISE_RATE`: the variance of its noise while healthy, in nominal ones, and the gamma distribution of
-  the precision by which it is learned.
-- `REPEATS`, `SAMPLES`: how many of how many samples were repetitions while it was healthy.
+  its precision.
+- `REPEATS`, `SAMPLES`: numbers of repetitions and of samples while it was healthy.
 - From `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of it that has just begun (`ENTERED`), its mean
-  `AGE` in samples, and what the mode itself keeps (``mode_kernels.py``).
+  `AGE` in samples, and the mode's own numbers (``mode_kernels.py``).
 
-After all sensors follow the number of samples and the logarithm of the last ones' density. A bank's hypotheses keep a sensor in
-the same form; noise and repetitions belong to the sensor, not to a hypothesis.
+After all sensors follow the number of samples and the log density of the last ones. A bank's hypotheses keep a sensor in the same
+form; noise and repetitions belong to the sensor, not to a hypothesis.
 
-The settings of a sensor stand from ``row`` on:
+The settings of a sensor are from ``row`` on:
 
 - `ARRIVES`, `MISSING`: the probabilities that a healthy sensor's sample arrives and is missing.
-- `KEEPS`, `SHAPE0`, `LEAST_NOISE`, `MOST_NOISE`: of its noise the forgetting factor, the prior's shape, and the bounds.
-- `WIDTH`, `REPEATS0`, `SAMPLES0`, `MOST_REPEATS`: the resolution, how many repetitions of how many samples are expected, and the
-  largest share of them that is learned.
+- `KEEPS`, `SHAPE0`, `LEAST_NOISE`, `MOST_NOISE`: forgetting factor, prior shape, and bounds of its noise.
+- `WIDTH`, `REPEATS0`, `SAMPLES0`, `MOST_REPEATS`: the resolution, the expected numbers of repetitions and of samples, and the
+  largest share of repetitions that is learned.
 - From `FIRST_SETTINGS` on a block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and
   is missing, and the mode's own settings.
 
-Probabilities are combined with densities as logarithms, the largest density taken out, so none is lost however improbable a
-sample is: a probability is at least `LEAST`, and what a density loses by its exponential is far less than that.
+Probabilities are combined with log densities relative to the largest density, so that no mode is lost, however improbable a
+sample is: a probability is at least `LEAST`, and the relative density has a far smaller lower limit.
 """
 
 from bayesftc.controllers.precision.base import NAN
@@ -39,26 +39,26 @@ ARRIVES, MISSING, KEEPS, SHAPE0, LEAST_NOISE, MOST_NOISE, WIDTH, REPEATS0, SAMPL
 BEGINS, LASTS, ENDS, MODE_ARRIVES, MODE_MISSING, OWN_SETTINGS = 0, 1, 2, 3, 4, 5
 
 TYPICAL = 17.079468445347132
-"""The square of the width over which a probability has the density that is typical of a normal variable: 2 pi e variances."""
+"""Squared width of a uniform density with the entropy of a normal one, in variances: 2 pi e."""
 
 LEAST = 5e-131
-"""Least probability of a mode, exp(-300), so that every mode can come back."""
+"""Least probability of a mode, exp(-300), so that every mode can recover."""
 
 LEAST_LOG = -380.0
-"""Least logarithm of a density over the largest: far below `LEAST`, and their product is a normal number, or it would be slow."""
+"""Least log density relative to the largest one: far below `LEAST`, but their product is not subnormal, which would be slow."""
 
 LEAST_TRUST = 1e-12
-"""Least precision of a sensor in nominal ones, so that its covariance stays a number."""
+"""Least precision of a sensor in nominal ones, so that its covariance remains finite."""
 
 
 def held(e, variance):
-    """Return an innovation, held within what a density is computed of."""
+    """Return an innovation, limited for the computation of a density."""
     most = sqrt(FURTHEST * variance)
     return maximum(minimum(e, most), -most)
 
 
 def pass_mode(memory, block, healthy, settings, row):
-    """Let the time of one sample pass for a mode: it begins and ends. Return by how much that makes the sensor healthier."""
+    """Apply the transitions of one sample to a mode; return the increase of the probability of healthy."""
     ended = memory[block + WEIGHT] * settings[row + ENDS]
     begun = healthy * settings[row + BEGINS]
     weight = memory[block + WEIGHT] * settings[row + LASTS] + begun
@@ -72,7 +72,7 @@ def pass_mode(memory, block, healthy, settings, row):
 def learn_noise(squared, sound, memory, at, settings, row):
     """Learn the variance of a sensor's noise while it is healthy, from its expected square in nominal variances.
 
-    The precision is gamma distributed; a sample counts as far as the sensor is ``sound``: present, and healthy by this sample.
+    The precision is gamma distributed. A sample has the weight ``sound``, the probability of present and healthy.
     """
     lost = sound * (1.0 - settings[row + KEEPS])
     shape = memory[at + NOISE_SHAPE] + lost * (settings[row + SHAPE0] - memory[at + NOISE_SHAPE]) + 0.5 * sound
@@ -82,10 +82,10 @@ def learn_noise(squared, sound, memory, at, settings, row):
 
 
 def repetition(change, nominal, memory, at, settings, row):
-    """Return by how much a repeated sample is less surprising than the sensor's resolution alone says; 1 of any other sample.
+    """Return the factor of a repeated sample's density relative to that by the sensor's resolution; 1 for other samples.
 
-    It has the share of repetitions while the sensor was healthy. Over what width that share would have the density that is
-    typical of the noise, a repetition tells as little as over that resolution.
+    The probability is the share of repetitions while the sensor was healthy. A repetition is as uninformative as a density over
+    the resolution alone if that share has the typical density of the noise.
     """
     share = (memory[at + REPEATS] + settings[row + REPEATS0]) / (memory[at + SAMPLES] + settings[row + SAMPLES0])
     share = minimum(share, settings[row + MOST_REPEATS])
@@ -94,19 +94,19 @@ def repetition(change, nominal, memory, at, settings, row):
 
 
 def learn_repeats(change, sound, memory, at, settings, row):
-    """Count the repetitions of a sensor as far as it is ``sound``: present, and healthy by this sample."""
+    """Count the repetitions of a sensor with the weight ``sound``, the probability of present and healthy."""
     equal = absolute(change) <= 0.5 * settings[row + WIDTH]
     memory[at + REPEATS] = memory[at + REPEATS] + select(equal, sound, 0.0)
     memory[at + SAMPLES] = memory[at + SAMPLES] + sound
 
 
-def share_of(told, most):
-    """Return the density of a sample over the largest one, from their logarithms."""
-    return exp(maximum(told - most, LEAST_LOG))
+def share_of(logp, most):
+    """Return a density relative to the largest one, from their logarithms."""
+    return exp(maximum(logp - most, LEAST_LOG))
 
 
 def failed(memory, at, width, faults):
-    """Return the probability of a fault, given for each mode whether it is one (1 or 0): small ones are not 1 minus another."""
+    """Return the probability of a fault as a sum over the modes that are faults (1 or 0), which is accurate if small."""
     total = 0.0 * memory[at + HEALTHY]
     for k in range(len(faults)):
         if faults[k] > 0:
@@ -115,7 +115,7 @@ def failed(memory, at, width, faults):
 
 
 def use_trust(memory, length, i, sample, trust):
-    """Write a sensor's part of the sensors' covariance: the nominal one by its noise, over what each sensor deserves."""
+    """Write a sensor's part of the sensor covariance: the nominal one, scaled by noise and inferred precision."""
     weight = memory[i * length + TRUSTED] / memory[i * length + NOISE]
     for j in range(i):
         trust.R[i, j] = sample.nominal[i, j] / sqrt(
@@ -129,10 +129,9 @@ def use_trust(memory, length, i, sample, trust):
 
 
 def report_modes(memory, length, width, modes, sensors, step, first, outputs):
-    """Write each sensor's mode probabilities; then for all sensors the most probable mode, its size, its onset; and the density.
+    """Write each sensor's mode probabilities, then for all sensors the most probable mode, size and onset, then the log density.
 
-    They stand in ``outputs`` from ``first`` on. Size and onset (seconds, by the sample time ``step``) are NaN of a healthy
-    sensor.
+    They are in ``outputs`` from ``first`` on. Size and onset (seconds, by the sample time ``step``) are NaN for a healthy sensor.
     """
     kinds = first + sensors * (modes + 1)
     for i in range(sensors):

@@ -1,4 +1,4 @@
-"""The step functions of switching, written for each list of modes, whose own they call."""
+"""The step functions of switching, as text for each list of modes, whose step functions they call."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings,
 
 _WEIGH = """
 sound = log_density(e * e, variance)
-told = select(present > 0.5, sound + wider(e * e, variance, nominal, doubt), 0.0)
+logp = select(present > 0.5, sound + wider(e * e, variance, nominal, doubt), 0.0)
 {modes}
 most = {most}
-share = share_of(told, most)
+share = share_of(logp, most)
 healthy = memory[at + HEALTHY] * select(present > 0.5, settings[row + ARRIVES], settings[row + MISSING]) * share
 {weights}
 total = {total}
@@ -41,18 +41,19 @@ return most
 """
 
 _WEIGH_MODE = """\
-block{k}, own = at + {block}, row + {settings}
+block{k}, place = at + {block}, row + {settings}
 {tells}
-factor{k} = select(present > 0.5, settings[own + MODE_ARRIVES] * memory[block{k} + FACTOR]{times}, settings[own + MODE_MISSING])\
+factor{k} = select(present > 0.5, settings[place + MODE_ARRIVES] * memory[block{k} + FACTOR]{times}, settings[place +
+MODE_MISSING])\
 """
 
 _TELLS = """\
-told{k} = mode{k}(e, present, variance, nominal, change, {healthy}, memory, block{k}, settings, own + OWN_SETTINGS)
-told{k} = select(present > 0.5, told{k}, 0.0)\
+logp{k} = mode{k}(e, present, variance, nominal, change, {healthy}, memory, block{k}, settings, place + OWN_SETTINGS)
+logp{k} = select(present > 0.5, logp{k}, 0.0)\
 """
 
 _LEARN = """
-told = 0.0 * sample.nominal[0, 0]
+logp = 0.0 * sample.nominal[0, 0]
 for i in range(sample.y.shape[0]):
     at, row = i * LENGTH, i * SETTINGS
     noise = sample.nominal[i, i] * memory[at + NOISE]
@@ -62,8 +63,8 @@ for i in range(sample.y.shape[0]):
     error = held(sample.e[i], variance)
     repeats = repetition(change, sample.nominal[i, i], memory, at, settings, row)
     doubt = 0.5 / memory[at + NOISE_SHAPE]
-    told = told + weigh(error, sample.present[i], variance, noise, doubt, change, repeats, memory, at, settings, row)
-    told = told + log(memory[at + DENSITY])
+    logp = logp + weigh(error, sample.present[i], variance, noise, doubt, change, repeats, memory, at, settings, row)
+    logp = logp + log(memory[at + DENSITY])
     part = noise / variance
     squared = part * (part * error * error + sample.spread[i, i])
     counts = sample.present[i] * memory[at + HEALTHY]
@@ -73,7 +74,7 @@ for i in range(sample.y.shape[0]):
     trust.fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
     use_trust(memory, LENGTH, i, sample, trust)
 memory[sample.y.shape[0] * LENGTH] = memory[sample.y.shape[0] * LENGTH] + 1.0
-memory[sample.y.shape[0] * LENGTH + 1] = told
+memory[sample.y.shape[0] * LENGTH + 1] = logp
 """
 
 _REPORT = """
@@ -98,32 +99,32 @@ Evidence = tuple[Callable[..., float], ...]
 def sensor_functions(
     evidence: Evidence, chosen: tuple[int, ...], width: int, settings: int
 ) -> tuple[Callable[..., None], Callable[..., float]]:
-    """Return the functions by which time passes for a sensor's modes, and by which they are weighed by a sample.
+    """Return the functions for the transitions of a sensor's modes, and for their weights by a sample.
 
-    The latter returns the logarithm of the sample's density, but for a factor (`DENSITY`). Only the ``chosen`` modes take part.
+    The latter returns the sample's log density up to a factor (`DENSITY`). Only the ``chosen`` modes are used.
 
     Parameters
     ----------
     evidence : tuple of function
-        The modes' own step functions.
+        The modes' step functions.
     chosen : tuple of int
-        Their numbers.
+        Numbers of the modes in use.
     width, settings : int
         Widths of the block of a mode in the memory and in the settings.
     """
-    # Where a mode has nothing of its own to say a sample is a healthy one, whose noise may not be as believed (`wider`): that of
-    # a sensor that has dropped out, and the first one of a sensor that is frozen or on a course of its own.
+    # Without its own density a mode uses that of a healthy sample, whose noise is uncertain (`wider`): a dropped-out sensor, and
+    # the first sample of a frozen or unmodelled one.
     telling = [k for k in chosen if evidence[k] is not mode_kernels.drops]
-    waiting = (mode_kernels.freezes, mode_kernels.goes_its_way)
+    waiting = (mode_kernels.freezes, mode_kernels.regresses)
 
     def of_modes(text: str, of: Iterable[int] = chosen) -> list[str]:
         return [
             text.format(
                 k=k, block=kernels.FIRST + k * width, settings=kernels.FIRST_SETTINGS + k * settings,
-                tells=_TELLS.format(k=k, healthy="told" if evidence[k] in waiting else "sound")
+                tells=_TELLS.format(k=k, healthy="logp" if evidence[k] in waiting else "sound")
                 if k in telling
                 else "",
-                share=f"share_of(told{k}, most)" if k in telling else "share",
+                share=f"share_of(logp{k}, most)" if k in telling else "share",
                 times=" * repeats" if evidence[k] is mode_kernels.freezes else "",
             )
             for k in of
@@ -136,7 +137,7 @@ def sensor_functions(
     passing = _PASS_TIME.format(modes=lines(_PASS_MODE))
     weighing = _WEIGH.format(
         modes=lines(_WEIGH_MODE),
-        most=_paired(["told", *of_modes("told{k}", telling)], "maximum({}, {})"),
+        most=_paired(["logp", *of_modes("logp{k}", telling)], "maximum({}, {})"),
         weights=lines("weight{k} = memory[block{k} + WEIGHT] * factor{k} * {share}"),
         total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
         probabilities=lines("memory[block{k} + WEIGHT] = weight{k} * part + LEAST"),
@@ -155,11 +156,11 @@ def learner_functions(
     Parameters
     ----------
     evidence, chosen, width, settings
-        As of `sensor_functions`.
+        See `sensor_functions`.
     faults : tuple of int
-        For each mode whether it is a fault (1 or 0).
+        Whether each mode is a fault (1 or 0).
     layout : Layout or None
-        Of the joint form's bank, where there is one: it has actuators and the process to report on.
+        Layout of the joint form's bank, if there is one, for the reports of actuators and process.
     """
     modes = len(evidence)
     pass_time, weigh = sensor_functions(evidence, chosen, width, settings)
@@ -191,10 +192,14 @@ def learner_functions(
 
 
 def _names(evidence: Evidence) -> dict[str, Any]:
-    """Return what the text finds as global names."""
-    known = {name: value for of in (mode_kernels, kernels, ops) for name, value in vars(of).items()}
-    own = {f"mode{k}": function for k, function in enumerate(evidence)}
-    return {name: value for name, value in known.items() if not name.startswith("__")} | own | {"__name__": __name__}
+    """Return the global names of the text."""
+    functions = {name: value for of in (mode_kernels, kernels, ops) for name, value in vars(of).items()}
+    evidence_functions = {f"mode{k}": function for k, function in enumerate(evidence)}
+    return (
+        {name: value for name, value in functions.items() if not name.startswith("__")}
+        | evidence_functions
+        | {"__name__": __name__}
+    )
 
 
 def _function(name: str, arguments: Iterable[str], text: str, names: dict[str, Any]) -> Callable[..., Any]:
@@ -203,7 +208,7 @@ def _function(name: str, arguments: Iterable[str], text: str, names: dict[str, A
 
 
 def _paired(terms: list[str], joined: str) -> str:
-    """Return the terms joined in pairs, and these again: so the processor computes them side by side."""
+    """Return the terms joined in pairs, recursively, so that the processor computes them in parallel."""
     while len(terms) > 1:
         pairs = [joined.format(*terms[k : k + 2]) for k in range(0, len(terms) - 1, 2)]
         terms = pairs + terms[len(terms) - len(terms) % 2 :]

@@ -1,9 +1,8 @@
-"""Step functions on one hypothesis of a bank: time passing, merging two into one, and a sample of one sensor.
+"""Step functions on one hypothesis of a bank: prediction, merging two into one, and a sample of one sensor.
 
-A hypothesis stands in ``memory`` from ``at`` on: its `PROBABILITY`, the mean `OFFSET_AGE` in samples, from `STATE` on the mean
-of z = [deviation of the state from the controller's prediction (n), offset c, its change b per sample], then z's
-covariance (a table of n + 2), then what is kept of each sensor (``sensor_kernels.py``). The hypothesis without an offset
-leaves c and b alone.
+A hypothesis is in ``memory`` from ``at`` on: its `PROBABILITY`, the mean `OFFSET_AGE` in samples, from `STATE` on the mean of
+z = [deviation of the state from the controller's prediction (n), offset c, its change b per sample], then z's covariance (a table
+of n + 2), then the values of each sensor (``sensor_kernels.py``). The hypothesis without an offset does not change c and b.
 """
 
 from typing import NamedTuple
@@ -17,11 +16,11 @@ from bayesftc.cosim.types import Floats
 PROBABILITY, OFFSET_AGE, STATE = 0, 1, 2
 
 FADED = 100.0
-"""Variance of what a sensor reads, in that of its noise, up to which a belief fades: else what no sensor sees would be lost."""
+"""Largest variance of a reading, in units of the noise variance, up to which a belief fades; else unseen states would diverge."""
 
 
 class Onset(NamedTuple):
-    """What is expected of an offset at its onset, the covariance of it and its slope, and its random walk's variance a sample."""
+    """Mean of an offset at its onset, covariance of it and its slope, and variance of its random walk per sample."""
 
     c: float
     cc: float
@@ -34,7 +33,7 @@ NO_OFFSET = Onset(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Moving(NamedTuple):
-    """The model's matrices A and Q, the belief before the ``first`` sample, and the ``largest`` variance that one may have."""
+    """The model's matrices A and Q, the belief before the ``first`` sample, and the ``largest`` variance of a belief."""
 
     A: Floats
     Q: Floats
@@ -44,7 +43,7 @@ class Moving(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Where in memory stands by what an offset moves the state, by what all else does, and scratch space."""
+    """Places in memory of the offset's effect on the state, of its other inputs, and of scratch space."""
 
     couples: int
     shift: int
@@ -52,11 +51,11 @@ class Places(NamedTuple):
 
 
 def move(memory, at, n, offset, slides, onset, moving, places):
-    """Take a hypothesis one sample ahead: the state by the model, the offset by its slope if it ``slides``.
+    """Predict a hypothesis one sample ahead: the state by the model, the offset by its slope if it ``slides``.
 
-    The offset moves the state by what stands at ``couples``, all else by what stands at ``shift``. Before the ``first`` sample
-    the belief is the controller's ``covariance``, and also where there is no longer one: with a variance beyond the ``largest``
-    or below zero. The offset is then what is expected at its onset: ``c`` and the covariance ``cc``, ``cb``, ``bb``.
+    The offset moves the state by the values at ``couples``, all else by those at ``shift``. Before the ``first`` sample the
+    belief is the controller's ``covariance``, and so after a loss: a variance above the ``largest`` or below zero. The offset is
+    then that of its onset: ``c`` and the covariance ``cc``, ``cb``, ``bb``.
     """
     c, cc, cb, bb, walk = onset
     A, Q, first, covariance, largest = moving
@@ -105,7 +104,7 @@ def move(memory, at, n, offset, slides, onset, moving, places):
                 total = total + walk
             memory[P + a * N + b] = total
             memory[P + b * N + a] = total
-    # Where absurd samples have carried means apart, so that rounding leaves no covariance, the hypothesis begins anew.
+    # If absurd samples have moved the means so far apart that rounding destroys the covariance, the hypothesis is reset.
     sound = absolute(memory[z]) <= MEAN_CAP
     for a in range(used):
         sound = both(sound, both(memory[P + a * N + a] >= 0.0, memory[P + a * N + a] <= largest))
@@ -129,10 +128,10 @@ def move(memory, at, n, offset, slides, onset, moving, places):
 
 
 def ended(end, age, haste):
-    """Return the probability that a fault of this ``age`` ends with a sample; ``end`` is one over how long they last on average.
+    """Return the probability that a fault of this ``age`` ends with a sample; ``end`` is the inverse of the mean duration.
 
-    Both are counted in samples. How long faults last has a Lomax distribution of shape 1 + 1 / haste, whose hazard falls with the
-    age; with a haste of 0 it is exponential, and the age tells nothing.
+    Both are counted in samples. The duration has a Lomax distribution of shape 1 + 1 / haste, whose hazard decreases with the
+    age. With a haste of 0 it is exponential, and the age has no effect.
     """
     return end * (1.0 + haste) / (1.0 + haste * age * end)
 
@@ -140,7 +139,7 @@ def ended(end, age, haste):
 def blend(memory, at, part, other, n, offset, c, b, cc, cb, bb):
     """Merge another belief about the state into a hypothesis, with its ``part`` of the probability, by moments.
 
-    With an ``offset`` its mean, slope and their covariance come in as well, independent of the state.
+    With an ``offset``, its mean, slope and their covariance are merged as well, independent of the state.
     """
     N = n + 2
     z, P, y, R = at + STATE, at + STATE + N, other + STATE, other + STATE + N
@@ -164,15 +163,15 @@ def blend(memory, at, part, other, n, offset, c, b, cc, cb, bb):
         da = memory[y + a] - memory[z + a]
         for s in range(a + 1):
             ds = memory[y + s] - memory[z + s]
-            here = P + a * N + s
-            memory[here] = memory[here] + part * (memory[R + a * N + s] - memory[here]) + around * da * ds
-            memory[P + s * N + a] = memory[here]
+            healthy = P + a * N + s
+            memory[healthy] = memory[healthy] + part * (memory[R + a * N + s] - memory[healthy]) + around * da * ds
+            memory[P + s * N + a] = memory[healthy]
     for a in range(n):
         memory[z + a] = memory[z + a] + part * (memory[y + a] - memory[z + a])
 
 
 def blend_between(memory, at, part, other, n):
-    """Merge as well how the other's offset and its slope vary together with the state."""
+    """Merge the covariance of the other's offset and slope with the state as well."""
     N = n + 2
     P, R = at + STATE + N, other + STATE + N
     for a in range(n):
@@ -182,25 +181,25 @@ def blend_between(memory, at, part, other, n):
 
 
 def blend_sensor(memory, at, part, other, scale, first, width, spans):
-    """Merge what another hypothesis keeps of a sensor, its probabilities times ``scale``, into what this one keeps.
+    """Merge another hypothesis's values of a sensor, with probabilities times ``scale``, into those of this one.
 
-    Of each mode's block its span is merged; modes of span 0 take no part.
+    The span of each mode's block is merged; modes of span 0 are not.
     """
-    here, there = memory[at + HEALTHY], scale * memory[other + HEALTHY]
-    memory[at + HEALTHY] = maximum(here + part * (there - here), LEAST)
+    healthy, other_healthy = memory[at + HEALTHY], scale * memory[other + HEALTHY]
+    memory[at + HEALTHY] = maximum(healthy + part * (other_healthy - healthy), LEAST)
     for k in range(len(spans)):
         if spans[k] > 0:
-            own, new = at + first + k * width, other + first + k * width
-            come = part * scale * memory[new + WEIGHT]
-            total = maximum((1.0 - part) * memory[own + WEIGHT] + come, LEAST)
-            share = come / total
-            memory[own + WEIGHT] = total
+            block, other_block = at + first + k * width, other + first + k * width
+            incoming = part * scale * memory[other_block + WEIGHT]
+            total = maximum((1.0 - part) * memory[block + WEIGHT] + incoming, LEAST)
+            share = incoming / total
+            memory[block + WEIGHT] = total
             for a in range(AGE, spans[k]):
-                memory[own + a] = memory[own + a] + share * (memory[new + a] - memory[own + a])
+                memory[block + a] = memory[block + a] + share * (memory[other_block + a] - memory[block + a])
 
 
 def blend_healthy(memory, at, part, first, width, modes):
-    """Merge into what a hypothesis keeps of a sensor that it is healthy."""
+    """Merge a healthy sensor into a hypothesis's values of a sensor."""
     memory[at + HEALTHY] = memory[at + HEALTHY] + part * (1.0 - memory[at + HEALTHY])
     for k in range(modes):
         weight = at + first + k * width + WEIGHT
@@ -208,9 +207,9 @@ def blend_healthy(memory, at, part, first, width, modes):
 
 
 def inflate(memory, at, n, plant, more, fades, Q):
-    """Let a hypothesis know less of the first states, those of the plant.
+    """Increase the covariance of the plant's states, the first ones, in a hypothesis.
 
-    To their covariance ``more`` times the process noise is added, after it has grown by the part ``fades`` of itself.
+    It grows by the part ``fades`` of itself, and then by ``more`` times the process noise.
     """
     P, N = at + STATE + n + 2, n + 2
     grows = sqrt(1.0 + fades)
@@ -224,9 +223,9 @@ def inflate(memory, at, n, plant, more, fades, Q):
 
 
 def measurable(memory, at, n, C, nominal):
-    """Return 1 while no sensor's sample, were there one, would leave hardly anything of a hypothesis, else 0.
+    """Return 1 while a sample of any sensor would leave enough of a hypothesis, else 0.
 
-    That is up to `FADED` times the variance of its noise.
+    The limit is `FADED` times the variance of the sensor's noise.
     """
     P, N = at + STATE + n + 2, n + 2
     fresh = 1.0 + 0.0 * memory[P]
@@ -240,9 +239,9 @@ def measurable(memory, at, n, C, nominal):
 
 
 def expect(memory, at, n, offset, reads, sensor, C, direction):
-    """Compute the covariance of z with what a sensor reads of it (at ``direction``); return the variance of that and its mean.
+    """Write the covariance of z with a sensor's reading (at ``direction``); return the variance and mean of the reading.
 
-    With an ``offset`` the hypothesis' own is part of what this sensor ``reads``.
+    With an ``offset``, it is part of the reading if the sensor ``reads`` it.
     """
     N, used = n + 2, n + 2 * offset
     z, P = at + STATE, at + STATE + n + 2
@@ -279,12 +278,12 @@ def correct(memory, at, n, offset, reads, sensor, C, direction, error, total, no
         for b in range(used):
             memory[P + a * N + b] = memory[P + a * N + b] - memory[gain + a] * memory[direction + b]
     for a in range(used):
-        rest = C[sensor, 0] * memory[P + a * N]
+        product = C[sensor, 0] * memory[P + a * N]
         for s in range(1, n):
-            rest = rest + C[sensor, s] * memory[P + a * N + s]
+            product = product + C[sensor, s] * memory[P + a * N + s]
         if reads:
-            rest = rest + memory[P + a * N + n]
-        memory[left + a] = rest
+            product = product + memory[P + a * N + n]
+        memory[left + a] = product
     for a in range(used):
         for b in range(a + 1):
             change = (noise * memory[gain + a] - memory[left + a]) * memory[gain + b]

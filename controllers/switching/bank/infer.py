@@ -1,24 +1,24 @@
-"""A bank of hypotheses about offsets, each with its own belief about state and offset together: the joint form of switching.
+"""The joint form of switching: a bank of hypotheses about offsets, each with a belief about state and offset together.
 
-One hypothesis has no fault of these kinds. Each other one has one of the following:
+One hypothesis has none of these faults. Each other one has one of the following:
 
-- an offset of one kind on one sensor, or a fault of one kind of one actuator, which is estimated together with the state, so that
-  a drift of one sensor is told from the state's own motion;
-- a sensor that goes a course of its own (`Unmodelled`): the state is inferred without it;
-- the same offset on all sensors that read the same: they failed, and the plant was not kicked; or such an offset has just ended;
+- an offset of one kind on one sensor, or a fault of one kind of one actuator, estimated together with the state, which
+  distinguishes a drift of one sensor from the state's motion;
+- an unmodelled course of a sensor (`Unmodelled`): the state is inferred without it;
+- the same offset on all sensors that measure the same: they failed, and the plant was not kicked; or the recent end of it;
 - a mode of the process: more process noise than nominal, or a belief that fades.
 
-All that needs no moments together with the state (frozen, noisier, dropped out, and the offsets of *further* sensors) each
-hypothesis keeps sensor by sensor, as the per-sensor form does. So for K kinds of offsets, of which J jump, and U courses on m
-sensors, g groups of sensors that read the same (one, if all do, else none), L modes of p actuators and G of the process there are
-1 + m (K + J + U) + 2 g + p L + (G + 1 if there are any) of them, however many sensors fail at once.
+Each hypothesis keeps all else sensor by sensor, as the per-sensor form does: frozen, noisier, dropped out, and the offsets of
+*further* sensors. Let there be K kinds of offsets, of which J jump, and U unmodelled courses on m sensors, g groups of sensors
+that measure the same (one, if all do, else none), L modes of p actuators and G of the process. The number of hypotheses is then
+1 + m (K + J + U) + 2 g + p L + (G + 1 if there are any), for any number of simultaneous sensor faults.
 
-At each sample every hypothesis moves; then offsets begin and end. What has ended is merged first (the pool) and goes on from
-there: to no offset, or to the offset that a further sensor has meanwhile. Three go on later: an offset that jumps joins earlier
-ones after its first sample; that one of all sensors that read the same has ended remains a hypothesis for one sample, and that a
-mode of the process has ended for a while (the one more). Beliefs that arrive at the same hypothesis are merged by moments, as in
-an interacting-multiple-model filter (Blom and Bar-Shalom 1988). Then each hypothesis is conditioned on the sensors one after the
-other, and gets the probability of what they said.
+At each sample every hypothesis is predicted; then offsets begin and end. Ended ones are first merged (the pool), and go from
+there to no offset, or to the offset that a further sensor has meanwhile. Three transitions come later. An offset that jumps joins
+earlier ones after its first sample. The end of a common offset remains a hypothesis for one sample, and the end of a process mode
+for a while (the one more). Beliefs with the same hypothesis are merged by moments, as in an interacting-multiple-model filter
+(Blom and Bar-Shalom 1988). Then each hypothesis is conditioned on the sensors one after the other, and gets the probability of
+their samples.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers.switching.bank.layout import LOAD, PUSHES, STEERS, WORKS, Layout
-from bayesftc.controllers.switching.bank.samples import make_conclude, make_listen, make_summarise, make_weigh
+from bayesftc.controllers.switching.bank.samples import make_conclude, make_learn_sensors, make_summarise, make_weigh
 from bayesftc.controllers.switching.bank.time import make_pass_time
 from bayesftc.controllers.switching.sensor_kernels import failed, use_trust
 
@@ -43,14 +43,14 @@ def make_infer(
     Parameters
     ----------
     layout : Layout
-        Where everything stands.
+        Places in memory and settings.
     pass_alone, weigh_alone : function
-        Time passing and weighing of a sensor's modes where no sensor has an offset.
+        Transitions and weights of a sensor's modes where no sensor has an offset.
     pass_other, weigh_other : function
-        The same of the other sensors where one has an offset.
+        The same for the other sensors where one has an offset.
     """
     pass_time, weigh = make_pass_time(layout, pass_alone, pass_other), make_weigh(layout, weigh_alone, weigh_other)
-    conclude, summarise, listen = make_conclude(layout), make_summarise(layout), make_listen(layout)
+    conclude, summarise, learn_sensors = make_conclude(layout), make_summarise(layout), make_learn_sensors(layout)
     m, p, sensor, width, faults = layout.m, layout.p, layout.sensor, layout.width, layout.faults
     count, first, actuator = m * layout.sensor, layout.actuators, layout.actuator
 
@@ -60,14 +60,14 @@ def make_infer(
         weigh(sample, model.C, memory, settings)
         conclude(belief, memory, settings)
         summarise(memory, settings)
-        listen(sample, memory, settings)
+        learn_sensors(sample, memory, settings)
         for i in range(m):
             use_trust(memory, sensor, i, sample, trust)
             trust.fault_probability[i] = failed(memory, i * sensor, width, faults)
         for j in range(p):
-            own = first + j * actuator
-            actuators.works[0, j], actuators.load[0, j] = memory[own + WORKS], memory[own + LOAD]
-            actuators.works[1, j], actuators.load[1, j] = memory[own + STEERS], memory[own + PUSHES]
+            place = first + j * actuator
+            actuators.works[0, j], actuators.load[0, j] = memory[place + WORKS], memory[place + LOAD]
+            actuators.works[1, j], actuators.load[1, j] = memory[place + STEERS], memory[place + PUSHES]
         memory[count] = memory[count] + 1.0
 
     return infer

@@ -1,4 +1,4 @@
-"""Where everything of a bank of hypotheses stands in its memory and its settings."""
+"""Places of a bank of hypotheses in memory and settings."""
 
 from __future__ import annotations
 
@@ -20,57 +20,58 @@ STARTS, STOPS, MORE, FADES = range(PROCESS_SETTINGS)
 """Places in the settings of a mode of the process: probabilities that it begins and ends, added variance, faded part."""
 
 WORKS, LOAD, STEERS, PUSHES, OF_MODES = range(5)
-"""What is kept of an actuator: how much of the control arrives and what is added to it, on average; the same as the control
-counts on it; then of each mode probability and size."""
+"""Numbers of an actuator: expected effectiveness and offset of the control; the same as used by the control law; then probability
+and size of each mode."""
 
 BY_MODES, BY_COURSE = -1, -2
-"""How a hypothesis judges a sensor that has no offset there."""
+"""How a hypothesis judges a sensor without an offset."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The numbers of a bank.
+    """The sizes and places of a bank.
 
-    The memory begins as that of the per-sensor form (all sensors, the count of samples, their density); then follow what is said
-    of the actuators, the hypotheses (no fault; each kind of offset on each sensor; each sensor on a course of its own; each group
-    of sensors with the same offset; each mode of each actuator; each of the process, and that one of those has ended), the pool,
-    what is kept of the courses, and scratch space. The settings are those of the per-sensor form, then those of each mode of each
-    actuator and of the process, then of each group, then how much sooner young faults end, last what the estimate takes over.
+    The memory begins as in the per-sensor form (all sensors, the number of samples, their log density). Then follow the
+    actuators, the hypotheses, the pool, the unmodelled courses, and scratch space. The hypotheses are: no fault; each kind of
+    offset on each sensor; each sensor on an unmodelled course; each group of sensors with the same offset, and its end; each mode
+    of each actuator; each of the process, and the end of such a mode. The settings are those of the per-sensor form, then those
+    of each mode of each actuator and of the process, then of each group, then the haste of young faults, last the estimate's
+    gain.
 
-    An offset that jumps is a hypothesis of its own for its first sample: merged at once with what is left of earlier ones, which
-    nothing has contradicted so far, it would hardly be one that jumps.
+    An offset that jumps is a separate hypothesis for its first sample. Merged at once with earlier ones, which nothing has
+    contradicted so far, it would hardly remain a jump.
 
     Attributes
     ----------
     n, m, p : int
         Numbers of states, sensors and actuators.
     plant : int
-        How many states are the plant's, which is what modes of the process move; the others are estimated disturbances.
+        Number of the plant's states, which modes of the process move; the others are estimated disturbances.
     kinds : tuple of int
-        Which of the sensors' modes are offsets, those that begin with a jump once more at the end: their first sample.
+        The sensors' modes that are offsets; those that jump appear once more at the end, for their first sample.
     becomes : tuple of int
-        For each of these, which one it is after its first sample: itself, or the earlier one of the same mode.
+        For each of these, its successor after the first sample: itself, or the earlier one of the same mode.
     slow : tuple of int
-        For each of these, whether other sensors must bear witness (1 or 0).
+        For each of these, whether it needs another sensor as a witness (1 or 0).
     lost : tuple of int
-        Which of the sensors' modes are courses of their own, of which the state is inferred without that sensor.
+        The sensors' modes that are unmodelled courses, where the state is inferred without that sensor.
     groups : tuple of tuple of int
-        The sensors that read the same, of which all may have the same offset.
+        Groups of sensors that measure the same, and may all have the same offset.
     common : int
-        Which of the sensors' modes such an offset is.
+        The sensors' mode of such an offset.
     kick : int
-        Which of the process' modes competes with such an offset: as large, and as probable by the odds `alike`; -1: none.
+        The process mode that competes with such an offset, of the same size, with the odds `alike`; -1: none.
     fades : tuple of int
-        For each of the process' modes whether the belief fades in it (1 or 0).
+        For each process mode, whether the belief fades in it (1 or 0).
     alone, other : tuple of int
-        For each mode how much of its block counts where no sensor has an offset, and of the other sensors where one has; 0 if it
-        takes no part.
+        For each mode, the part of its block that is used where no sensor has an offset, and for the other sensors where one has;
+        0 if the mode is not used.
     faults : tuple of int
-        For each mode whether it is a fault (1 or 0).
+        For each mode, whether it is a fault (1 or 0).
     actuator_modes : int
-        How many modes each actuator has.
+        Number of modes of each actuator.
     process_modes : int
-        How many modes the process has.
+        Number of modes of the process.
     width, width_of_settings : int
         Widths of the blocks of the sensors' modes.
     """
@@ -97,14 +98,14 @@ class Layout:
 
     @property
     def fresh(self) -> tuple[bool, ...]:
-        """For each kind of offset whether it is one's first sample."""
+        """For each kind of offset, whether it is a first sample."""
         return tuple(self.becomes[q] != q for q in range(len(self.kinds)))
 
     @property
     def judged(self) -> tuple[int, ...]:
-        """For each hypothesis, for each sensor: by which mode's offset, estimated with the state, the sensor is judged.
+        """For each hypothesis and each sensor, the mode of its offset that is estimated with the state.
 
-        `BY_MODES` if by its own modes, `BY_COURSE` if by a course of its own.
+        It is `BY_MODES` for a sensor judged by its modes, `BY_COURSE` for one on an unmodelled course.
         """
         table = np.full((self.hypotheses, self.m), BY_MODES)
         for i in range(self.m):
@@ -118,169 +119,169 @@ class Layout:
 
     @property
     def with_offset(self) -> tuple[int, ...]:
-        """The hypotheses in which an offset is estimated with the state: of a sensor, a group or an actuator."""
+        """The hypotheses with an offset estimated with the state: of a sensor, a group or an actuator."""
         of_sensors = (*range(1, self.first_lost), *range(self.first_common, self.first_ended))
         return (*of_sensors, *range(self.first_actuator, self.process))
 
     @property
     def without_offset(self) -> tuple[int, ...]:
-        """The hypotheses in which none is."""
+        """The hypotheses without such an offset."""
         return tuple(h for h in range(self.hypotheses) if h not in self.with_offset)
 
     @property
     def jumps(self) -> tuple[bool, ...]:
-        """For each kind of offset whether it begins with a jump, be it its first sample or a later one."""
+        """For each kind of offset, whether it begins with a jump, in its first sample or later."""
         return tuple(self.becomes.count(self.becomes[q]) > 1 for q in range(len(self.kinds)))
 
     @property
     def begins_here(self) -> tuple[bool, ...]:
-        """For each kind of offset whether it begins as this one, and not as its first sample."""
+        """For each kind of offset, whether it begins as this kind, not as its first sample."""
         return tuple(self.fresh[q] or self.becomes.count(q) == 1 for q in range(len(self.kinds)))
 
     @property
     def modes(self) -> int:
-        """How many modes a sensor has."""
+        """Number of modes of a sensor."""
         return len(self.faults)
 
     @property
     def sensor(self) -> int:
-        """How many numbers are kept of a sensor."""
+        """Number of stored values of a sensor."""
         return FIRST + self.modes * self.width
 
     @property
     def row(self) -> int:
-        """How many settings a sensor has."""
+        """Number of settings of a sensor."""
         return FIRST_SETTINGS + self.modes * self.width_of_settings
 
     @property
     def actuator_settings(self) -> int:
-        """Where in the settings those of the actuators' modes stand."""
+        """Place of the actuators' modes in the settings."""
         return self.m * self.row + 1
 
     @property
     def process_settings(self) -> int:
-        """Where in the settings those of the process' modes stand."""
+        """Place of the process modes in the settings."""
         return self.actuator_settings + self.p * self.actuator_modes * ACTUATOR_SETTINGS
 
     @property
     def common_settings(self) -> int:
-        """Where in the settings it stands how probable it is that all sensors of a group jump, for each group."""
+        """Place in the settings of the probabilities that all sensors of a group jump."""
         return self.process_settings + self.process_modes * PROCESS_SETTINGS
 
     @property
     def haste(self) -> int:
-        """Where in the settings it stands how much sooner young faults end."""
+        """Place in the settings of the haste, by which young faults end sooner."""
         return self.common_settings + len(self.groups)
 
     @property
-    def takes_over(self) -> int:
-        """Where in the settings it stands how much of a deviation the estimate takes over with a sample while a belief fades."""
+    def gain_share(self) -> int:
+        """Place in the settings of the estimate's gain on a deviation while a belief fades."""
         return self.haste + 1
 
     @property
     def actuator(self) -> int:
-        """How many numbers are kept of an actuator."""
+        """Number of stored values of an actuator."""
         return OF_MODES + 2 * self.actuator_modes
 
     @property
     def hypotheses(self) -> int:
-        """How many hypotheses there are: the last one, that a mode of the process has ended, if it has any."""
+        """Number of hypotheses; the last one is the end of a process mode, if there are any."""
         return self.process + self.process_modes + (self.process_modes > 0)
 
     @property
     def first_lost(self) -> int:
-        """Which hypothesis is the first one that a sensor goes its own course."""
+        """Number of the first hypothesis of an unmodelled course."""
         return 1 + self.m * len(self.kinds)
 
     @property
     def first_common(self) -> int:
-        """Which hypothesis is the first one that all sensors of a group have the same offset."""
+        """Number of the first hypothesis of a common offset."""
         return self.first_lost + self.m * len(self.lost)
 
     @property
     def first_ended(self) -> int:
-        """Which hypothesis is the first one that such an offset has ended with this sample."""
+        """Number of the first hypothesis of a common offset's end at this sample."""
         return self.first_common + len(self.groups)
 
     @property
     def first_actuator(self) -> int:
-        """Which hypothesis is the first one of a mode of an actuator."""
+        """Number of the first hypothesis of an actuator's mode."""
         return self.first_ended + len(self.groups)
 
     @property
     def process(self) -> int:
-        """Which hypothesis is the first one of a mode of the process; those from here on have no offset."""
+        """Number of the first hypothesis of a process mode; those from here on have no offset."""
         return self.first_actuator + self.p * self.actuator_modes
 
     @property
     def kept(self) -> int:
-        """Where in a hypothesis the sensors stand."""
+        """Place of the sensors in a hypothesis."""
         return STATE + (self.n + 2) * (self.n + 3)
 
     @property
     def length(self) -> int:
-        """How many numbers a hypothesis has."""
+        """Number of stored values of a hypothesis."""
         return self.kept + self.m * self.sensor
 
     @property
     def actuators(self) -> int:
-        """Where in the memory the actuators stand."""
+        """Place of the actuators in the memory."""
         return self.m * self.sensor + 2
 
     @property
     def first(self) -> int:
-        """Where the first hypothesis stands, that nothing has an offset."""
+        """Place of the first hypothesis, without any offset."""
         return self.actuators + self.p * self.actuator
 
     @property
     def pool(self) -> int:
-        """Where the pool stands, of what has ended."""
+        """Place of the pool of ended faults."""
         return self.first + self.hypotheses * self.length
 
     @property
     def grow(self) -> int:
-        """Where the probabilities stand of what begins, then what each hypothesis says of the samples: logarithm and factor."""
+        """Place of the onsets' probabilities, followed by each hypothesis's density of the samples: logarithm and factor."""
         return self.pool + self.length
 
     @property
     def couples(self) -> int:
-        """Where it stands how an offset moves the state."""
+        """Place of the effect of an offset on the state."""
         return self.grow + 3 * self.hypotheses
 
     @property
     def shift(self) -> int:
-        """Where it stands what else moves the state."""
+        """Place of the other inputs of the state."""
         return self.couples + self.n + 2
 
     @property
     def courses(self) -> int:
-        """Where the courses stand, for each sensor and mode: the share that has just begun, then the regression."""
+        """Place of the unmodelled courses, for each sensor and mode: the share that has just begun, then the regression."""
         return self.shift + self.n + 2
 
     @property
     def course(self) -> int:
-        """How many numbers are kept of a course."""
+        """Number of stored values of an unmodelled course."""
         return 1 + COURSE
 
     @property
     def squares(self) -> int:
-        """Where it stands for each hypothesis what it makes of the square of each sensor's noise."""
+        """Place of each hypothesis's estimate of each sensor's squared noise."""
         return self.courses + self.m * len(self.lost) * self.course
 
     @property
     def repeated(self) -> int:
-        """Where it stands for each sensor how surprising a repeated sample is."""
+        """Place of each sensor's density factor of a repeated sample."""
         return self.squares + self.hypotheses * self.m
 
     @property
     def scratch(self) -> int:
-        """Where scratch space begins."""
+        """Place of the scratch space."""
         return self.repeated + self.m
 
     def start(self, sensors: Floats) -> Floats:
-        """Return what is kept before the first sample besides ``sensors``, what the per-sensor form keeps of all of them."""
+        """Return the values before the first sample that follow ``sensors``, the per-sensor form's values."""
         N = self.n + 2
-        # Nothing is known of actuators where a controller judges sensor by sensor.
+        # Actuators are NaN where a controller judges sensor by sensor.
         actuator = np.full(self.actuator, np.nan)
         actuator[[WORKS, LOAD, STEERS, PUSHES]] = 1.0, 0.0, 1.0, 0.0
         hypothesis = np.zeros(self.length)

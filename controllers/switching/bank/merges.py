@@ -1,4 +1,4 @@
-"""Hypotheses of a bank together: all that ends is merged into one, the pool, and what comes from one into another."""
+"""Merging of hypotheses: ended ones into the pool, and one hypothesis into another."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from bayesftc.cosim.ops import maximum, minimum
 
 @cache
 def make_collect(layout: Layout) -> Callable[..., None]:
-    """Return the step function that merges into the pool what ends of a hypothesis."""
+    """Return the step function that merges the ended part of a hypothesis into the pool."""
     n, m, pool, kept, sensor, width = layout.n, layout.m, layout.pool, layout.kept, layout.sensor, layout.width
     modes, other = layout.modes, layout.other
 
     def collect(memory, at, end, i):
-        """Merge what ends, with the probability ``end``, of a hypothesis in which sensor ``i``, if it is one, had an offset."""
+        """Merge the part ``end`` of a hypothesis into the pool; sensor ``i`` had an offset (-1: none)."""
         ended = memory[at] * end
         memory[at] = maximum(memory[at] - ended, LEAST)
         both = maximum(memory[pool] + ended, LEAST * LEAST)
@@ -43,13 +43,13 @@ def make_collect(layout: Layout) -> Callable[..., None]:
 
 @cache
 def make_receive(layout: Layout) -> Callable[..., None]:
-    """Return the step function that merges into a hypothesis what comes from another one."""
+    """Return the step function that merges a part of another hypothesis into one."""
     n, m, kept, sensor, width, other = layout.n, layout.m, layout.kept, layout.sensor, layout.width, layout.other
 
-    def receive(memory, at, came, source, i, age, c, b, cc, cb, bb):
-        """Merge what ``came``, with an offset of this mean, slope and covariance, of sensor ``i`` if it is one."""
-        part = came / (memory[at] + came)
-        memory[at] = memory[at] + came
+    def receive(memory, at, incoming, source, i, age, c, b, cc, cb, bb):
+        """Merge the probability ``incoming`` with an offset of this mean, slope and covariance, of sensor ``i`` (-1: none)."""
+        part = incoming / (memory[at] + incoming)
+        memory[at] = memory[at] + incoming
         blend(memory, at, part, source, n, 1, c, b, cc, cb, bb)
         memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + part * (age - memory[at + OFFSET_AGE])
         for j in range(m):
@@ -61,33 +61,33 @@ def make_receive(layout: Layout) -> Callable[..., None]:
 
 @cache
 def make_become(layout: Layout) -> Callable[..., None]:
-    """Return the step function that merges all of a hypothesis into another one with an offset, of sensor ``i`` if it is one."""
+    """Return the step function that merges a whole hypothesis into another one with an offset, of sensor ``i`` (-1: none)."""
     n, N, receive = layout.n, layout.n + 2, make_receive(layout)
 
     def become(memory, at, source, i):
-        c, cc, came = source + STATE + n, source + STATE + N + n * N + n, memory[source]
-        part = came / (memory[at] + came)
+        c, cc, incoming = source + STATE + n, source + STATE + N + n * N + n, memory[source]
+        part = incoming / (memory[at] + incoming)
         receive(
-            memory, at, came, source, i, memory[source + OFFSET_AGE], memory[c], memory[c + 1],
+            memory, at, incoming, source, i, memory[source + OFFSET_AGE], memory[c], memory[c + 1],
             memory[cc], memory[cc + 1], memory[cc + N + 1],
         )  # fmt: skip
         blend_between(memory, at, part, source, n)
-        memory[source] = LEAST + 0.0 * came
+        memory[source] = LEAST + 0.0 * incoming
 
     return become
 
 
 @cache
 def make_witnessed(layout: Layout) -> Callable[..., float]:
-    """Return the function that says how probable it is that a sensor has a witness."""
+    """Return the function for the probability that a sensor has a witness."""
     m, sensor = layout.m, layout.sensor
 
     def witnessed(memory, sensors, i):
         """Return the probability that a sensor other than ``i`` is healthy."""
-        nobody = 1.0 + 0.0 * memory[sensors + HEALTHY]
+        none_healthy = 1.0 + 0.0 * memory[sensors + HEALTHY]
         for j in range(m):
             if j != i:
-                nobody = nobody * (1.0 - minimum(memory[sensors + j * sensor + HEALTHY], 1.0))
-        return 1.0 - nobody
+                none_healthy = none_healthy * (1.0 - minimum(memory[sensors + j * sensor + HEALTHY], 1.0))
+        return 1.0 - none_healthy
 
     return witnessed

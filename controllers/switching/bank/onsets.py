@@ -1,4 +1,4 @@
-"""What begins in a bank of hypotheses between two samples: how probable that is, and where it arrives."""
+"""Onsets in a bank of hypotheses between two samples: their probabilities, and their merging into hypotheses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from bayesftc.cosim.ops import maximum
 
 @cache
 def make_begin(layout: Layout) -> Callable[..., None]:
-    """Return the step function that notes how probable it is that each hypothesis begins, before time passes."""
+    """Return the step function that stores the onset probability of each hypothesis, before the prediction."""
     m, p, K, L, G = layout.m, layout.p, len(layout.kinds), layout.actuator_modes, layout.process_modes
     kinds, slow, begins_here = layout.kinds or (0,), layout.slow or (0,), layout.begins_here or (False,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
@@ -45,13 +45,13 @@ def make_begin(layout: Layout) -> Callable[..., None]:
 
     def begin_all(memory, settings):
         for i in range(m):
-            seen = witnessed(memory, none + kept, i)
+            witness = witnessed(memory, none + kept, i)
             for q in range(K):
                 begin = (
                     begins_here[q] * settings[i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + BEGINS]
                 )
                 healthy = memory[none + kept + i * sensor + HEALTHY]
-                memory[grow + 1 + i * K + q] = memory[none] * healthy * begin * (seen if slow[q] else 1.0)
+                memory[grow + 1 + i * K + q] = memory[none] * healthy * begin * (witness if slow[q] else 1.0)
             for u in range(U):
                 begin = settings[i * row_length + FIRST_SETTINGS + lost[u] * width_of_settings + BEGINS]
                 memory[grow + first_lost + i * U + u] = (
@@ -70,10 +70,10 @@ def make_begin(layout: Layout) -> Callable[..., None]:
 
 
 @cache
-def make_arrive(layout: Layout) -> Callable[..., None]:
-    """Return the step function that merges what has begun into each hypothesis, once all have moved.
+def make_merge_onsets(layout: Layout) -> Callable[..., None]:
+    """Return the step function that merges onsets into each hypothesis, after all predictions.
 
-    What is in the pool goes on alone: as an offset that was known sensor by sensor, or as nothing.
+    The pool is merged as well: into an offset that was inferred sensor by sensor, or into no fault.
     """
     n, plant, m, p = layout.n, layout.plant, layout.m, layout.p
     K, L, G = len(layout.kinds), layout.actuator_modes, layout.process_modes
@@ -87,92 +87,94 @@ def make_arrive(layout: Layout) -> Callable[..., None]:
     kick = layout.process_settings + layout.kick * PROCESS_SETTINGS
     of_actuators, of_process, receive = layout.actuator_settings, layout.process_settings, make_receive(layout)
 
-    def arrive_offsets(e, nominal, memory, settings, stays, left):
-        """Return what stays without any fault, and what is left of the pool."""
+    def merge_offsets(e, nominal, memory, settings, stays, left):
+        """Return the remaining probabilities of no fault and of the pool."""
         for i in range(m):
             whole = left
             for q in range(K):
                 at = none + (1 + i * K + q) * stride
-                own = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
-                jump = expected_jump(held(e[i], nominal[i, i]), settings[own], settings[own + 3], nominal[i, i])
-                slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
+                mode_row = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + OWN_SETTINGS
+                jump = expected_jump(
+                    held(e[i], nominal[i, i]), settings[mode_row], settings[mode_row + 3], nominal[i, i]
+                )
+                slope, walk = settings[mode_row + 1] * nominal[i, i], settings[mode_row + 2] * nominal[i, i]
                 if begins_here[q]:
-                    came = memory[grow + 1 + i * K + q]
-                    stays = stays - came
-                    receive(memory, at, came, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
+                    incoming = memory[grow + 1 + i * K + q]
+                    stays = stays - incoming
+                    receive(memory, at, incoming, none, i, 0.0, 0.0, 0.0, jump + slope, slope, slope)
                 if fresh[q]:
                     continue
                 block = pool + kept + i * sensor + FIRST + kinds[q] * width
-                came = whole * memory[block + WEIGHT]
-                left = maximum(left - came, 0.0)
+                incoming = whole * memory[block + WEIGHT]
+                left = maximum(left - incoming, 0.0)
                 b, bb = memory[block + OWN], memory[block + OWN + 3]
                 cb = memory[block + OWN + 2] + bb
                 cc = memory[block + OWN + 1] + memory[block + OWN + 2] + cb + walk
-                receive(memory, at, came, pool, i, memory[block + AGE], memory[block + SIZE] + b, b, cc, cb, bb)
+                receive(memory, at, incoming, pool, i, memory[block + AGE], memory[block + SIZE] + b, b, cc, cb, bb)
         return stays, left
 
-    def arrive_lost(memory, stays):
+    def merge_lost(memory, stays):
         for i in range(m):
             for u in range(U):
-                at, came = none + (first_lost + i * U + u) * stride, memory[grow + first_lost + i * U + u]
-                stays = stays - came
-                memory[courses + (i * U + u) * course] = came / (memory[at] + came)
-                receive(memory, at, came, none, i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+                at, incoming = none + (first_lost + i * U + u) * stride, memory[grow + first_lost + i * U + u]
+                stays = stays - incoming
+                memory[courses + (i * U + u) * course] = incoming / (memory[at] + incoming)
+                receive(memory, at, incoming, none, i, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         return stays
 
-    def arrive_common(C, Q, memory, settings, stays):
-        """Return what stays; an offset of all sensors of a group is as large as what a kick does to their readings."""
+    def merge_common(C, Q, memory, settings, stays):
+        """Return the remaining probability of no fault; a common offset has the size of a kick's effect on the readings."""
         for g in range(groups):
-            at, came = none + (first_common + g) * stride, memory[grow + first_common + g]
-            stays = stays - came
-            i, total = firsts[g], 0.0 * came
+            at, incoming = none + (first_common + g) * stride, memory[grow + first_common + g]
+            stays = stays - incoming
+            i, total = firsts[g], 0.0 * incoming
             for a in range(plant):
                 for b in range(plant):
                     total = total + C[i, a] * Q[a, b] * C[i, b]
-            receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, settings[kick + MORE] * total, 0.0, 0.0)
+            receive(memory, at, incoming, none, -1, 0.0, 0.0, 0.0, settings[kick + MORE] * total, 0.0, 0.0)
         return stays
 
-    def arrive_actuators(applied, memory, settings, stays):
+    def merge_actuators(applied, memory, settings, stays):
         for j in range(p):
             for q in range(L):
                 at = none + (first_actuator + j * L + q) * stride
-                own = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
-                came = memory[grow + first_actuator + j * L + q]
-                stays = stays - came
-                c = settings[own + MEAN] + settings[own + FOLLOWS] * applied[j]
-                receive(memory, at, came, none, -1, 0.0, c, 0.0, settings[own + VARIANCE], 0.0, 0.0)
+                mode_row = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
+                incoming = memory[grow + first_actuator + j * L + q]
+                stays = stays - incoming
+                c = settings[mode_row + MEAN] + settings[mode_row + FOLLOWS] * applied[j]
+                receive(memory, at, incoming, none, -1, 0.0, c, 0.0, settings[mode_row + VARIANCE], 0.0, 0.0)
         return stays
 
-    def arrive_process(sampled, C, Q, nominal, memory, settings, stays):
+    def merge_process(sampled, C, Q, nominal, memory, settings, stays):
         for q in range(G):
-            at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
-            came = memory[grow + process + q]
-            stays = stays - came
-            part = came / (memory[at] + came)
-            receive(memory, at, came, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            fades = part * sampled * settings[own + FADES] * measurable(memory, at, n, C, nominal)
-            inflate(memory, at, n, plant, part * settings[own + MORE], fades, Q)
+            at, mode_row = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
+            incoming = memory[grow + process + q]
+            stays = stays - incoming
+            part = incoming / (memory[at] + incoming)
+            receive(memory, at, incoming, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            fades = part * sampled * settings[mode_row + FADES] * measurable(memory, at, n, C, nominal)
+            inflate(memory, at, n, plant, part * settings[mode_row + MORE], fades, Q)
         return stays
 
-    def go_on(memory, stays, left):
-        """Merge what is left of the pool into the hypothesis without any fault."""
+    def merge_pool(memory, stays, left):
+        """Merge the rest of the pool into the hypothesis without any fault."""
         part = left / (stays + left)
         memory[none] = stays + left
         blend(memory, none, part, pool, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for j in range(m):
             of_pool = pool + kept + j * sensor
-            rest = 1.0 + 0.0 * left
+            remaining = 1.0 + 0.0 * left
             for q in range(K):
                 if not fresh[q]:
-                    rest = rest - memory[of_pool + FIRST + kinds[q] * width + WEIGHT]
-            scale = 1.0 / maximum(rest, 1e-3)
+                    remaining = remaining - memory[of_pool + FIRST + kinds[q] * width + WEIGHT]
+            scale = 1.0 / maximum(remaining, 1e-3)
             blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale, FIRST, width, alone)
 
-    def arrive(e, sampled, C, Q, nominal, applied, memory, settings):
-        stays, left = arrive_offsets(e, nominal, memory, settings, memory[none], memory[pool])
-        stays = arrive_common(C, Q, memory, settings, arrive_lost(memory, stays))
-        stays = arrive_actuators(applied, memory, settings, stays)
-        stays = arrive_process(sampled, C, Q, nominal, memory, settings, stays)
-        go_on(memory, maximum(stays, LEAST), maximum(left, LEAST))
+    def merge_onsets(e, sampled, C, Q, nominal, applied, memory, settings):
+        stays, left = merge_offsets(e, nominal, memory, settings, memory[none], memory[pool])
+        stays = merge_common(C, Q, memory, settings, merge_lost(memory, stays))
+        stays = merge_actuators(applied, memory, settings, stays)
+        stays = merge_process(sampled, C, Q, nominal, memory, settings, stays)
+        merge_pool(memory, maximum(stays, LEAST), maximum(left, LEAST))
 
-    return arrive
+    return merge_onsets

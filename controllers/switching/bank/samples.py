@@ -1,4 +1,4 @@
-"""What a sample of each sensor tells a bank of hypotheses, and what all of them say together."""
+"""Conditioning of a bank of hypotheses on samples, and the estimate of all hypotheses together."""
 
 from __future__ import annotations
 
@@ -47,28 +47,28 @@ from bayesftc.controllers.switching.sensor_kernels import (
 from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
 
 ABSURD = 1e12
-"""Largest variance of an innovation, in the sensor's own, up to which a larger innovation is learned from: beyond it hypotheses
-would carry each other away."""
+"""Largest ratio of an innovation's variance to the sensor's up to which larger innovations are learned from; beyond, hypotheses
+would move each other away."""
 
 LEAST_EFFECT, MOST_EFFECT = 0.1, 2.0
-"""Least and largest part of the control that is counted on: with less an actuator would be asked for the impossible."""
+"""Least and largest effectiveness that the control law uses; a smaller one would require impossible controls."""
 
 
 @cache
 def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: int) -> Callable[..., None]:
-    """Return the step function that conditions a hypothesis, with an ``offset`` or without (1, 0), on one sensor after the other.
+    """Return the step function that conditions a hypothesis, with or without an ``offset`` (1, 0), on one sensor after the other.
 
-    It leaves what the samples tell of the hypothesis: a logarithm, and a factor that has its probability. A sensor that is judged
-    by its own modes is weighed by ``weigh_sensor``.
+    It writes the density of the samples under the hypothesis: a logarithm, and a factor that includes its probability. A sensor
+    that is judged by its modes is weighted by ``weigh_sensor``.
     """
     m, sensor, row_length, width_of_settings = layout.m, layout.sensor, layout.row, layout.width_of_settings
     n, judged, squares, repeated, scratch = layout.n, layout.judged, layout.squares, layout.repeated, layout.scratch
     none, stride, kept = layout.first, layout.length, layout.kept
-    told, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
+    logp, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
 
     def condition(h, sample, C, memory, settings):
         at = none + h * stride
-        memory[told + h] = 0.0 * memory[at]
+        memory[logp + h] = 0.0 * memory[at]
         memory[factor + h] = memory[at]
         for i in range(m):
             variance, row, by = sample.nominal[i, i] * memory[i * sensor + NOISE], i * row_length, judged[h * m + i]
@@ -76,7 +76,7 @@ def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: i
                 spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
                 total = spread + variance
                 error = held(sample.e[i] - expected, minimum(total, ABSURD * variance))
-                own, change = at + kept + i * sensor, sample.y[i] - memory[i * sensor + LAST]
+                place, change = at + kept + i * sensor, sample.y[i] - memory[i * sensor + LAST]
                 doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
                 density = weigh_sensor(
                     error,
@@ -87,13 +87,13 @@ def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: i
                     change,
                     memory[repeated + i],
                     memory,
-                    own,
+                    place,
                     settings,
                     row,
                 )
-                memory[told + h] = memory[told + h] + density
-                memory[factor + h] = memory[factor + h] * memory[own + DENSITY]
-                noise = variance / memory[own + TRUSTED]
+                memory[logp + h] = memory[logp + h] + density
+                memory[factor + h] = memory[factor + h] * memory[place + DENSITY]
+                noise = variance / memory[place + TRUSTED]
                 correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, sample.present[i])
                 part = variance / total
                 memory[squares + h * m + i] = part * (part * error * error + spread)
@@ -101,16 +101,16 @@ def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: i
                 spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
                 total = spread + variance
                 error = held(sample.e[i] - expected, minimum(total, ABSURD * variance))
-                own = row + FIRST_SETTINGS + by * width_of_settings
+                place = row + FIRST_SETTINGS + by * width_of_settings
                 density = select(sample.present[i] > 0.5, log_density(error * error, total), 0.0)
-                times = select(sample.present[i] > 0.5, settings[own + MODE_ARRIVES], settings[own + MODE_MISSING])
+                times = select(sample.present[i] > 0.5, settings[place + MODE_ARRIVES], settings[place + MODE_MISSING])
                 correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, sample.present[i])
-                memory[told + h] = memory[told + h] + density
+                memory[logp + h] = memory[logp + h] + density
                 memory[factor + h] = memory[factor + h] * times
                 part = variance / total
                 memory[squares + h * m + i] = part * (part * error * error + spread)
-            if i % 2 == 1 and i < m - 1:  # before the product of many small ones is none
-                memory[told + h] = memory[told + h] + log(memory[factor + h])
+            if i % 2 == 1 and i < m - 1:  # avoids underflow of the product of many small factors
+                memory[logp + h] = memory[logp + h] + log(memory[factor + h])
                 memory[factor + h] = 1.0 + 0.0 * memory[at]
 
     return condition
@@ -120,29 +120,29 @@ def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: i
 def make_weigh(
     layout: Layout, weigh_alone: Callable[..., float], weigh_other: Callable[..., float]
 ) -> Callable[..., None]:
-    """Return the step function that conditions each hypothesis on the samples and gives it its probability.
+    """Return the step function that conditions each hypothesis on the samples and computes its probability.
 
     Parameters
     ----------
     layout : Layout
-        Where everything stands.
+        Places in memory and settings.
     weigh_alone, weigh_other : function
-        Weighing of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
+        Weights of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
     m, H, without, with_offset = layout.m, layout.hypotheses, layout.without_offset, layout.with_offset or (0,)
     sensor, row_length, width_of_settings = layout.sensor, layout.row, layout.width_of_settings
     n, none, stride, first_lost = layout.n, layout.first, layout.length, layout.first_lost
-    told, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
+    logp, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
     U, lost = len(layout.lost), layout.lost or (0,)
     courses, course, repeated = layout.courses, layout.course, layout.repeated
-    # Each of its own, so that a compiler knows how long loops are.
+    # Separate functions, so that the compiler has constant loop lengths.
     condition_first = make_condition(layout, weigh_alone, 0)
     condition_plain, condition_offset = (make_condition(layout, weigh_other, offset) for offset in (0, 1))
 
     def weigh(sample, C, memory, settings):
         for i in range(m):
-            own, change = i * sensor, sample.y[i] - memory[i * sensor + LAST]
-            memory[repeated + i] = repetition(change, sample.nominal[i, i], memory, own, settings, i * row_length)
+            place, change = i * sensor, sample.y[i] - memory[i * sensor + LAST]
+            memory[repeated + i] = repetition(change, sample.nominal[i, i], memory, place, settings, i * row_length)
         condition_first(0, sample, C, memory, settings)
         for k in range(1, len(without)):
             condition_plain(without[k], sample, C, memory, settings)
@@ -151,33 +151,33 @@ def make_weigh(
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
-                at, own, variance = none + h * stride, i * row_length + k, sample.nominal[i, i]
+                at, place, variance = none + h * stride, i * row_length + k, sample.nominal[i, i]
                 spread, expected = expect(memory, at, n, 0, 0, i, C, scratch)
                 error = held(sample.e[i] - expected, minimum(spread + variance, ABSURD * variance))
                 deviation, begun = sqrt(variance), courses + (i * U + u) * course
                 change = sample.y[i] - memory[i * sensor + LAST]
                 density = follow(
                     error / deviation, change / deviation, sample.present[i], memory[begun], memory, begun + 1, scratch,
-                    settings, own + OWN_SETTINGS,
+                    settings, place + OWN_SETTINGS,
                 ) - log(deviation)  # fmt: skip
                 width = settings[i * row_length + WIDTH]
                 equal = select(absolute(change) <= 0.5 * width, 1.0, 0.0)
                 share = repeats_share(
-                    equal, sample.present[i], memory[begun], memory, begun + 1, settings, own + OWN_SETTINGS
+                    equal, sample.present[i], memory[begun], memory, begun + 1, settings, place + OWN_SETTINGS
                 )
                 likely = select(equal > 0.5, share * memory[repeated + i] / width, 1.0 - share)
                 density = select(both(sample.present[i] > 0.5, equal < 0.5), density, 0.0)
                 times = select(
-                    sample.present[i] > 0.5, settings[own + MODE_ARRIVES] * likely, settings[own + MODE_MISSING]
+                    sample.present[i] > 0.5, settings[place + MODE_ARRIVES] * likely, settings[place + MODE_MISSING]
                 )
-                memory[told + h] = memory[told + h] + density
+                memory[logp + h] = memory[logp + h] + density
                 memory[factor + h] = memory[factor + h] * times
-        most = memory[told]
+        most = memory[logp]
         for h in range(1, H):
-            most = maximum(most, memory[told + h])
+            most = maximum(most, memory[logp + h])
         total = 0.0 * most
         for h in range(H):
-            memory[none + h * stride] = memory[factor + h] * share_of(memory[told + h], most)
+            memory[none + h * stride] = memory[factor + h] * share_of(memory[logp + h], most)
             total = total + memory[none + h * stride]
         for h in range(H):
             memory[none + h * stride] = maximum(memory[none + h * stride] / total, LEAST)
@@ -187,15 +187,15 @@ def make_weigh(
 
 
 @cache
-def make_listen(layout: Layout) -> Callable[..., None]:
+def make_learn_sensors(layout: Layout) -> Callable[..., None]:
     """Return the step function that learns each sensor's noise and repetitions, from hypotheses in which it is healthy.
 
-    Noise is around an offset what it is without one.
+    An offset does not change the noise.
     """
     m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
     sensor, row, squares, judged = layout.sensor, layout.row, layout.squares, layout.judged
 
-    def listen(sample, memory, settings):
+    def learn_sensors(sample, memory, settings):
         for i in range(m):
             sound, squared = LEAST + 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
@@ -214,42 +214,42 @@ def make_listen(layout: Layout) -> Callable[..., None]:
             )
             memory[i * sensor + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[i * sensor + LAST])
 
-    return listen
+    return learn_sensors
 
 
 @cache
 def make_conclude(layout: Layout) -> Callable[..., None]:
-    """Return the step function that says what all hypotheses make together of the state.
+    """Return the step function for the state estimate of all hypotheses together.
 
-    Their means become deviations from the estimate. Where absurd samples leave no numbers the prediction stays. The estimate is
-    the mean of all hypotheses, but for those that all sensors of a group have the same offset: they count from nothing where they
-    are as probable as all others to all where these are not. So the estimate follows a plant that may have been kicked. As far
-    as a belief fades it takes over no more of the deviation than the settings say. The covariance is the mean squared distance
-    from it, by the probabilities themselves.
+    The hypotheses' means become deviations from the estimate. If absurd samples leave values that are not finite, the prediction
+    remains. The estimate is the mean of all hypotheses, except those of a common offset: their weight is 0 as long as they are at
+    most as probable as all others together. The estimate therefore follows a plant that may have been kicked. As far as a belief
+    fades, the estimate's gain on the deviation is limited by the settings. The covariance is the mean squared distance from the
+    estimate, by the probabilities themselves.
     """
     n, H, N = layout.n, layout.hypotheses, layout.n + 2
     none, stride, scratch, counts = layout.first, layout.length, layout.couples, layout.grow + layout.hypotheses
     first_common, first_ended = layout.first_common, layout.first_ended
-    G, process, fading, takes_over = layout.process_modes, layout.process, layout.fades or (0,), layout.takes_over
+    G, process, fading, gain_share = layout.process_modes, layout.process, layout.fades or (0,), layout.gain_share
 
     def conclude(belief, memory, settings):
         mean, covariance, x_hat, P = belief
-        rest = 0.0 * memory[none]
+        remaining = 0.0 * memory[none]
         for h in range(H):
             memory[counts + h] = memory[none + h * stride]
             if not first_common <= h < first_ended:
-                rest = rest + memory[counts + h]
-        whole = rest
+                remaining = remaining + memory[counts + h]
+        whole = remaining
         for h in range(first_common, first_ended):
-            memory[counts + h] = maximum(memory[counts + h] - rest, 0.0)
+            memory[counts + h] = maximum(memory[counts + h] - remaining, 0.0)
             whole = whole + memory[counts + h]
         for h in range(H):
             memory[counts + h] = memory[counts + h] / whole
-        fades = 0.0 * rest
+        fades = 0.0 * remaining
         for q in range(G):
             if fading[q] > 0:
                 fades = fades + memory[counts + process + q]
-        part = 1.0 - fades * (1.0 - settings[takes_over])
+        part = 1.0 - fades * (1.0 - settings[gain_share])
         for a in range(n):
             total = 0.0 * mean[a]
             for h in range(H):
@@ -284,11 +284,11 @@ def make_conclude(layout: Layout) -> Callable[..., None]:
 
 @cache
 def make_summarise(layout: Layout) -> Callable[..., None]:
-    """Return the step function that says of each sensor what the per-sensor form says, in the same places, and of each actuator.
+    """Return the step function that writes the per-sensor form's values of each sensor, and the values of each actuator.
 
-    Of an actuator it keeps how the plant is expected to get the control u, ``works u + load``; and the same such that the
-    expected squared distance from the goal is least: there a hypothesis counts as far as it lets the control through, so that
-    nothing is asked of an actuator that is stuck.
+    For an actuator these are the expected effect of the control u on the plant, ``works u + load``, and the effect that minimises
+    the expected squared distance from the goal. In the latter a hypothesis counts as far as the control is effective in it, so
+    that a stuck actuator gets no control.
     """
     n, m, p, H, L, judged = layout.n, layout.m, layout.p, layout.hypotheses, layout.actuator_modes, layout.judged
     sensor, modes, width = layout.sensor, layout.modes, layout.width
@@ -304,17 +304,17 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
 
     def summarise(memory, settings):
         for i in range(m):
-            own = i * sensor
+            place = i * sensor
             healthy, trust = 0.0 * memory[none], 0.0 * memory[none]
             for h in range(H):
                 if judged[h * m + i] == BY_MODES:
                     at = none + h * stride
-                    healthy = healthy + memory[at] * memory[at + kept + own + HEALTHY]
-                    trust = trust + memory[at] * memory[at + kept + own + TRUSTED]
-            memory[own + HEALTHY] = healthy
-            memory[own + TRUSTED] = maximum(minimum(trust, 1.0), LEAST_TRUST)
+                    healthy = healthy + memory[at] * memory[at + kept + place + HEALTHY]
+                    trust = trust + memory[at] * memory[at + kept + place + TRUSTED]
+            memory[place + HEALTHY] = healthy
+            memory[place + TRUSTED] = maximum(minimum(trust, 1.0), LEAST_TRUST)
             for k in range(modes):
-                block = own + FIRST + k * width
+                block = place + FIRST + k * width
                 weight, trusted = 0.0 * memory[none], 0.0 * memory[none]
                 size, age = 0.0 * memory[none], 0.0 * memory[none]
                 for h in range(H if alone[k] + other[k] > 0 else 0):
@@ -343,7 +343,7 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                 memory[block + AGE] = age / weight
                 memory[block + TRUST] = trusted / weight
         for j in range(p):
-            own = actuators + j * actuator
+            place = actuators + j * actuator
             healthy = 1.0 + 0.0 * memory[none]
             works, load = 0.0 * healthy, 0.0 * healthy
             squared, pushed = 0.0 * healthy, 0.0 * healthy
@@ -358,19 +358,19 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                 works, load = works + part, load + memory[at] * added
                 spread = settings[row + RELATIVE] * settings[row + RELATIVE] * memory[at + STATE + N + n * N + n]
                 squared, pushed = squared + part * through + memory[at] * spread, pushed + part * added
-                memory[own + OF_MODES + 2 * q] = memory[at]
-                memory[own + OF_MODES + 2 * q + 1] = c
+                memory[place + OF_MODES + 2 * q] = memory[at]
+                memory[place + OF_MODES + 2 * q + 1] = c
             healthy = maximum(healthy, LEAST)
-            memory[own + WORKS], memory[own + LOAD] = works + healthy, load
+            memory[place + WORKS], memory[place + LOAD] = works + healthy, load
             part = 1.0 / (works + healthy)
-            memory[own + STEERS] = maximum(minimum((squared + healthy) * part, MOST_EFFECT), LEAST_EFFECT)
-            memory[own + PUSHES] = pushed * part
+            memory[place + STEERS] = maximum(minimum((squared + healthy) * part, MOST_EFFECT), LEAST_EFFECT)
+            memory[place + PUSHES] = pushed * part
 
     return summarise
 
 
 def report_process(memory, at, stride, modes, first, outputs):
-    """Write the probabilities of the process' modes, healthy first, last that one has ended; they stand from ``at`` on."""
+    """Write the probabilities of the process modes, healthy first, last the end of one; they are in memory from ``at`` on."""
     healthy = 1.0 + 0.0 * memory[at]
     for k in range(modes + 1):
         outputs[first + 1 + k] = memory[at + k * stride]
@@ -381,23 +381,23 @@ def report_process(memory, at, stride, modes, first, outputs):
 def report_actuators(memory, at, modes, actuators, first, outputs):
     """Write each actuator's mode probabilities; then for all the probability of a fault, the most probable mode, its size.
 
-    They stand in ``outputs`` from ``first`` on; what is kept of the actuators stands in ``memory`` from ``at`` on.
+    They are in ``outputs`` from ``first`` on; the actuators' values are in ``memory`` from ``at`` on.
     """
     later = first + actuators * (modes + 1)
     for j in range(actuators):
-        own = at + j * (OF_MODES + 2 * modes) + OF_MODES
-        total = 0.0 * memory[own]
+        place = at + j * (OF_MODES + 2 * modes) + OF_MODES
+        total = 0.0 * memory[place]
         for k in range(modes):
-            total = total + memory[own + 2 * k]
+            total = total + memory[place + 2 * k]
         best = maximum(1.0 - total, 0.0)
         outputs[first + j * (modes + 1)] = best
         kind, size = 0.0 * best, NAN + 0.0 * best
         for k in range(modes):
-            p = memory[own + 2 * k]
+            p = memory[place + 2 * k]
             outputs[first + j * (modes + 1) + 1 + k] = p
             likelier = p > best
             kind = select(likelier, k + 1.0, kind)
-            size = select(likelier, memory[own + 2 * k + 1], size)
+            size = select(likelier, memory[place + 2 * k + 1], size)
             best = maximum(best, p)
         outputs[later + j] = minimum(total, 1.0)
         outputs[later + actuators + j] = kind

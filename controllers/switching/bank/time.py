@@ -1,4 +1,4 @@
-"""What time does to a bank of hypotheses between two samples: all move, faults begin and end, beliefs are merged."""
+"""The step of a bank of hypotheses between two samples: predictions, onsets and ends of faults, merges."""
 
 from __future__ import annotations
 
@@ -37,38 +37,38 @@ from bayesftc.controllers.switching.bank.layout import (
     Layout,
 )  # fmt: skip
 from bayesftc.controllers.switching.bank.merges import make_become, make_collect, make_receive, make_witnessed
-from bayesftc.controllers.switching.bank.onsets import make_arrive, make_begin
+from bayesftc.controllers.switching.bank.onsets import make_begin, make_merge_onsets
 from bayesftc.controllers.switching.mode_kernels import expected_jump
 from bayesftc.controllers.switching.sensor_kernels import ENDS, FIRST_SETTINGS, LEAST, OWN_SETTINGS, held
 from bayesftc.cosim.ops import maximum, minimum, select
 
 EXPIRES = 0.02
-"""Probability per sample with which a drift ends that no other sensor bears witness to: it may as well be the state's motion."""
+"""Probability per sample that a drift without a witness ends, because it may be the state's motion."""
 
 SETTLES = 0.02
-"""Probability per sample with which a mode of the process that has ended is taken for over: until then that it was there is a
-hypothesis of its own, for often only the samples after a kick tell of it."""
+"""Probability per sample that the end of a process mode becomes final. Until then the end is a separate hypothesis, because often
+only the samples after a kick reveal it."""
 
 TELLING = 9.0
-"""Squared offset of all sensors of a group, in its variance, from which on it is one."""
+"""Squared common offset, in units of its variance, from which on it counts as an offset."""
 
 
 @cache
 def make_pass_time(
     layout: Layout, pass_alone: Callable[..., None], pass_other: Callable[..., None]
 ) -> Callable[..., None]:
-    """Return the step function by which the time of one sample passes.
+    """Return the step function that advances a bank by one sample.
 
     Parameters
     ----------
     layout : Layout
-        Where everything stands.
+        Places in memory and settings.
     pass_alone, pass_other : function
-        Time passing for a sensor's modes where no sensor has an offset, and for the other sensors where one has.
+        Transitions of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
-    begin, set_out = make_begin(layout), make_set_out(layout)
+    begin, prepare = make_begin(layout), make_prepare(layout)
     move_offsets, move_actuators = make_move_offsets(layout, pass_other), make_move_actuators(layout, pass_other)
-    move_process, arrive = make_move_process(layout, pass_other), make_arrive(layout)
+    move_process, merge_onsets = make_move_process(layout, pass_other), make_merge_onsets(layout)
     move_lost, move_common = make_move_lost(layout, pass_other), make_move_common(layout, pass_other)
     n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
     places = Places(layout.couples, layout.shift, layout.scratch)
@@ -80,7 +80,7 @@ def make_pass_time(
         for i in range(m):
             sampled = maximum(sampled, present[i])
         begin(memory, settings)
-        set_out(B, applied, memory)
+        prepare(B, applied, memory)
         for i in range(m):
             pass_alone(memory, none + kept + i * sensor, settings, i * row_length)
         moving = Moving(A, Q, start, covariance, largest)
@@ -90,21 +90,21 @@ def make_pass_time(
         move_common(nominal, moving, memory, settings)
         move_actuators(B, applied, moving, memory, settings)
         move_process(sampled, C, nominal, moving, memory, settings)
-        arrive(e, sampled, C, Q, nominal, applied, memory, settings)
+        merge_onsets(e, sampled, C, Q, nominal, applied, memory, settings)
 
     return pass_time
 
 
 @cache
-def make_set_out(layout: Layout) -> Callable[..., None]:
-    """Return the step function that says what moves the state beside the prediction, and empties the pool.
+def make_prepare(layout: Layout) -> Callable[..., None]:
+    """Return the step function that prepares the inputs of the state, and empties the pool.
 
-    The prediction counts on what is believed of the actuators; a hypothesis departs from it by what it believes of them.
+    The prediction uses the expected effect of the actuators; a hypothesis differs from it by its own actuator fault.
     """
     n, p, none, pool, couples, shift = layout.n, layout.p, layout.first, layout.pool, layout.couples, layout.shift
     actuators, actuator = layout.actuators, layout.actuator
 
-    def set_out(B, applied, memory):
+    def prepare(B, applied, memory):
         for a in range(n):
             memory[couples + a] = 0.0 * memory[none]
             total = 0.0 * memory[none]
@@ -114,15 +114,15 @@ def make_set_out(layout: Layout) -> Callable[..., None]:
             memory[shift + a] = total
         memory[pool] = 0.0 * memory[none]
 
-    return set_out
+    return prepare
 
 
 @cache
 def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
-    """Return the step function that moves the hypotheses of an offset, of which some end and some are no longer fresh.
+    """Return the step function that advances the hypotheses of an offset, with ends and first samples.
 
-    Young ones end sooner than old ones while the state is `measurable`: of one that is hardly known without the sensor each part
-    that ends, small as it may be, would spoil what is believed without a fault.
+    Young offsets end sooner than old ones while the state is `measurable`. Without the sensor an unmeasurable state is nearly
+    unknown; then even a small ended part would spoil the belief of the hypothesis without a fault.
     """
     n, m, K = layout.n, layout.m, len(layout.kinds)
     kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
@@ -136,20 +136,22 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
             for q in range(K):
                 at = none + (1 + i * K + q) * stride
                 row = i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings
-                own = row + OWN_SETTINGS
-                seen = witnessed(memory, at + kept, i)
+                mode_row = row + OWN_SETTINGS
+                witness = witnessed(memory, at + kept, i)
                 for j in range(m):
                     if j != i:
                         pass_other(memory, at + kept + j * sensor, settings, j * row_length)
-                jump = expected_jump(held(e[i], nominal[i, i]), settings[own], settings[own + 3], nominal[i, i])
-                slope, walk = settings[own + 1] * nominal[i, i], settings[own + 2] * nominal[i, i]
+                jump = expected_jump(
+                    held(e[i], nominal[i, i]), settings[mode_row], settings[mode_row + 3], nominal[i, i]
+                )
+                slope, walk = settings[mode_row + 1] * nominal[i, i], settings[mode_row + 2] * nominal[i, i]
                 move(memory, at, n, 1, 1, Onset(0.0, jump + slope, slope, slope, walk), moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 ends = settings[row + ENDS]
                 if jumps[q]:
                     early = settings[haste] * measurable(memory, at, n, C, nominal)
                     ends = ended(ends, memory[at + OFFSET_AGE], early)
-                collect(memory, at, minimum(ends + ((1.0 - seen) * EXPIRES if slow[q] else 0.0), 1.0), i)
+                collect(memory, at, minimum(ends + ((1.0 - witness) * EXPIRES if slow[q] else 0.0), 1.0), i)
                 if fresh[q]:
                     become(memory, none + (1 + i * K + becomes[q]) * stride, at, i)
 
@@ -158,7 +160,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
 
 @cache
 def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
-    """Return the step function that moves the hypotheses that a sensor goes its own course, of which some end, as offsets do."""
+    """Return the step function that advances the hypotheses of an unmodelled course, with ends as for offsets."""
     n, m, U, lost = layout.n, layout.m, len(layout.lost), layout.lost or (0,)
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
@@ -182,10 +184,10 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
 
 @cache
 def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
-    """Return the step function that moves the hypotheses that all sensors of a group have the same offset, of which some end.
+    """Return the step function that advances the hypotheses of a common offset of a group, with ends.
 
-    That one ends with this sample is a hypothesis of its own: merged at once with that of a plant that was kicked, whose state
-    is another one, it would spoil that. An offset that is not `TELLING` ends, too, or it would be merged with one that jumps.
+    The end at this sample is a separate hypothesis. Merged at once with that of a kicked plant, whose state differs, it would
+    spoil that belief. An offset that is not `TELLING` ends as well, or it would be merged with one that jumps.
     """
     n, m, groups, judged = layout.n, layout.m, len(layout.groups), layout.judged
     first_common, first_ended = layout.first_common, layout.first_ended
@@ -218,7 +220,7 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
 
 @cache
 def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
-    """Return the step function that moves the hypotheses of an actuator's mode, of which some end."""
+    """Return the step function that advances the hypotheses of an actuator's mode, with ends."""
     n, m, p, L = layout.n, layout.m, layout.p, layout.actuator_modes
     sensor, kept, row_length, first_actuator = layout.sensor, layout.kept, layout.row, layout.first_actuator
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
@@ -229,28 +231,30 @@ def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Call
         for j in range(p):
             for q in range(L):
                 at = none + (first_actuator + j * L + q) * stride
-                own = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
+                mode_row = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
                 for i in range(m):
                     pass_other(memory, at + kept + i * sensor, settings, i * row_length)
                 for a in range(n):
-                    memory[couples + a] = B[a, j] * (settings[own + ABSOLUTE] + settings[own + RELATIVE] * applied[j])
-                    memory[shift + a] = memory[shift + a] + B[a, j] * settings[own + TAKES] * applied[j]
-                mean = settings[own + MEAN] + settings[own + FOLLOWS] * applied[j]
-                onset = Onset(mean, settings[own + VARIANCE], 0.0, 0.0, settings[own + WALK])
+                    memory[couples + a] = B[a, j] * (
+                        settings[mode_row + ABSOLUTE] + settings[mode_row + RELATIVE] * applied[j]
+                    )
+                    memory[shift + a] = memory[shift + a] + B[a, j] * settings[mode_row + TAKES] * applied[j]
+                mean = settings[mode_row + MEAN] + settings[mode_row + FOLLOWS] * applied[j]
+                onset = Onset(mean, settings[mode_row + VARIANCE], 0.0, 0.0, settings[mode_row + WALK])
                 move(memory, at, n, 1, 0, onset, moving, places)
                 for a in range(n):
-                    memory[shift + a] = memory[shift + a] - B[a, j] * settings[own + TAKES] * applied[j]
+                    memory[shift + a] = memory[shift + a] - B[a, j] * settings[mode_row + TAKES] * applied[j]
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-                collect(memory, at, settings[own + END], -1)
+                collect(memory, at, settings[mode_row + END], -1)
 
     return move_actuators
 
 
 @cache
 def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
-    """Return the step function that moves the hypotheses of the process' modes, and the one that such a mode has ended.
+    """Return the step function that advances the hypotheses of process modes, and the one of such a mode's end.
 
-    A belief fades only where a sensor was ``sampled`` (1, else 0), and while it is `measurable`: it would grow without bound.
+    A belief fades only if a sensor was ``sampled`` (1, else 0) and the state is `measurable`, or it would grow without bound.
     """
     n, plant, m, H, G = layout.n, layout.plant, layout.m, layout.hypotheses, layout.process_modes
     sensor, kept, row_length, process = layout.sensor, layout.kept, layout.row, layout.process
@@ -267,11 +271,11 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
             after = none + (process + G) * stride
             collect(memory, after, SETTLES, -1)
             for q in range(G):
-                at, own = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
-                ended = memory[at] * settings[own + STOPS]
+                at, mode_row = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
+                ended = memory[at] * settings[mode_row + STOPS]
                 memory[at] = maximum(memory[at] - ended, LEAST)
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-                fades = sampled * settings[own + FADES] * measurable(memory, at, n, C, nominal)
-                inflate(memory, at, n, plant, settings[own + MORE], fades, moving.Q)
+                fades = sampled * settings[mode_row + FADES] * measurable(memory, at, n, C, nominal)
+                inflate(memory, at, n, plant, settings[mode_row + MORE], fades, moving.Q)
 
     return move_process
