@@ -187,7 +187,7 @@ def _half_range(u_min: object, u_max: object, size: int) -> Floats:
     """Return half the range between the limits of each control; NaN where a limit is infinite."""
     low, high = as_vector("u_min", u_min, size, finite=False), as_vector("u_max", u_max, size, finite=False)
     if (low > high).any():
-        raise ModelError(f"u_min {low.tolist()} is greater than u_max {high.tolist()}; exchange them.")
+        raise ModelError(f"u_min {low.tolist()} lies above u_max {high.tolist()}; exchange them.")
     span = (high - low) / 2
     return np.where(np.isfinite(span), span, np.nan)
 
@@ -195,7 +195,7 @@ def _half_range(u_min: object, u_max: object, size: int) -> Floats:
 def _squares(name: str, value: object, size: int) -> Floats:
     vector = as_vector(name, value, size)
     if (vector <= 0).any():
-        raise ModelError(f"{name} is {vector.tolist()}; give positive numbers.")
+        raise ModelError(f"{name} is {vector.tolist()}; it must be positive.")
     return vector**2
 
 

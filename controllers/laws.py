@@ -106,7 +106,7 @@ class Proportional(ControlLaw):
         object.__setattr__(self, "gain", self._gain("gain"))
         object.__setattr__(self, "states", self._needs * self.goals if self.states is None else self.states)
         if isinstance(self.states, bool) or not isinstance(self.states, int | np.integer):
-            raise ModelError(f"{type(self).__name__} has states={self.states!r}; give a whole number.")
+            raise ModelError(f"{type(self).__name__} has states={self.states!r}; it must be a whole number.")
         if self._states < self._needs * self.goals:
             raise ModelError(
                 f"{type(self).__name__} reads {self._needs * self.goals} states for {self.goals} goals, but has "
@@ -121,7 +121,7 @@ class Proportional(ControlLaw):
             )
         if float("inf") in self.u_min or float("-inf") in self.u_max:  # type: ignore[operator]
             raise ModelError(
-                f"{type(self).__name__} has u_min={self.u_min} and u_max={self.u_max}, which no control satisfies. Give finite "
+                f"{type(self).__name__} has u_min={self.u_min} and u_max={self.u_max}, which no control can keep. Give finite "
                 "limits, or -inf for no lower and inf for no upper limit."
             )
 
@@ -241,7 +241,7 @@ class PID(ProportionalDerivative):
         limit = as_vector("integral_limit of PID", self.integral_limit, self.controls, finite=False)
         object.__setattr__(self, "integral_limit", tuple(limit.tolist()))
         if (limit < 0).any():
-            raise ModelError(f"PID has integral_limit={self.integral_limit}; give limits of at least 0.")
+            raise ModelError(f"PID has integral_limit={self.integral_limit}; it must not be negative.")
         if self.anti_windup not in ("clamping", "back-calculation", "both", "none"):
             raise ModelError(
                 f"PID has anti_windup={self.anti_windup!r}; give 'clamping', 'back-calculation', 'both' or 'none'."

@@ -158,7 +158,7 @@ class UnbiasedActiveInference(Block):
             values["control_rate"] = as_vector("The control_rate", self.control_rate, p)
         for name, value in values.items():
             if name.endswith("rate") and (value <= 0).any():
-                raise ModelError(f"The {name} is {value.tolist()}; give positive rates.")
+                raise ModelError(f"The {name} is {value.tolist()}; it must be positive.")
             object.__setattr__(self, name, value)
         self._check_prior()
         invalid_values(type(self).__name__, self.invalid, self._sensors)  # raises for wrong values
@@ -332,7 +332,7 @@ class UnbiasedActiveInference(Block):
             raise ModelError(f"sizes is {self.sizes!r}; give three whole numbers (states, goals, controls).")
         if law_dimensions is not None and law_dimensions != requested:
             raise ModelError(
-                f"The law has {law_dimensions} states, goals and controls, but sizes={requested}; leave it out."
+                f"The law has {law_dimensions} states, goals and controls, but sizes={requested}; leave sizes out."
             )
         return requested  # type: ignore[no-any-return]
 
@@ -346,7 +346,7 @@ class UnbiasedActiveInference(Block):
             modalities = (Modality("sensors", matrix=self.model.matrix("C"), covariance=covariance),)
         if not modalities or not all(isinstance(s, Modality) for s in modalities):
             raise ModelError(
-                f"modalities is {choice!r}; give at least one Modality object, or a model, whose C is then used."
+                f"modalities is {choice!r}; they must be Modality objects, at least one, or give a model with a C."
             )
         for modality in modalities:
             modality.try_out(self._dimensions[0])
@@ -357,7 +357,7 @@ class UnbiasedActiveInference(Block):
         check_choice(self, "state_prior", "random walk", "euler", "kalman")
         check_number(self, "inner_steps", least=1, most=10_000, whole=True)
         if not isinstance(self.model, LinearModel | None):
-            raise ModelError(f"model is {self.model!r}; give a LinearModel.")
+            raise ModelError(f"model is {self.model!r}; it must be a LinearModel.")
         if self.model is None and self.dt is None:
             raise ModelError("Give the controller's sample time dt= in seconds.")
         if self.dt is not None and self.model is not None and rational_step(self.dt) != self.model.step:
@@ -365,7 +365,9 @@ class UnbiasedActiveInference(Block):
         if self.control == "gradient" and self.control_rate is None:
             raise ModelError("control='gradient' needs a control_rate; give one, or set control='law'.")
         if not isinstance(self.precision, PrecisionLearner):
-            raise ModelError(f"precision is {self.precision!r}; give a precision learner such as GammaPrecision().")
+            raise ModelError(
+                f"precision is {self.precision!r}; it must be a precision learner such as GammaPrecision()."
+            )
 
     def _check_prior(self) -> None:
         n, _, p = self._dimensions

@@ -104,11 +104,11 @@ class BayesianBlock(Block, ABC):
             object.__setattr__(self, name, value)
         if (values["u_min"] > values["u_max"]).any():
             raise ModelError(
-                f"u_min {values['u_min'].tolist()} is greater than u_max {values['u_max'].tolist()}; exchange them."
+                f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them."
             )
         if (values["u_rate"] <= 0).any():
             raise ModelError(
-                f"u_rate is {values['u_rate'].tolist()}; give positive rates, in units of the control per second."
+                f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second)."
             )
 
     def _check_reach(self, effect: Floats) -> None:
@@ -139,7 +139,7 @@ class BayesianBlock(Block, ABC):
                 return frozen(np.eye(n)[: n - self.model.disturbances])
             if self.goal_on == "outputs":
                 return frozen(self._distinct_outputs())
-            raise ModelError(f"goal_on is {self.goal_on!r}; give 'states', 'outputs' or a matrix.")
+            raise ModelError(f"goal_on is {self.goal_on!r}; it must be 'states', 'outputs' or a matrix.")
         rows = as_numbers(
             "The matrix goal_on", self.goal_on, "give a row for each element of the goal, with a column for each state"
         )

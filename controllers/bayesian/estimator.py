@@ -68,9 +68,7 @@ class StateEstimator(Block):
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
-            raise ModelError(
-                f"StateEstimator needs a LinearModel, but model is {self.model!r}; see LinearModel.from_control."
-            )
+            raise ModelError(f"StateEstimator needs a LinearModel, not {self.model!r}; see LinearModel.from_control.")
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
                 f"precision is {self.precision!r}; it must be a precision learner such as SwitchingPrecision()."

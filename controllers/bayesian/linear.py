@@ -181,7 +181,7 @@ class BayesianController(BayesianBlock):
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
             raise ModelError(
-                f"BayesianController needs a LinearModel, but model is {self.model!r}; see LinearModel.from_control."
+                f"BayesianController needs a LinearModel, not {self.model!r}; see LinearModel.from_control."
             )
         self._check_settings()
         self._check_reach(self.model.matrix("B"))

@@ -126,7 +126,7 @@ class LQGController(BayesianController):
                 "that maps the state to what has a goal."
             )
         if self.control_covariance is None:
-            raise ModelError("LQGController has control_covariance=None; give the inverse of the controls' cost.")
+            raise ModelError("LQGController needs a control_covariance, the inverse of the controls' cost.")
         if np.any(self.control_mean):
             raise ModelError(
                 "LQGController has a control_mean, but computes the control prior's mean from the goal; leave control_mean out."

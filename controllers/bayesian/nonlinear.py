@@ -319,7 +319,7 @@ class NonlinearBayesianController(BayesianBlock):
         if isinstance(self.model, LinearModel):
             object.__setattr__(self, "model", NonlinearModel.from_linear(self.model))
         if not isinstance(self.model, NonlinearModel):
-            raise ModelError(f"NonlinearBayesianController needs a NonlinearModel, but model is {self.model!r}.")
+            raise ModelError(f"NonlinearBayesianController needs a NonlinearModel, not {self.model!r}.")
         check_choice(self, "prediction", "model", "random walk")
         check_number(self, "iterations", least=1, most=1000, whole=True)
         self._check_settings()

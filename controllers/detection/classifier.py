@@ -213,7 +213,7 @@ class FaultClassifier(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     def _check_trained(self) -> None:
         if not hasattr(self, "estimator_"):
             raise UntrainedClassifierError(
-                "This FaultClassifier is not trained; call fit(X, y) with labelled residuals first."
+                "This FaultClassifier has not been trained; call fit(X, y) with labelled residuals first."
             )
 
     def __sklearn_is_fitted__(self) -> bool:

@@ -298,7 +298,7 @@ def _learner_and_model(
             "forgetting factor below 1, or a window."
         )
     if not (model is None or isinstance(model, LinearModel)):
-        raise ModelError(f"detectability needs a LinearModel, or a controller that has one, but model is {model!r}.")
+        raise ModelError(f"detectability needs a LinearModel, or a controller that has one, not {model!r}.")
     return learner, model
 
 
@@ -347,5 +347,5 @@ def _sizes(kind: str, sizes: ArrayLike) -> list[float]:
         raise ModelError(f"The kind of fault {kind!r} is unknown; give one of {', '.join(map(repr, KINDS))}.")
     values = np.atleast_1d(np.asarray(sizes, float))
     if not np.isfinite(values).all() or (values < 0).any():
-        raise ModelError(f"The sizes of faults are {values.tolist()}; give finite ones of at least 0.")
+        raise ModelError(f"The sizes of faults are {values.tolist()}; they must be finite and not negative.")
     return [float(v) for v in values.ravel()]

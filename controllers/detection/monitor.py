@@ -92,7 +92,7 @@ class FaultMonitor(Block):
         object.__setattr__(self, "sensors", int(self.sensors))
         object.__setattr__(self, "features", feature_names(self.features))
         if len(set(self.features)) < len(self.features):
-            raise ModelError(f"FaultMonitor has features={self.features!r}; give each name once.")
+            raise ModelError(f"FaultMonitor has features={self.features!r}; name each once.")
 
     @property
     def default_name(self) -> str:

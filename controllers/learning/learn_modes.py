@@ -121,7 +121,7 @@ def learn_modes(
     """
     start = SwitchingPrecision() if precision is None else precision
     if not isinstance(start, SwitchingPrecision):
-        raise ModelError(f"learn_modes needs a SwitchingPrecision, but precision is a {type(start).__name__}.")
+        raise ModelError(f"learn_modes learns the modes of a SwitchingPrecision, not of a {type(start).__name__}.")
     listed_runs = _listed(recordings, model)
     as_number("learn_modes has iterations", iterations, least=1, whole=True)
     StateEstimator(model, start)  # raises now, not after the first recording, if model and settings do not fit
@@ -157,7 +157,7 @@ def _listed(recordings: object, model: object) -> list[RecordedRun]:
     """Return the recordings; refuse other types with the type's name, because numbers would fill a page."""
     if not isinstance(model, LinearModel):
         raise ModelError(
-            f"learn_modes needs a LinearModel after the recordings, but model has the type {type(model).__name__}."
+            f"learn_modes needs a LinearModel after the recordings, not something of the type {type(model).__name__}."
         )
     several = isinstance(recordings, Iterable) and not isinstance(recordings, RecordedRun)
     runs: list[RecordedRun] = []

@@ -23,7 +23,7 @@ LARGEST, SMALLEST = 1e50, 1e-100
 """Largest entry and smallest variance of a model; products of several beyond these overflow or vanish in double precision."""
 
 
-ROWS = "give the rows of a matrix of numbers, as [[1, 0.1], [0, 1]]"
+ROWS = "it must be a matrix of numbers: give its rows, as [[1, 0.1], [0, 1]]"
 
 
 def frozen(array: Floats) -> Floats:
@@ -135,7 +135,7 @@ def as_vector(name: str, value: object, size: int, *, finite: bool = True) -> Fl
     if array.ndim == 0:
         array = np.full(size, float(array))
     if array.shape != (size,):
-        raise ModelError(f"{name} has the shape {array.shape}; give a vector of {size}.")
+        raise ModelError(f"{name} has the shape {array.shape}; it must be a vector of {size}.")
     if np.isnan(array).any() or (finite and not np.isfinite(array).all()):
         raise ModelError(f"{name} is {array.tolist()}; its entries must be {'finite ' if finite else ''}numbers.")
     if finite:

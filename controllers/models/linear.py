@@ -94,7 +94,7 @@ class LinearModel:
         n = A.shape[0]
         if A.shape != (n, n):
             raise ModelError(
-                f"The model's A is {A.shape[0]} x {A.shape[1]}; give a square matrix, with a row for each state."
+                f"The model's A is {A.shape[0]} x {A.shape[1]}; it must be square, with a row for each state."
             )
         C = as_matrix("The model's C", np.atleast_2d(as_numbers("The model's C", self.C, ROWS)), columns=n)
         values = {
@@ -111,7 +111,7 @@ class LinearModel:
             object.__setattr__(self, name, value)
         if not 0 <= self.disturbances < n:
             raise ModelError(
-                f"The model has disturbances={self.disturbances} among {n} states; at least one state must be the plant's."
+                f"The model has disturbances={self.disturbances} among {n} states; at least one must be the plant's."
             )
         if self.constant and (not self.disturbances or not _is_constant(self, n)):
             raise ModelError(

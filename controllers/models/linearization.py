@@ -108,7 +108,7 @@ class Linearization:
         order = [rows[i % len(rows)] for i in range(count)]
         std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
         if (std < 0).any():
-            raise ModelError(f"sensor_std is {std.tolist()}; give standard deviations of at least 0.")
+            raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
         variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
         names = SignalNames(
             tuple(self.inputs[j] for j in columns),

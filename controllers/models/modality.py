@@ -94,12 +94,12 @@ class Modality:
         if nominal is None:
             std = as_vector(f"The std of {self._title}", self.std, self.samples)
             if (std <= 0).any():
-                raise ModelError(f"{self._title} has std={std.tolist()}; give positive numbers.")
+                raise ModelError(f"{self._title} has std={std.tolist()}; it must be positive.")
             nominal = std * std
         object.__setattr__(self, "covariance", as_covariance(f"The covariance of {self._title}", nominal, self.samples))
         weights = as_vector(f"The precision of {self._title}", self.precision, self.samples)
         if (weights <= 0).any():
-            raise ModelError(f"{self._title} has precision={weights.tolist()}; give positive numbers.")
+            raise ModelError(f"{self._title} has precision={weights.tolist()}; it must be positive.")
         object.__setattr__(self, "precision", weights)
 
     @property

@@ -86,7 +86,7 @@ class NonlinearModel:
         for name in ("states", "controls", "sensors"):
             number = getattr(self, name)
             if isinstance(number, bool) or not isinstance(number, int | np.integer) or number < 1:
-                raise ModelError(f"The model has {name}={number!r}; give a whole number of at least 1.")
+                raise ModelError(f"The model has {name}={number!r}; it must be a whole number, at least 1.")
         n, p, m = self.states, self.controls, self.sensors
         as_number("The model has disturbances", self.disturbances, least=0, most=n - 1, whole=True)
         values = {

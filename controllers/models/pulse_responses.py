@@ -303,7 +303,7 @@ def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floa
         )
     if not 1 <= count <= len(values):
         raise ModelError(
-            f"order={count} is given, but the responses allow at most {len(values)}; give 1 to {len(values)}."
+            f"order={count} is given, but the responses allow at most {len(values)}; give from 1 to {len(values)}."
         )
     impulse = np.concatenate([np.zeros((1, *scaled.shape[1:])), scaled]).transpose(1, 2, 0)
     system, _ = control.era(impulse, r=count, m=half, n=half)

@@ -32,9 +32,7 @@ def with_sensor_errors(
     chosen = _chosen(model, sensors)
     deviations = as_vector("The sensor errors' std", std, len(chosen))
     if common and np.ndim(time_constant):
-        raise ModelError(
-            f"time_constant is {time_constant!r}; a common error has one time constant, so give one number."
-        )
+        raise ModelError(f"time_constant is {time_constant!r}; a common error has one time_constant, a number.")
     times = as_vector("The sensor errors' time_constant", time_constant, len(chosen))
     for name, values in (("std", deviations), ("time_constant", times)):
         for value in values:
@@ -60,7 +58,7 @@ def _chosen(model: LinearModel, sensors: Sequence[int] | None) -> list[int]:
     for sensor in chosen:
         as_number("A sensor error has sensor", sensor, least=0, below=model.sensors, whole=True)
     if not chosen or len(set(chosen)) < len(chosen):
-        raise ModelError(f"Sensor errors have sensors={sensors!r}; give at least one sensor, each once.")
+        raise ModelError(f"Sensor errors have sensors={sensors!r}; name each sensor once, at least one.")
     return chosen
 
 

@@ -58,7 +58,7 @@ def try_out(title: str, function: Any, form: str, inputs: Sequence[int], outputs
             sizes = ", ".join(
                 f"{n} has {'x'.join(map(str, a.shape))}" for n, a in zip(names, [*arguments, *written], strict=True)
             )
-            raise ModelError(f"{title} uses an index outside its arguments ({error}); {sizes}.") from None
+            raise ModelError(f"{title} reaches beyond its arguments ({error}); {sizes}.") from None
         except Exception as error:  # whatever the user's function may raise
             raise ModelError(f"{title} {where(function)} cannot be computed: {error}.") from error
         if any((array != 0.5).any() for array in arguments):

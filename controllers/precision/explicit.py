@@ -188,7 +188,7 @@ class ExplicitDetection(PrecisionLearner):
     def __post_init__(self) -> None:
         if not isinstance(self.learning, PrecisionLearner) or isinstance(self.learning, ExplicitDetection):
             raise ModelError(
-                f"ExplicitDetection has learning={self.learning!r}; give a precision learner such as GammaPrecision()."
+                f"ExplicitDetection has learning={self.learning!r}; it must be a precision learner such as GammaPrecision()."
             )
         if self.groups is not None:
             object.__setattr__(self, "groups", _groups(self.groups))
@@ -236,8 +236,8 @@ class ExplicitDetection(PrecisionLearner):
         members, mean, covariance = np.zeros(sensors), np.zeros(sensors), np.eye(sensors)
         if not group or len(set(group)) < len(group) or not set(group) <= set(range(sensors)):
             raise ModelError(
-                f"ExplicitDetection has the group {tuple(group)} of sensors, but the model has {sensors} sensors. Give numbers "
-                f"from 0 to {sensors - 1}, each once."
+                f"ExplicitDetection has the group {tuple(group)} of sensors; it must name some of the model's {sensors} sensors, "
+                f"numbered from 0 to {sensors - 1}, each once."
             )
         members[list(group)] = 1.0
         if not isinstance(threshold, FittedThreshold):
@@ -274,8 +274,8 @@ def _groups(value: object) -> tuple[tuple[int, ...], ...]:
     groups = [_members(group) for group in value] if isinstance(value, Sequence | np.ndarray) else []
     if not groups or None in groups:
         raise ModelError(
-            f"ExplicitDetection has groups={value!r}; give a list of groups, each a list of sensors by number, as [[0, 1], [2]], "
-            "or None to test each sensor alone."
+            f"ExplicitDetection has groups={value!r}; give a list of groups, each a list of sensors by their numbers, as [[0, "
+            "1], [2]], or None to test each sensor alone."
         )
     return tuple(group for group in groups if group is not None)
 

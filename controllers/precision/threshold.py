@@ -147,7 +147,7 @@ class ChebyshevThreshold:
         periods of a slow oscillation, above the noise, and often one that is correlated over more than a hundredth of its length.
         In that case record longer, leave the transient out, or, if the threshold should allow for it, record it several times.
         """
-        samples = as_numbers("The residuals", residuals, "give numbers, with a row for each sample")
+        samples = as_numbers("The residuals", residuals, "they must be numbers, a row for each sample")
         samples = samples[:, None] if samples.ndim == 1 else samples
         if samples.ndim != 2 or not samples.shape[1]:
             raise ModelError(f"The residuals have the shape {samples.shape}; give a row for each sample.")

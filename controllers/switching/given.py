@@ -34,7 +34,7 @@ def as_fault_modes(given: object) -> tuple[FaultMode, ...]:
     modes = _listed(given, FaultMode, "SwitchingPrecision has modes", "a list of fault modes such as [Offset()]")
     if not modes:
         raise ModelError(
-            "SwitchingPrecision has no modes; give a list with at least one fault mode, such as [Offset()]."
+            "SwitchingPrecision has no modes; give a list of fault modes such as [Offset()], at least one."
         )
     for mode in modes:
         name, form = type(mode).__name__, f"evidence({', '.join(ARGUMENTS)})"
@@ -91,7 +91,9 @@ def first_of(mode: FaultMode) -> Floats:
         If they are not at least a trust and a size.
     """
     name = f"{type(mode).__name__}.first"
-    first = as_numbers(name, mode.first, "return numbers from it: trust, size, and further ones of the mode")
+    first = as_numbers(
+        name, mode.first, "it must be a property that returns numbers: trust, size, and further ones of the mode"
+    )
     if first.ndim != 1 or len(first) < 2:
         raise ModelError(f"{name} is {mode.first!r}; return at least two numbers: trust and size (NaN: none).")
     return first
@@ -164,7 +166,7 @@ def _check_call(mode: Mode, method: str, arguments: str) -> None:
     name, call = f"{type(mode).__name__}.{method}", f"{method}({arguments})"
     function = getattr(mode, method)
     if not callable(function):
-        raise ModelError(f"{name} is {function!r}; give a method {method}(self, {arguments}).")
+        raise ModelError(f"{name} is {function!r}; it must be a method {method}(self, {arguments}).")
     try:
         signature(function).bind(*arguments.split(", "))
     except TypeError:

@@ -241,7 +241,7 @@ class SwitchingPrecision(PrecisionLearner):
         if sum(begins) >= 1:
             raise ModelError(
                 f"SwitchingPrecision has fault modes that begin with a total probability of {sum(begins):.3g} in each sample of "
-                f"{step:g} s. Their times to a fault are too short; give longer ones as time_to_fault."
+                f"{step:g} s. Their times to a fault are too short: lengthen time_to_fault."
             )
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         mode_settings = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
@@ -385,7 +385,7 @@ class SwitchingPrecision(PrecisionLearner):
             raise ModelError(
                 f"The offsets and unmodelled faults of {model.sensors} sensors, the actuator faults and the process modes begin "
                 f"with a total probability of {begins:.3g} in each sample of {step:g} s. Their times to a fault are too short "
-                "for the joint form of SwitchingPrecision; give longer ones as time_to_fault, or joint=False."
+                "for the joint form of SwitchingPrecision: lengthen time_to_fault, or take joint=False."
             )
         jumping = tuple(q for q, k in enumerate(kinds) if getattr(self.modes[k], "jump", 0.0) > 0)
         becomes = (*range(len(kinds)), *jumping)

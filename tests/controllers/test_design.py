@@ -98,7 +98,7 @@ def test_an_fmu_for_model_exchange_is_known_by_its_equations(casadi_fmu):
     controller = design(path, measured="y", actuated="u", dt=0.05, at={"u": 9.81 / 2})
     np.testing.assert_allclose(controller.initial_mean, [0.5, 0.0, 1.0])  # where it starts
     swings = casadi_fmu("through", lambda q, u: q + 0.5 * u)
-    with pytest.raises(ModelError, match="depends at once on an input"):
+    with pytest.raises(ModelError, match="depends directly on an input"):
         LinearModel.from_fmu(swings, measured="y", actuated="u", dt=0.05)
 
 
@@ -121,7 +121,7 @@ def test_a_plant_that_never_rests_is_said():
 
 def test_a_plant_that_comes_to_rest_elsewhere_is_linearised_there():
     falls = cosim.FMU(fmus.path("CartPendulum"), parameters={"angle_0": 0.1, "b": 0.02})
-    with pytest.warns(UserWarning, match=r"left alone for .* where it came to rest"):
+    with pytest.warns(UserWarning, match=r"It ran .* without control.* the steady state that it reached"):
         found = linearize(falls, measured=["position", "angle"], actuated="force")
     assert found.y[1] == pytest.approx(np.pi, abs=1e-6)
     assert np.abs(np.linalg.eigvals(found.A)).max() <= 1 + 1e-7  # hanging, and the cart wherever it is
@@ -174,8 +174,8 @@ def test_a_dead_band_is_no_derivative_of_zero(monkeypatch):
     assert late[0] == pytest.approx(late[1], rel=0.05)
 
 
-@pytest.mark.parametrize(("name", "words"), [("HydroTurbine", "they tell nothing"), ("TwoMasses", "No input moves")])
-def test_outputs_that_are_rounded_too_coarsely_are_said(monkeypatch, name, words):
+@pytest.mark.parametrize(("name", "words"), [("HydroTurbine", "differ too much for a linear model"), ("TwoMasses", "No input
+moves")]) def test_outputs_that_are_rounded_too_coarsely_are_said(monkeypatch, name, words):
     usual = Instance.output
 
     def rounded(self, inputs, outputs, t):
@@ -310,7 +310,7 @@ def test_derivatives_in_any_units_and_at_kinks():
     np.testing.assert_allclose(derivative(f, point), known / scale, rtol=1e-8, atol=1e-16)
     with pytest.warns(PoorFitWarning, match="kink"):
         derivative(lambda z: np.abs(z - 0.5), np.array([0.5]))
-    with pytest.raises(ModelError, match="cannot be evaluated beside"):
+    with pytest.raises(ModelError, match="cannot be evaluated near"):
         derivative(lambda z: np.where(z == 0.5, z, np.nan), np.array([0.5]))
 
 
@@ -404,7 +404,7 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
         ({"sensor_std": -0.01}, ModelError, "must not be negative"),
         ({"noise": 0.1}, ModelError, r"numbers by the names of inputs, as noise=\{'load'"),
         ({"at": 0.1}, ModelError, r"numbers by the names of inputs, as at="),
-        ({"u_min": 5.0, "u_max": -5.0}, ModelError, "in each other's place"),
+        ({"u_min": 5.0, "u_max": -5.0}, ModelError, "lies above u_max"),
     ],
 )  # fmt: skip
 def test_wrong_settings_are_said_in_a_sentence(settings, error, words):

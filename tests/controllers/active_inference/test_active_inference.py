@@ -638,9 +638,9 @@ def test_bad_settings_are_said_in_a_sentence(options, words):
         ({"matrix": [[1.0]], "std": 0.0}, "positive"),
         ({"matrix": [[1.0]], "std": 1.0, "precision": -1.0}, "positive"),
         ({"matrix": [[1.0]], "std": 1.0, "size": 2}, "has 1 rows"),
-        ({"function": bend, "std": 1.0}, "how many samples"),
+        ({"function": bend, "std": 1.0}, "number of samples"),
         ({"function": print, "size": 1, "std": 1.0}, "plain Python function"),
-        ({"matrix": "identity", "std": 1.0}, "row of states for each sensor"),
+        ({"matrix": "identity", "std": 1.0}, "a row for each sensor"),
         ({"matrix": [[1.0]], "std": "small"}, "std of the modality 'camera' is 'small'"),
     ],
 )

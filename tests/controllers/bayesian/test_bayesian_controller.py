@@ -308,7 +308,7 @@ MODEL = {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "process_covariance": 0.1, "s
     ("change", "words"),
     [
         ({"A": [[1.0, 0.0]]}, "must be square"),
-        ({"B": [[1.0], [2.0]]}, "B is 2 x 1; here it must be 1 x 1"),
+        ({"B": [[1.0], [2.0]]}, "B is 2 x 1; it must be 1 x 1"),
         ({"C": [[1.0, 2.0]]}, "C is 1 x 2"),
         ({"A": [[float("nan")]]}, "NaN or infinite"),
         ({"sensor_covariance": 0.0}, r"not positive definite: its smallest eigenvalue is 0\."),
@@ -363,7 +363,7 @@ def test_from_control():
     np.testing.assert_allclose(model.matrix("B"), exact.B)
     assert model.sensors == 2
     assert model.step.denominator == 50
-    with pytest.raises(ValueError, match="continuous; give dt="):
+    with pytest.raises(ValueError, match="continuous; give .* dt="):
         LinearModel.from_control(system, process_covariance=1e-3, sensor_covariance=1.0)
     with pytest.raises(ModelError, match="direct feedthrough"):
         LinearModel.from_control(

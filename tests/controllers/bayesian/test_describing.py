@@ -40,7 +40,7 @@ def test_the_expected_error_of_tracking_is_that_of_a_long_run():
 def test_every_learner_is_described(learner):
     text = lqg(precision=learner()).describe()
     assert text.startswith("Closed-loop poles of the control: ")
-    assert f"Trust in the sensors: {learner.__name__}." in text
+    assert f"Precision learner: {learner.__name__}." in text
     assert "Model: 2 states, 1 control, 2 sensors of 1 quantity, every 0.1 s." in text
     assert "Expected standard deviation" in text
     assert len(text) < 3000
@@ -57,8 +57,8 @@ def test_settings_faults_names_and_limits_are_named():
     text = lqg(named.with_disturbance(), precision=precision, u_min=-2.0, u_max=3.0).describe()
     assert "Model: 2 states and 1 disturbance, 1 control (force), 2 sensors of 1 quantity (place)" in text
     assert "loss=0.02" in text
-    assert "Sensor faults that it distinguishes: Offset." in text
-    assert "Actuator faults that it distinguishes: LostEffect." in text
+    assert "Sensor faults that are distinguished: Offset." in text
+    assert "Actuator faults that are distinguished: LostEffect." in text
     assert "limits of the control: -2 to 3" in text
 
 

@@ -140,7 +140,7 @@ def test_wrong_models_are_suspect(plant):
     assert result["controller.model_suspect"].max() > 0.9
     finding = diagnose(result, controller)
     assert finding.kind == "unknown"
-    assert "Does the control act the way that it says" in finding.sentence
+    assert "Check the direction of the control" in finding.sentence
 
 
 FAULTS = [

@@ -313,7 +313,7 @@ def test_an_actuator_fault_that_is_found_leaves_no_steady_error(arrives, load):
     [
         (lambda: (np.diag([1.05, 0.5]), [[0], [1]], np.eye(2), {}), r"no control moves .* eigenvalue 1\.05, which grows"),
         (lambda: (np.diag([1.05, 0.5]), np.eye(2), [[0, 1]], {}), r"no sensor sees the mode with the eigenvalue 1\.05"),
-        (lambda: (np.diag([0.9, 0.5]), [[1], [1]], np.eye(2), {}), "There are 2 goals but 1 controls"),
+        (lambda: (np.diag([0.9, 0.5]), [[1], [1]], np.eye(2), {}), "There are 2 goals but only 1 controls"),
         (lambda: ([[0, 0], [1, 0]], [[1], [0]], [[1, -1]], {}), "zero at 1"),
         (lambda: (np.diag([-1.0, 0.5]), np.eye(2), np.eye(2), {"goal_on": [[0, 1]]}), "goals do not see .* -1, which stays"),
         (lambda: (np.diag([1.0, 1.0 + 1e-9]), np.eye(2), np.eye(2), {"goal_on": [[0, 1]]}), None),
@@ -351,7 +351,7 @@ def test_constants_come_last():
     ):
         with pytest.raises(ModelError):
             again()
-    with pytest.raises(ModelError, match="last state is no constant"):
+    with pytest.raises(ModelError, match="last state is not constant"):
         LinearModel(np.eye(2), [[0], [1]], np.eye(2), 1e-4, 1e-4, dt=0.1, disturbances=1, constant=True)
-    with pytest.raises(ModelError, match="write f and g"):
+    with pytest.raises(ModelError, match="into f and g"):
         controllers.NonlinearModel.from_linear(model)

@@ -591,7 +591,7 @@ def imported(x, y):
         ({"g": short}, r"g does not write y\[1\]"),
         ({"sensors": 2, "sensor_covariance": 1.0}, "reaches beyond its arguments"),
         ({"g": beyond}, "reaches beyond its arguments .* x has 2"),
-        ({"g": greedy}, "writes into what it is given"),
+        ({"g": greedy}, "writes into its inputs"),
         ({"g": swing}, r"arguments x, u, x_next; it must be a step function g\(x, y\)"),
         ({"f": np.sin}, r"it must be a step function f\(x, u, x_next\)"),
         ({"g": uneven}, "g 'uneven' .* cannot be computed: could not broadcast"),
@@ -651,7 +651,7 @@ def infinite(x, y):
         ({"prediction": "euler"}, "'model' or 'random walk'"),
         ({"prediction": ["model"]}, "'model' or 'random walk'"),
         ({"belief": {}}, "must be 'filtered' or 'joint'"),
-        ({"goal_on": [["a"]]}, "goal_on is .*give a row of states"),
+        ({"goal_on": [["a"]]}, "goal_on is .*give a row for each element"),
         ({"initial_mean": "upright"}, "initial_mean is 'upright'"),
         *(
             ({"iterations": n}, "iterations=.* whole number")

@@ -111,7 +111,7 @@ def test_reproducible():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"steps": 100}, "needs at least 5000"),
+        ({"steps": 100}, "give at least 5000"),
         ({"precision": controllers.SERFDI()}, "SERFDI.* has no rate.*: GammaPrecision or .*VariationalBayesKF"),
         ({"magnitudes": {"jump": 1.0}}, "does not know the magnitude 'jump'"),
     ],

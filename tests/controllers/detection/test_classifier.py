@@ -218,7 +218,7 @@ X, Y = [[0.1], [0.9], [2.0], [0.4]], [0, 1, 1, 0]
         (lambda: FaultClassifier(threshold=1.0).fit(X, Y), ModelError, "above 0 and below 1"),
         (lambda: FaultClassifier(threshold="0.5").fit(X, Y), ModelError, "threshold='0.5'; it must be a finite number"),
         (lambda: FaultClassifier().fit(X, Y).calibration("1"), ModelError, "prior_rate='1'; it must be"),
-        (lambda: FaultClassifier().fit(X, Y).block(2, None), ModelError, "does not name any residuals"),
+        (lambda: FaultClassifier().fit(X, Y).block(2, None), ModelError, "has no names of residuals"),
         (lambda: FaultClassifier().fit(X, Y).block("2"), ModelError, "sensors='2'; it must be a whole number"),
         (lambda: FaultClassifier(LinearSVC()).fit(X, Y), ModelError, "has no predict_proba"),
         (lambda: FaultClassifier().predict(X), UntrainedClassifierError, "has not been trained; call fit"),

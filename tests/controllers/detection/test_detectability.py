@@ -201,14 +201,14 @@ def test_a_fixed_filter_finds_offsets_as_a_simulation_of_it_does():
 
 def test_what_cannot_be_answered():
     for options, sentence in (
-        ({"precision": GammaPrecision(forgetting=None)}, "grows for ever"),
-        ({"precision": controllers.FixedPrecision()}, "GammaPrecision alone"),
-        ({"precision": CAR, "model": GammaPrecision()}, "the learner comes first: detectability"),
+        ({"precision": GammaPrecision(forgetting=None)}, "grows without bound"),
+        ({"precision": controllers.FixedPrecision()}, "GammaPrecision only"),
+        ({"precision": CAR, "model": GammaPrecision()}, "The learner comes first: detectability"),
         ({"model": 3.0}, "needs a LinearModel"),
         ({"model": CAR, "dt": 0.1}, "leave dt out"),
         ({"model": CAR, "sensor": 2}, "at most 1"),
         ({"within": 1.0}, "at least two samples"),
-        ({"false_alarm_probability": 0.3, "detection_probability": 0.5}, "Without any fault an alarm is raised"),
+        ({"false_alarm_probability": 0.3, "detection_probability": 0.5}, "Without any fault there is an alarm"),
         ({"false_alarm_probability": 0.1, "false_alarms_per_hour": 1.0}, "give one of them"),
         ({"false_alarm_probability": 0.0}, "at least 1e-12"),
         ({"model": CAR, "precision": GammaPrecision(window=5), "learning": False}, "learning=True"),

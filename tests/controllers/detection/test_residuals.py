@@ -84,7 +84,7 @@ def test_what_is_not_there(result):
         state_estimation_residual(
             loop.simulate(1.0, decimation=2, engine="interpreted"), standardised=loop["controller"].block.model
         )
-    with pytest.raises(ModelError, match="give the model that the controller was made with"):
+    with pytest.raises(ModelError, match="give the controller's model"):
         state_estimation_residual(
             result, standardised=controllers.LinearModel(np.eye(2), np.ones((2, 1)), np.eye(2), 1.0, 1.0, 0.02)
         )

@@ -16,12 +16,12 @@ from bayesftc.cosim.errors import ModelError
 
 WORDS = {
     "sign": "sign of B",
-    "dt": "Is dt right?",
+    "dt": "Check dt",
     "heavier": "mass",
     "lighter": "mass",
-    "far": "far from where the model was linearised",
-    "limit": "limit that the controller does not know",
-    "late": "arrives late",
+    "far": "far from the point of linearisation",
+    "limit": "limit that the controller does not have",
+    "late": "acts late",
 }
 """What the sentence must say of each way of being wrong."""
 
@@ -244,7 +244,7 @@ MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1], [1]], 0.001, 1.0, dt=
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"B": [[-2e-4]]}, "the other way"),
+        ({"B": [[-2e-4]]}, "in opposite directions"),
         ({"B": [[4e-4]]}, "0.5 times as far"),
         ({"dt": 0.05}, "times as far"),
     ],
@@ -292,7 +292,7 @@ def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys
     assert WRONG_SIGN[0] in text
     wrong = tmp_path / "wrong.toml"
     wrong.write_text(text.replace(*WRONG_SIGN), encoding="utf-8")
-    with pytest.warns(controllers.ModelMismatchWarning, match="the other way"):
+    with pytest.warns(controllers.ModelMismatchWarning, match="in opposite directions"):
         run_command([str(wrong)])
     assert "Is the sign of B right?" in " ".join(capsys.readouterr().out.split())
 

@@ -257,7 +257,7 @@ def test_learned_on_a_healthy_run_of_the_shipped_car():
         (lambda: ExplicitDetection(groups=[()]).learner(MODEL), "must name some"),
         (
             lambda: ExplicitDetection(threshold=FittedThreshold([0, 0], 1.0, 3.0)).learner(MODEL),
-            "cannot judge the group",
+            "but the group",
         ),
     ],
 )

@@ -276,11 +276,11 @@ class Idle(Lone):
         (lambda: SwitchingPrecision(actuator_modes=3), "give a list of actuator modes"),
         (lambda: SwitchingPrecision(actuator_modes=(controllers.Offset(),)), "give a list of actuator modes"),
         (lambda: SwitchingPrecision(actuator_modes=[LostEffect]), r"the class LostEffect .* of it: LostEffect\(\)"),
-        (lambda: SwitchingPrecision(actuator_modes=[controllers.ActuatorMode()]), "does not say what to expect"),
+        (lambda: SwitchingPrecision(actuator_modes=[controllers.ActuatorMode()]), "has no method expected"),
         (lambda: SwitchingPrecision(actuator_modes=[Blind()]), r"Blind.expected is called .* it is expected\(\)"),
         (lambda: SwitchingPrecision(actuator_modes=[Idle()]), "Idle does not say how it acts"),
         (lambda: SwitchingPrecision(actuator_modes=[Lone()]).learner(MODEL), "Lone.expected gave 0.0"),
-        (lambda: SwitchingPrecision(actuator_modes=MODES, joint=False).learner(MODEL), "in the joint form only"),
+        (lambda: SwitchingPrecision(actuator_modes=MODES, joint=False).learner(MODEL), "need the joint form"),
         (
             lambda: SwitchingPrecision(actuator_modes=(LostEffect(0.01),)).learner(MODEL),
             "not longer than the sample time",
