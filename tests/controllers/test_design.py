@@ -174,8 +174,11 @@ def test_a_dead_band_is_no_derivative_of_zero(monkeypatch):
     assert late[0] == pytest.approx(late[1], rel=0.05)
 
 
-@pytest.mark.parametrize(("name", "words"), [("HydroTurbine", "differ too much for a linear model"), ("TwoMasses", "No input
-moves")]) def test_outputs_that_are_rounded_too_coarsely_are_said(monkeypatch, name, words):
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("HydroTurbine", "differ too much for a linear model"), ("TwoMasses", "No input moves")],
+)
+def test_outputs_that_are_rounded_too_coarsely_are_said(monkeypatch, name, words):
     usual = Instance.output
 
     def rounded(self, inputs, outputs, t):

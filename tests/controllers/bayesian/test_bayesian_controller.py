@@ -363,7 +363,7 @@ def test_from_control():
     np.testing.assert_allclose(model.matrix("B"), exact.B)
     assert model.sensors == 2
     assert model.step.denominator == 50
-    with pytest.raises(ValueError, match="continuous; give .* dt="):
+    with pytest.raises(ValueError, match=r"continuous; give .* dt="):
         LinearModel.from_control(system, process_covariance=1e-3, sensor_covariance=1.0)
     with pytest.raises(ModelError, match="direct feedthrough"):
         LinearModel.from_control(

@@ -294,7 +294,7 @@ def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys
     wrong.write_text(text.replace(*WRONG_SIGN), encoding="utf-8")
     with pytest.warns(controllers.ModelMismatchWarning, match="in opposite directions"):
         run_command([str(wrong)])
-    assert "Is the sign of B right?" in " ".join(capsys.readouterr().out.split())
+    assert "Check the signs of B and C." in " ".join(capsys.readouterr().out.split())
 
 
 def test_bayesftc_run_says_nothing_of_a_right_model(capsys):

@@ -210,7 +210,7 @@ def test_they_are_a_part_of_the_joint_form(precision, ports):
         (lambda: NoisierProcess(time_to_recovery=-1.0), "NoisierProcess has time_to_recovery"),
         (
             lambda: SwitchingPrecision(joint=False, process_modes=[NoisierProcess()]).learner(MODEL),
-            "process_modes, which need .* the joint form",
+            "process_modes, which need the joint form",
         ),
         (
             lambda: SwitchingPrecision(process_modes=[NoisierProcess(1e-3), NoisierProcess(1e-3)]).learner(MODEL),
