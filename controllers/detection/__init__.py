@@ -1,1 +1,1 @@
-"""Residuals, thresholds and classifiers that make fault detectors, and what these can find."""
+"""Residuals, thresholds and classifiers for fault detection, and the faults that they can detect."""

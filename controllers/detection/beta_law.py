@@ -136,8 +136,8 @@ class SimulatedLaw(BetaLaw):
         """See `BetaLaw.mean_delay`; runs without an alarm are extrapolated with the alarm rate of the second half."""
         shares = self._survival(kind, size, MOST_STEPS)
         left, half = shares[-1], shares[len(shares) // 2]
-        rest = left * (len(shares) - len(shares) // 2) / np.log(half / left) if 0 < left < half else 0.0
-        return float(shares.sum() + rest)
+        remainder = left * (len(shares) - len(shares) // 2) / np.log(half / left) if 0 < left < half else 0.0
+        return float(shares.sum() + remainder)
 
 
 def beta_law(precision: GammaPrecision, nominal: float, variance: float, dt: float, runs: int, seed: int) -> BetaLaw:
@@ -191,5 +191,5 @@ def _begins(precision: GammaPrecision, sum_of: Weights, x: float) -> float:
         return float(chdtr(1, x) * chdtrc(1, x))
     v = 0.5 * np.sqrt(x) * (1.0 + g)
     density = 2.0 * np.exp((shared - 1) * np.log(v) - 0.5 * v**2 - 0.5 * shared * np.log(2.0) - gammaln(0.5 * shared))
-    rest = x - v**2
-    return float(0.5 * np.sqrt(x) * (weights * density * chdtr(1, rest) * chdtrc(1, rest)).sum())
+    remainder = x - v**2
+    return float(0.5 * np.sqrt(x) * (weights * density * chdtr(1, remainder) * chdtrc(1, remainder)).sum())

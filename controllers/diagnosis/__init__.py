@@ -1,1 +1,1 @@
-"""What is wrong with a model, from a recorded run or before one."""
+"""Diagnosis of wrong models, from a recorded run or before a run."""

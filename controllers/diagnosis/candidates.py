@@ -61,25 +61,25 @@ def _pushed(judge: Judge) -> list[Explanation]:
     directions = np.eye(model.states)[:plant]
     p, each, first = len(B.T), plant, len(linear) * plant
     pushes = [u[:, j, None] * B[:, j] for j in range(p)] + [np.outer(np.ones(len(u)), b) for b in B.T]
-    answers = judge.pushes(np.array(pushes + [np.outer(f, d) for f in linear + bent for d in directions]))
+    responses = judge.pushes(np.array(pushes + [np.outer(f, d) for f in linear + bent for d in directions]))
     results = []
     for j in range(p):
-        fit = judge.fitted("gain", answers[:, j : j + 1])
+        fit = judge.fitted("gain", responses[:, j : j + 1])
         g = 1.0 + fit.values[0]
         results.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, j)))
-    results.append(judge.fitted("load", answers[:, p : 2 * p]))
-    effects, answers = answers[:, :p], answers[:, 2 * p :]
+    results.append(judge.fitted("load", responses[:, p : 2 * p]))
+    effects, responses = responses[:, :p], responses[:, 2 * p :]
     for j in range(p):
         # Free all dynamics except control j's effect, which the fit gives; with and without nonlinear terms.
         effect_start = (1 + plant + j) * plant
-        others = np.concatenate([answers[:, :effect_start], answers[:, effect_start + plant :]], axis=1)
+        others = np.concatenate([responses[:, :effect_start], responses[:, effect_start + plant :]], axis=1)
         for last in (first - plant, others.shape[1]):
             results += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
-    results.append(judge.fitted("dynamics", answers[:, :first]))
-    for i in range(first, answers.shape[1], each):
-        results.append(judge.fitted("nonlinear", answers[:, i : i + each]))
-    results.append(judge.fitted("nonlinear", answers[:, first:]))
-    results.append(judge.fitted("nonlinear", answers))
+    results.append(judge.fitted("dynamics", responses[:, :first]))
+    for i in range(first, responses.shape[1], each):
+        results.append(judge.fitted("nonlinear", responses[:, i : i + each]))
+    results.append(judge.fitted("nonlinear", responses[:, first:]))
+    results.append(judge.fitted("nonlinear", responses))
     return results
 
 

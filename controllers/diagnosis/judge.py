@@ -154,33 +154,33 @@ class Judge:
         (white,), _ = innovations([self.model], [self.bank], silent, (pushes / scale)[None])
         return np.asarray(white[:, : len(pushes)] * scale[:, 0, 0][:, None, None])
 
-    def fitted(self, kind: str, answers: Floats) -> Explanation:
+    def fitted(self, kind: str, responses: Floats) -> Explanation:
         """Fit the sizes of pushes by least squares, from their responses."""
-        theta, _, costs = self._fit(answers)
+        theta, _, costs = self._fit(responses)
         return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
 
-    def flipped(self, answers: Floats, control: int) -> list[Explanation]:
+    def flipped(self, responses: Floats, control: int) -> list[Explanation]:
         """Fit pushes of which the first is the control's effect; return ``"sign"`` if that effect is clearly reversed."""
-        theta, spreads, costs = self._fit(answers)
+        theta, spreads, costs = self._fit(responses)
         ratio = 1.0 + float(theta[0])
         surely = ratio + SURELY * spreads[0] * np.sqrt(costs[1].max()) < 1.0
         if not (surely and REVERSED[0] < ratio < REVERSED[1]):
             return []
         return self.of("sign", [(ratio, float(control))], costs, len(theta))
 
-    def _fit(self, answers: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
+    def _fit(self, responses: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
         """Return the sizes of pushes by least squares, their standard deviations for unit noise, and the costs."""
         sets = range(len(self.bank))
-        D = np.concatenate([self.free(answers, k, self.begin) for k in sets], axis=1).T
+        D = np.concatenate([self.free(responses, k, self.begin) for k in sets], axis=1).T
         e = np.concatenate([self.free(self.base, k, self.begin)[0] for k in sets])
         with np.errstate(all="ignore"):
             scale = np.maximum(np.sqrt((D**2).sum(axis=0)), 1e-300)
         if not (np.isfinite(scale).all() and np.isfinite(e).all()):  # plant or model are not finite
-            nothing = np.full(len(answers), np.nan)
+            nothing = np.full(len(responses), np.nan)
             return nothing, nothing, self.cost(self.base * np.nan, self.bank, self.begin)
         inverse = np.linalg.pinv(D / scale, rcond=1e-10)
         theta = -(inverse @ e) / scale
-        residual = self.base + np.tensordot(answers, theta, axes=(1, 0))[:, None]
+        residual = self.base + np.tensordot(responses, theta, axes=(1, 0))[:, None]
         return theta, np.sqrt((inverse**2).sum(axis=1)) / scale, self.cost(residual, self.bank, self.begin)
 
 

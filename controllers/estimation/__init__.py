@@ -1,1 +1,1 @@
-"""The belief of linear controllers from sample to sample, and the check that runs beside it."""
+"""The belief of linear controllers from sample to sample, and the consistency check beside it."""

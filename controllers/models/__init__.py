@@ -1,1 +1,1 @@
-"""What a controller believes of its plant and sensors: linear and nonlinear Gaussian models."""
+"""Linear and nonlinear Gaussian models of plant and sensors."""

@@ -68,15 +68,21 @@ class Linearization:
 
     def seen(self) -> Linearization:
         """Return the linearisation without integrators that no output sees, such as the position behind a speed."""
-        rest = without_integrators(self.A, self.C)
-        if rest is None:
+        quotient = without_integrators(self.A, self.C)
+        if quotient is None:
             return self
-        x, start = rest.rows @ self.x, rest.rows @ self.start
-        following = None if self.following is None else rest.rows @ self.following
+        x, start = quotient.rows @ self.x, quotient.rows @ self.start
+        following = None if self.following is None else quotient.rows @ self.following
         if following is not None and np.allclose(following, x, rtol=1e-9, atol=1e-12):
             following = None
         return replace(
-            self, A=rest.of(self.A), B=rest.rows @ self.B, C=self.C @ rest.back, x=x, start=start, following=following
+            self,
+            A=quotient.of(self.A),
+            B=quotient.rows @ self.B,
+            C=self.C @ quotient.back,
+            x=x,
+            start=start,
+            following=following,
         )
 
     def rows(self, names: Sequence[str]) -> list[int]:
@@ -195,31 +201,31 @@ def names_of(given: Names, kind: str) -> list[str]:
     return names
 
 
-def elements_of(name: str, known: Sequence[str]) -> list[str]:
+def elements_of(name: str, available: Sequence[str]) -> list[str]:
     """Return the elements of a name: itself, or those of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
-    return [name] if name in known else [element for element in known if element.startswith(f"{name}[")]
+    return [name] if name in available else [element for element in available if element.startswith(f"{name}[")]
 
 
-def _places(names: Sequence[str], known: Sequence[str], kind: str) -> list[int]:
+def _places(names: Sequence[str], available: Sequence[str], kind: str) -> list[int]:
     places: list[int] = []
     for name in names:
-        found = [list(known).index(element) for element in elements_of(name, known)]
-        if not found:
-            raise UnknownNameError(f"The plant has no {kind} {name!r}; {did_you_mean(name, known)}")
-        if set(found) & set(places):
+        indices = [list(available).index(element) for element in elements_of(name, available)]
+        if not indices:
+            raise UnknownNameError(f"The plant has no {kind} {name!r}; {did_you_mean(name, available)}")
+        if set(indices) & set(places):
             raise ModelError(f"{kind}s {', '.join(names)}: {name!r} repeats an element; name each once.")
-        places += found
+        places += indices
     return places
 
 
-def _spread(title: str, given: Mapping[str, Any], known: Sequence[str]) -> dict[int, float]:
+def _spread(title: str, given: Mapping[str, Any], available: Sequence[str]) -> dict[int, float]:
     """Return values given by name by index; a vector has one number, or one for each element."""
-    found: dict[int, float] = {}
+    values_by_index: dict[int, float] = {}
     for name, value in given.items():
-        places = _places([name], known, "input")
+        places = _places([name], available, "input")
         values = as_vector(f"{title} of {name}", value, len(places)) if len(places) > 1 else [value]
-        found.update(zip(places, values, strict=True))  # type: ignore[arg-type]
-    return found
+        values_by_index.update(zip(places, values, strict=True))  # type: ignore[arg-type]
+    return values_by_index
 
 
 def _operating(inputs: Sequence[str], start: Floats, at: Mapping[str, float | Sequence[float]]) -> Floats:
@@ -230,10 +236,10 @@ def _operating(inputs: Sequence[str], start: Floats, at: Mapping[str, float | Se
     return u
 
 
-def _chosen(names: Sequence[str], known: Sequence[str], kind: str) -> tuple[list[int], tuple[str, ...]]:
+def _chosen(names: Sequence[str], available: Sequence[str], kind: str) -> tuple[list[int], tuple[str, ...]]:
     """Return indices and names of the elements of names, each once even if several names contain it."""
-    places = list(dict.fromkeys(place for name in names for place in _places([name], known, kind)))
-    return places, tuple(known[place] for place in places)
+    places = list(dict.fromkeys(place for name in names for place in _places([name], available, kind)))
+    return places, tuple(available[place] for place in places)
 
 
 # --- systems of python-control ---------------------------------------------------------------------------------------
@@ -331,31 +337,31 @@ def _of_fmu(
     start = [np.broadcast_to(port.default or 0.0, port.shape).ravel() for port in fmu.inputs or ()]  # type: ignore[union-attr, arg-type]
     u = _operating(into, np.concatenate(start), at)
     columns, driven = _chosen(inputs, into, "input")
-    rows, seen = _chosen(outputs, out, "output")
+    rows, measured = _chosen(outputs, out, "output")
     if fmu.description.exchange is not None and order is None:
-        return _of_equations(fmu, u, columns, rows, driven, seen, step, _free(columns, into, at))
-    found = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
-    if found.waited and not at:
+        return _of_equations(fmu, u, columns, rows, driven, measured, step, _free(columns, into, at))
+    realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
+    if realisation.waited and not at:
         warnings.warn(
-            f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(found.waited)} s without control, and the "
-            f"model is about the steady state that it reached, with the outputs {found.y.tolist()}. For another operating point "
-            "give start values or inputs (at=...).",
+            f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(realisation.waited)} s without control, "
+            f"and the model is about the steady state that it reached, with the outputs {realisation.y.tolist()}. For another "
+            "operating point give start values or inputs (at=...).",
             stacklevel=4,
         )
-    point = np.zeros(len(found.A)), u[columns], found.y, found.start
-    return Linearization(found.A, found.B, found.C, *point, driven, seen, step)
+    point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
+    return Linearization(realisation.A, realisation.B, realisation.C, *point, driven, measured, step)
 
 
 def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:
     """Refuse an FMU without inputs or without outputs."""
-    known = fmu.description.variables
-    if not any(v.causality == "input" or v.variability == "tunable" for v in known):
+    variables = fmu.description.variables
+    if not any(v.causality == "input" or v.variability == "tunable" for v in variables):
         raise ModelError(
             f"The FMU {fmu.default_name!r} has no input that could control it. Export it with an input. Without control, a "
             "StateEstimator can monitor its sensors, and `bayesftc monitor` their recording."
         )
-    local = {v.name for v in known if v.causality == "local"}
-    if not any(v.causality == "output" for v in known) and not local.intersection(_variables(fmu, measured)):
+    local = {v.name for v in variables if v.causality == "local"}
+    if not any(v.causality == "output" for v in variables) and not local.intersection(_variables(fmu, measured)):
         raise ModelError(
             f"The FMU {fmu.default_name!r} has no output that a sensor could measure. Export it with an output, or measure "
             f"one of its local variables by name{': ' + ', '.join(sorted(local)[:8]) if local else ' (it has none either)'}."
@@ -364,8 +370,8 @@ def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:
 
 def _variables(fmu: FMU, names: Sequence[str]) -> list[str]:
     """Return the FMU's variables for names of variables or of elements (``y[1]``), each once."""
-    known = {variable.name for variable in fmu.description.variables}
-    return list(dict.fromkeys(name if name in known else re.sub(r"\[[\d,]+\]$", "", name) for name in names))
+    variables = {variable.name for variable in fmu.description.variables}
+    return list(dict.fromkeys(name if name in variables else re.sub(r"\[[\d,]+\]$", "", name) for name in names))
 
 
 def _of_equations(

@@ -211,8 +211,8 @@ def realise(
 
 def _markov(plant: Experiments, scale: Mapping[int, float]) -> tuple[Floats, Floats]:
     """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), and their errors."""
-    found = [_derivative(plant, j, full, len(plant.held)) for j, full in scale.items()]
-    markov, error = (np.stack([column[part] for column in found], axis=2) for part in (0, 1))
+    slope = [_derivative(plant, j, full, len(plant.held)) for j, full in scale.items()]
+    markov, error = (np.stack([column[part] for column in slope], axis=2) for part in (0, 1))
     useful = _useful(markov)
     return markov[:useful], error[:useful]
 
@@ -224,29 +224,29 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
     """
     best: tuple[Floats, Floats] | None = None
     previous, least, bend, lost_size = None, np.inf, 0.0, 0.0
-    rest = plant.respond()
+    baseline = plant.respond()
     for decade in range(DECADES):
         pulse = np.zeros(inputs)
         pulse[j] = full * 10.0**-decade
         try:
-            up, down = plant.respond(pulse) - rest, rest - plant.respond(-pulse)
+            up, down = plant.respond(pulse) - baseline, baseline - plant.respond(-pulse)
         except ModelError:  # too large for this plant
             continue
-        found = (up + down) / (2 * pulse[j])
-        if not np.isfinite(found).all():
+        slope = (up + down) / (2 * pulse[j])
+        if not np.isfinite(slope).all():
             continue
-        if previous is not None and previous.any() and not found.any():
+        if previous is not None and previous.any() and not slope.any():
             lost_size = abs(float(pulse[j]))
             break  # smaller pulses are lost as well; their agreement on zero is no derivative
         if previous is not None:
-            error, size = np.abs(found - previous), np.abs(found).max(axis=0)
+            error, size = np.abs(slope - previous), np.abs(slope).max(axis=0)
             relative = float((error.max(axis=0) / np.where(size > 0, size, 1.0)).max())
             if relative < least:
-                best, least = (found, error), relative
+                best, least = (slope, error), relative
                 bend = float(np.abs(up - down).max() / max(np.abs(up + down).max(), 1e-300))
             if relative < ENOUGH:
                 break
-        previous = found
+        previous = slope
     if lost_size:
         lost = (
             f"The plant responds to larger pulses of {plant.names[j]!r}, but not to one of {lost_size:g}: it has a dead "

@@ -1,1 +1,1 @@
-"""Precision learners, and the baselines and relatives that they are compared with."""
+"""Precision learners, baselines, and related learners from the literature."""

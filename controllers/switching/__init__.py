@@ -1,1 +1,1 @@
-"""Switching between fault modes: what is learned of sensors, actuators and process."""
+"""Switching between fault modes of sensors, actuators and process."""

@@ -120,7 +120,7 @@ def expected_of(mode: ActuatorMode, scale: float) -> tuple[float, float, float]:
     return mean, variance, walk
 
 
-def settings_of(mode: FaultMode, told: object) -> Floats:
+def settings_of(mode: FaultMode, result: object) -> Floats:
     """Return a mode's settings for a sensor, after a trial of its step function.
 
     A compiled function that uses an index outside its numbers would change those of other modes without an error.
@@ -129,7 +129,7 @@ def settings_of(mode: FaultMode, told: object) -> Floats:
     ----------
     mode : FaultMode
         The mode.
-    told : object
+    result : object
         The result of its method ``settings``.
 
     Raises
@@ -138,7 +138,7 @@ def settings_of(mode: FaultMode, told: object) -> Floats:
         If the settings are not numbers, or the step function cannot be computed with them.
     """
     name = type(mode).__name__
-    settings = as_numbers(f"The result of {name}.settings", told, "return a tuple of numbers").reshape(-1)
+    settings = as_numbers(f"The result of {name}.settings", result, "return a tuple of numbers").reshape(-1)
     memory = np.concatenate([np.zeros(TRUST), first_of(mode)])
     memory[[WEIGHT, ENTERED, FACTOR, AGE]] = 0.25, 0.5, 1.0, 3.0
     sample = {"e": 0.5, "present": 1.0, "variance": 1.5, "nominal": 1.0, "change": 0.25, "healthy": -1.2}
@@ -187,11 +187,11 @@ def as_process_modes(given: object) -> tuple[NoisierProcess, ...]:
     return _listed(given, NoisierProcess, "SwitchingPrecision has process_modes", remedy)
 
 
-def _listed(given: object, kind: type[Mode], title: str, wanted: str) -> tuple[Mode, ...]:
+def _listed(given: object, kind: type[Mode], title: str, remedy: str) -> tuple[Mode, ...]:
     if isinstance(given, Sequence) and not isinstance(given, str):
         for item in given:
             if isinstance(item, type) and issubclass(item, kind):
                 raise ModelError(f"{title} with the class {item.__name__}; give an instance: {item.__name__}().")
         if all(isinstance(item, kind) for item in given):
             return tuple(given)
-    raise ModelError(f"{title}={given!r}; give {wanted}.")
+    raise ModelError(f"{title}={given!r}; give {remedy}.")
