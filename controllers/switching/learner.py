@@ -129,7 +129,7 @@ class SwitchingPrecision(PrecisionLearner):
     gain_limit : float
         Limit of the estimate's gain while the belief fades (a process mode with `fading` above 1), relative to the gain of the
         model's filter. It holds in proportion to the probability of such a mode. Following the sensors faster would make a loop
-        with a late control unstable. There is no limit from a product of 1 on, as for many or precise sensors. Infinite means no
+        with a late control unstable. A product of limit and gain of at least 1 means no limit. Infinite means no
         limit, for an estimate without a control loop. It belongs to the joint form.
     noise_factor : float
         A healthy sensor's standard deviation is learned within this factor of the model's, up or down. With 1 it is the model's,

@@ -79,8 +79,8 @@ def freezes(e, present, variance, nominal, change, healthy, memory, at, settings
 def expected_jump(e, jump, reach, nominal):
     """Return the variance of an offset at its onset, in squared units of the sensor: at least the squared first innovation.
 
-    An offset far beyond the expected size is therefore not attributed to noise; any larger scale is as likely as ``jump``. An
-    offset that grows from zero has the ``reach`` 0, others 1.
+    An offset far beyond the expected size is therefore not attributed to noise, as if any larger scale were as likely as
+    ``jump``. An offset that grows from zero has the ``reach`` 0, others 1.
     """
     return maximum(jump * nominal, reach * (e * e))
 

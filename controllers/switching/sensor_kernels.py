@@ -84,8 +84,8 @@ def learn_noise(squared, sound, memory, at, settings, row):
 def repetition(change, nominal, memory, at, settings, row):
     """Return the factor of a repeated sample's density relative to that by the sensor's resolution; 1 for other samples.
 
-    The probability is the share of repetitions while the sensor was healthy. A repetition is as uninformative as a density over
-    the resolution alone if that share has the typical density of the noise.
+    The probability of a repetition is its share while the sensor was healthy. The width over which that share has the typical
+    density of the noise replaces the resolution, if it is larger.
     """
     share = (memory[at + REPEATS] + settings[row + REPEATS0]) / (memory[at + SAMPLES] + settings[row + SAMPLES0])
     share = minimum(share, settings[row + MOST_REPEATS])
