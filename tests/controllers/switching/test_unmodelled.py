@@ -24,7 +24,7 @@ from bayesftc.controllers import (
 from bayesftc.controllers.switching.bank.hypothesis import ended
 from bayesftc.controllers.switching.course import misfit
 from bayesftc.controllers.switching.fault_modes import ENTERED, OWN, SIZE, TRUST
-from bayesftc.controllers.switching.mode_kernels import goes_its_way, wider
+from bayesftc.controllers.switching.mode_kernels import regresses, wider
 from bayesftc.cosim.errors import ModelError
 
 STEP = 0.02
@@ -89,7 +89,7 @@ def test_a_course_has_the_density_of_bayesian_regression(rows, mode, deviation):
         present = float(np.isfinite(y))
         memory[ENTERED] = begins
         e = y - x if present else 0.0
-        told = goes_its_way(e, present, 1.5 * noise, noise, y - last, -1.25, memory, 0, own, 0)
+        told = regresses(e, present, 1.5 * noise, noise, y - last, -1.25, memory, 0, own, 0)
         if present:
             assert told == pytest.approx(-1.25 if np.isnan(last) else density, rel=1e-8, abs=1e-8)
             last = y

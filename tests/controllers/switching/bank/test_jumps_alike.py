@@ -92,7 +92,7 @@ def test_an_estimate_is_made_of_whatever_is_left(likely):
     for h, p, x in ((0, rest, 1.0), (layout.first_common, likely[0], -3.0), (layout.first_common + 1, likely[1], 5.0)):
         memory[layout.first + h * layout.length] = p
         memory[layout.first + h * layout.length + STATE] = x
-    x_hat, P, settings = np.zeros(2), np.zeros((2, 2)), np.ones(layout.takes_over + 1)
+    x_hat, P, settings = np.zeros(2), np.zeros((2, 2)), np.ones(layout.gain_share + 1)
     make_conclude(layout)(Belief(np.zeros(2), np.eye(2), x_hat, P), memory, settings)
     if max(likely) <= 0.5 < 2 * rest:
         assert x_hat[0] == pytest.approx(1.0), "the plant was kicked"
