@@ -47,8 +47,8 @@ def as_fault_modes(given: object) -> tuple[FaultMode, ...]:
             raise ModelError(f"{name}.evidence: {error} Give a step function {form}.") from None
         if names != ARGUMENTS:
             raise ModelError(
-                f"{name}.evidence has the arguments {', '.join(names) or '(none)'}; give a step function with exactly these, in "
-                f"this order: {form}."
+                f"{name}.evidence has the arguments {', '.join(names) or '(none)'}; it must be a step function with exactly "
+                f"these, in this order: {form}."
             )
         if mode.own_hypothesis and not isinstance(mode, Unmodelled):
             raise ModelError(
@@ -153,7 +153,7 @@ def settings_of(mode: FaultMode, result: object) -> Floats:
     except Exception as error:  # whatever the user's function may raise
         raise ModelError(f"{name}.evidence cannot be computed: {error}.") from error
     if not isinstance(density, Real):
-        raise ModelError(f"{name}.evidence returned {density!r}; return one number, a log density.")
+        raise ModelError(f"{name}.evidence returned {density!r}; it must return one number, a log density.")
     if not density < np.inf:  # -inf is an impossible sample
         raise ModelError(
             f"{name}.evidence returned {float(density)} for an ordinary sample; return a finite log density."

@@ -84,7 +84,7 @@ def test_right_models_are_blamed_in_under_1_of_100_runs(case):
 def by_numpy(model, y, u, mean):
     """Return `model_suspect` by the text's formulas in plain NumPy, for the sets that the model's sensors fall into."""
     A, B, C, Q, R = (model.matrix(name) for name in ("A", "B", "C", "process_covariance", "sensor_covariance"))
-    rest, disagreements = observers(model).rest, []
+    rest, disagreements = observers(model).settling, []
     for chosen in map(list, observers(model).sensors):
         c, r = C[chosen], R[np.ix_(chosen, chosen)]
         P = solve_discrete_are(A.T, c.T, Q, r)
@@ -294,7 +294,7 @@ def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys
     wrong.write_text(text.replace(*WRONG_SIGN), encoding="utf-8")
     with pytest.warns(controllers.ModelMismatchWarning, match="in opposite directions"):
         run_command([str(wrong)])
-    assert "Check the signs of B and C." in " ".join(capsys.readouterr().out.split())
+    assert "Check the sign of B." in " ".join(capsys.readouterr().out.split())
 
 
 def test_bayesftc_run_says_nothing_of_a_right_model(capsys):
