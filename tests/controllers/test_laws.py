@@ -108,7 +108,7 @@ def test_the_integral_is_held_on_both_sides():
         (lambda: controllers.Proportional([[np.nan]]), "NaN or infinite"),
         (lambda: controllers.Proportional(1.0, u_min=2.0, u_max=1.0), "exchange them"),
         (lambda: controllers.ProportionalDerivative([1.0, 1.0], states=3), "reads 4 states for 2 goals"),
-        (lambda: controllers.ProportionalDerivative([1.0, 1.0], derivative_gain=[[1.0]]), "here it must be 2 x 2"),
+        (lambda: controllers.ProportionalDerivative([1.0, 1.0], derivative_gain=[[1.0]]), "it must be 2 x 2"),
         (lambda: controllers.PID(1.0, u_max=-np.inf), "no control can keep"),
         (lambda: controllers.Proportional(1.0, u_min=np.inf), "no control can keep"),
         (lambda: controllers.Proportional("high"), "gain of Proportional is 'high'"),

@@ -585,7 +585,7 @@ def imported(x, y):
     ("change", "words"),
     [
         ({"states": 0}, "states=0; it must be a whole number"),
-        ({"process_covariance": [1.0, 2.0, 3.0]}, "process_covariance is 3 x 1; here it must be 2 x 2"),
+        ({"process_covariance": [1.0, 2.0, 3.0]}, "process_covariance is 3 x 1; it must be 2 x 2"),
         ({"process_covariance": [1.0, -1.0]}, "positive semi-definite"),
         ({"sensor_covariance": 0.0}, "sensor_covariance is not positive definite"),
         ({"g": short}, r"g does not write y\[1\]"),
