@@ -39,10 +39,10 @@ def try_out(title: str, function: Any, form: str, inputs: Sequence[int], outputs
         If it breaks the rules of step functions.
     """
     if not isinstance(function, FunctionType):
-        raise ModelError(f"{title} is {function!r}; give a step function {form}.")
+        raise ModelError(f"{title} is {function!r}; it must be a step function {form}.")
     names = argument_names(function)
     if len(names) != len(inputs) + len(outputs):
-        raise ModelError(f"{title} has the arguments {', '.join(names)}; give a step function {form}.")
+        raise ModelError(f"{title} has the arguments {', '.join(names)}; it must be a step function {form}.")
     try:
         functions_called(function)
     except KernelError as error:

@@ -151,7 +151,7 @@ def test_a_plant_that_rests_at_a_limit_is_said(monkeypatch):
         return one_sided(self, np.maximum(inputs, 0.0), outputs, t)
 
     monkeypatch.setattr(Instance, "update", pump)
-    with pytest.warns(PoorFitWarning, match=r"'voltage' down otherwise than up, by 100 %"):
+    with pytest.warns(PoorFitWarning, match=r"'voltage' up and down differ by 100 %"):
         linearize(fmus.path("PositionServo"), measured="angle", actuated="voltage")
 
 
@@ -284,7 +284,7 @@ def test_cruise_control():
         plant, measured=["x", "v"], sensor_std=[1.0, 0.1], disturbance=100.0, precision=fixed, **settings
     )
     alone = design(plant, measured="v", **settings)
-    assert "do not ask about 1 of the plant's integrators" in controller.describe()
+    assert "do not depend on 1 of the plant's integrators" in controller.describe()
     np.testing.assert_allclose(controller.regulator.gain, [[0.0, *alone.regulator.gain[0]]], rtol=1e-9)
     loop = cosim.closed_loop(
         plant,
@@ -357,7 +357,7 @@ def test_of_a_linear_model_the_sensors_have_numbers():
     np.testing.assert_array_equal(controller.goal_matrix, [[1, 0]])
     np.testing.assert_array_equal(design(model, goal=[[1, 0]]).goal_matrix, [[1, 0]])
     assert isinstance(controller.precision, controllers.SwitchingPrecision)
-    with pytest.raises(ModelError, match="2 goals but 1 controls"):
+    with pytest.raises(ModelError, match="2 goals but only 1 controls"):
         design(model)
     with pytest.raises(ModelError, match="numbers of sensors, from 0 to 2"):
         design(model, goal=[3])
@@ -402,11 +402,11 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
         ({"sensors": 0}, ModelError, "at least 1"),
         ({"at": {"volts": 1.0}}, UnknownNameError, "volts"),
         ({"acceptable_error": 0.0}, ModelError, "must be positive"),
-        ({"goal": ["angle", "speed"]}, ModelError, "2 goals but 1 controls"),
+        ({"goal": ["angle", "speed"]}, ModelError, "2 goals but only 1 controls"),
         ({"dt": "soon"}, StepSizeError, "soon"),
         ({"sensor_std": -0.01}, ModelError, "must not be negative"),
-        ({"noise": 0.1}, ModelError, r"numbers by the names of inputs, as noise=\{'load'"),
-        ({"at": 0.1}, ModelError, r"numbers by the names of inputs, as at="),
+        ({"noise": 0.1}, ModelError, r"a number for each input by name, as noise=\{'load'"),
+        ({"at": 0.1}, ModelError, r"a number for each input by name, as at="),
         ({"u_min": 5.0, "u_max": -5.0}, ModelError, "lies above u_max"),
     ],
 )  # fmt: skip

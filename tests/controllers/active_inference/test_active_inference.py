@@ -594,7 +594,7 @@ def test_a_belief_comes_back_from_an_absurd_goal(absurd_goal):
         ({"state_prior": "kalman"}, "needs a model"),
         ({"state_precision": -1.0}, "not positive definite"),
         ({"modalities": []}, "at least one"),
-        ({"modalities": [Modality("x", matrix=[[1.0]], std=1.0)]}, "1 columns for 2 states"),
+        ({"modalities": [Modality("x", matrix=[[1.0]], std=1.0)]}, "1 columns, but there are 2 states"),
         ({"modalities": [Modality("x", 1, bend, std=1.0)]}, "reaches beyond its arguments"),
         ({"law": pull}, "sizes="),
         ({"law": steep, "sizes": (2, 1, 1)}, r"derivative is \[\[-inf, 0.0\]\] at the initial mean"),

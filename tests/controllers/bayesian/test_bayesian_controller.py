@@ -420,7 +420,7 @@ def test_the_default_learner_and_its_form():
     assert controllers.StateEstimator(model).precision == default
     uaic = controllers.UnbiasedActiveInference((), controllers.Proportional([[1.0]]), control="law", model=model)
     assert uaic.precision == FixedPrecision()
-    with pytest.raises(ModelError, match="faults of actuators cannot be told; take a BayesianController"):
+    with pytest.raises(ModelError, match="actuator faults cannot be inferred; use a BayesianController"):
         controllers.NonlinearBayesianController(
             nonlinear, controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
         )

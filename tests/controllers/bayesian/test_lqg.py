@@ -160,7 +160,7 @@ def test_a_goal_on_the_speed_alone_leaves_the_position_to_itself():
     np.testing.assert_allclose(controller.regulator.gain, np.hstack([[[0.0]], gain]), rtol=1e-9)
     np.testing.assert_allclose(controller.regulator.cost_to_go[1:, 1:], cost, rtol=1e-9)
     text = controller.describe()
-    assert "do not ask about 1 of the plant's integrators" in text
+    assert "do not depend on 1 of the plant's integrators" in text
     assert "0.999" not in text.splitlines()[0] + text.splitlines()[1]
     assert np.abs(poles).max() == pytest.approx(np.abs(controller.regulator.poles(model.A, model.B)).max())
     hold = np.linalg.solve(np.block([[np.eye(2) - speed.A, -speed.B], [speed.C, np.zeros((1, 1))]]), [0, 0, 1.0])

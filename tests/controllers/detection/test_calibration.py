@@ -113,7 +113,7 @@ def test_reproducible():
     [
         ({"steps": 100}, "give at least 5000"),
         ({"precision": controllers.SERFDI()}, "SERFDI.* has no rate.*: GammaPrecision or .*VariationalBayesKF"),
-        ({"magnitudes": {"jump": 1.0}}, "does not know the magnitude 'jump'"),
+        ({"magnitudes": {"jump": 1.0}}, "has the unknown magnitude 'jump'"),
     ],
 )
 def test_bad_settings(change, words):

@@ -210,8 +210,8 @@ X, Y = [[0.1], [0.9], [2.0], [0.4]], [0, 1, 1, 0]
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [
-        (lambda: FaultClassifier().fit(X, [1, 1, 1, 1]), ModelError, "All 4 labels are of one class, 1; a"),
-        (lambda: FaultClassifier().fit(X, ["no"] * 4), ModelError, "All 4 labels are of one class, 'no'; a"),
+        (lambda: FaultClassifier().fit(X, [1, 1, 1, 1]), ModelError, "All 4 labels are of one class, 1; give"),
+        (lambda: FaultClassifier().fit(X, ["no"] * 4), ModelError, "All 4 labels are of one class, 'no'; give"),
         (lambda: FaultClassifier().fit(X, [0, 1, 2, 1]), ModelError, "healthy and faulty"),
         (lambda: FaultClassifier().fit([[0.1], [np.nan], [2.0], [0.4]], Y), ModelError, "the first at index 1; leave"),
         (lambda: FaultClassifier().fit(X, Y).predict([[np.inf]]), ModelError, "NaN or inf"),

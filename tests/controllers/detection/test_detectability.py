@@ -221,7 +221,7 @@ def test_what_cannot_be_answered():
     with pytest.raises(ModelError, match="belief='filtered'"):
         detectability(model=joint)
     result = detectability(GammaPrecision(forgetting=0.5), within=10)
-    with pytest.raises(ModelError, match="kind 'bias' is not known"):
+    with pytest.raises(ModelError, match="kind of fault 'bias' is unknown"):
         result.delay("bias", 1.0)
     with pytest.raises(ModelError, match="not negative"):
         result.probability("offset", -1.0)

@@ -232,13 +232,13 @@ def test_inputs_that_hardly_move_are_said(inputs, order):
     table = pd.DataFrame(rows, columns=["time", "u0", "y0", "y1", "y2"])
     settings = {"inputs": "u0", "outputs": ["y0", "y1", "y2"], "order": 2}
     if order is None:
-        assert not any("exciting" in said for said in LinearModel.identify(table, **settings).poor)
+        assert not any("excitation" in said for said in LinearModel.identify(table, **settings).poor)
         return
     with pytest.warns(
-        PoorFitWarning, match=rf"u0: exciting of order {order}, where 4 is wanted.*Move the inputs all the"
+        PoorFitWarning, match=rf"u0: the order of excitation is {order}, but .* needs 4.*Move the inputs at random"
     ):
         found = LinearModel.identify(table, **settings)
-    still = any("nearly still in the held-out data" in said for said in found.poor)
+    still = any("nearly constant in the held-out part" in said for said in found.poor)
     assert still == (inputs[-900:].std() < 0.01)
 
 
@@ -269,7 +269,7 @@ def test_a_recording_under_feedback_alone_is_said():
 @pytest.mark.parametrize("settings", [{}, {"held_out": 0.1}, {"past": 20}, {"order": 3}, {"order": 16}])
 def test_how_long_a_recording_must_be_is_said_once(settings):
     table, names = record(4000)
-    with pytest.raises(ModelError, match=r"at least \d+ are needed") as told:
+    with pytest.raises(ModelError, match=r"need at least \d+") as told:
         LinearModel.identify(table[:10], **names, **settings)
     needed = int(re.search(r"at least (\d+)", str(told.value))[1])
     with pytest.raises(ModelError, match=f"at least {needed}"):
@@ -328,7 +328,7 @@ def test_a_poor_fit_is_said():
     assert found.poor
     table["u0"] = np.random.default_rng(0).normal(size=3000)
     table["y0"] = np.random.default_rng(1).normal(size=3000)
-    with pytest.warns(PoorFitWarning, match="do the inputs move it at all"):
+    with pytest.warns(PoorFitWarning, match="check whether the inputs move it"):
         LinearModel.identify(table, inputs="u0", outputs="y0", order=1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -342,17 +342,17 @@ def test_a_poor_fit_is_said():
         ({}, {"outputs": []}, ModelError, "outputs=.*at least one column"),
         ({}, {"held_out": 1.0}, ModelError, "held_out=1.0; it must be .* below 1"),
         ({}, {"order": 1.5}, ModelError, "order=1.5"),
-        ({"u0": 1.0}, {}, ModelError, "'u0' does not move"),
+        ({"u0": 1.0}, {}, ModelError, "'u0' is constant"),
         ({"u0": np.nan}, {}, ModelError, "'u0' has no numbers"),
-        ({"y0": "high"}, {}, ModelError, "'y0' holds text"),
-        ({"y0": np.inf}, {}, ModelError, "'y0' holds infinite values"),
-        ({"y1": [*np.sin(np.arange(300.0)), *[np.nan] * 100]}, {}, ModelError, "'y1' has .* and 20 samples in what is held"),
-        ({"time": 0.0}, {}, StepSizeError, "do not rise"),
+        ({"y0": "high"}, {}, ModelError, "'y0' contains text"),
+        ({"y0": np.inf}, {}, ModelError, "'y0' contains infinite values"),
+        ({"y1": [*np.sin(np.arange(300.0)), *[np.nan] * 100]}, {}, ModelError, "'y1' has .* and 20 samples in the held-out part"),
+        ({"time": 0.0}, {}, StepSizeError, "do not increase"),
         ({"time": np.arange(400.0) ** 2}, {}, StepSizeError, "not evenly spaced"),
-        ({"time": "noon"}, {}, StepSizeError, "'time' is not one of numbers"),
-        ({"time": pd.date_range("2024-01-01", periods=400, freq="s")}, {}, StepSizeError, "times in seconds"),
+        ({"time": "noon"}, {}, StepSizeError, "'time' does not contain numbers"),
+        ({"time": pd.date_range("2024-01-01", periods=400, freq="s")}, {}, StepSizeError, "times to seconds"),
         ({}, {"time": "t"}, StepSizeError, "no column 't'"),
-        (None, {}, ModelError, r"has 20 samples; of 3 outputs and 1 input, at least \d+ are needed"),
+        (None, {}, ModelError, r"has 20 samples\. 3 outputs and 1 input need at least \d+"),
         ({"y0": [1.0, np.nan, 2.0, np.nan] * 100, "u0": [np.nan, *np.sin(np.arange(399.0))]}, {}, ModelError, "'u0' has gaps as"),
     ],
 )  # fmt: skip

@@ -58,7 +58,7 @@ def test_an_fmu_and_a_design_give_the_names_of_their_variables():
 
 def test_wrong_names_are_refused():
     model = LinearModel.from_control(SYSTEM, **NOISE)
-    with pytest.raises(ModelError, match="names for 1 sensors, but 2 sensors"):
+    with pytest.raises(ModelError, match="names for 1 sensors, but it has 2 sensors"):
         replace(model, names=controllers.SignalNames(["force"], ["v"], ["speed", "motor"]))
 
 

@@ -231,7 +231,7 @@ def test_learned_on_a_healthy_run_of_the_shipped_car():
         (lambda: ExplicitDetection(threshold=None), "threshold=None; it must be a number above 0"),
         (
             lambda: ExplicitDetection(threshold=ChebyshevThreshold()),
-            r"has not been fitted; give it Cheb.*\.fit\(residuals\)",
+            r"is not fitted; give Cheb.*\.fit\(residuals\)",
         ),
         (lambda: ExplicitDetection(hold=0.0), "finite number above 0"),
         (lambda: ExplicitDetection(hold="0.4"), "hold='0.4'; it must be a finite number above 0"),
@@ -243,7 +243,7 @@ def test_learned_on_a_healthy_run_of_the_shipped_car():
             lambda: ExplicitDetection(
                 controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
             ).learner(MODEL),
-            "cannot be told; do without ExplicitDetection, or leave the actuator modes out",
+            "cannot be inferred; leave out ExplicitDetection, or leave the actuator modes out",
         ),
         (lambda: ExplicitDetection(groups=[]), "give a list of groups"),
         (lambda: ExplicitDetection(groups=[0, 1]), "each a list of sensors by their numbers"),

@@ -228,5 +228,5 @@ def test_bad_settings(make, words):
 
 def test_why_there_is_no_probability():
     assert "calibration" in str(VariationalBayesKF().why_no_probability)
-    assert "StudentTUpdate weighs" in str(StudentTUpdate().why_no_probability)
-    assert "WeightedLikelihood weighs" in str(WeightedLikelihood().why_no_probability)
+    assert "StudentTUpdate weights" in str(StudentTUpdate().why_no_probability)
+    assert "WeightedLikelihood weights" in str(WeightedLikelihood().why_no_probability)

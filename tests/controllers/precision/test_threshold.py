@@ -97,10 +97,10 @@ def healthy(shape=(1000, 2)):
         (np.where(np.arange(2000).reshape(1000, 2) == 801, np.inf, healthy()), None, "NaN or inf"),
         (healthy() @ [[1.0, 2.0], [0.0, 0.0]], None, "singular"),
         (np.full(1000, 3.0), None, "singular"),
-        (frozen(healthy()), None, "number 1 has the same value 20 times in a row from sample 300 on"),
-        (jumped(healthy()), None, "number 0 has 40 of 1000 samples, from sample 400 on"),
+        (frozen(healthy()), None, "Number 1 has the same value 20 times in a row from sample 300 on"),
+        (jumped(healthy()), None, "Number 0 has 40 of 1000 samples, from sample 400 on"),
         (healthy(), np.arange(1000) == 7, "1 of the 1000 samples are labelled faulty"),
-        (healthy(), [False], "one label for each of 1000 samples"),
+        (healthy(), [False], "one label for each of the 1000 samples"),
         (healthy((10, 10, 10)), None, "a row for each sample"),
         (["a", "b"], None, "they must be numbers, a row for each sample"),
     ],
@@ -200,7 +200,7 @@ def test_healthy_samples_of_many_kinds_are_accepted(alpha):
         (lambda: FittedThreshold([0.0], [[-1.0]], 3.0), "covariance is not positive definite"),
         (lambda: FittedThreshold([0.0], [[1.0]], 0.0), "must be a number above 0"),
         (lambda: FittedThreshold("a", [[1.0]], 1.0), "mean is 'a'; it must be"),
-        (lambda: FittedThreshold([0.0, 0.0], 1.0, 3.0).distance([1.0, 2.0, 3.0]), "learned for 2 elements"),
+        (lambda: FittedThreshold([0.0, 0.0], 1.0, 3.0).distance([1.0, 2.0, 3.0]), "is for 2 elements"),
     ],
 )
 def test_bad_settings(make, words):

@@ -275,11 +275,11 @@ class Idle(Lone):
     [
         (lambda: SwitchingPrecision(actuator_modes=3), "give a list of actuator modes"),
         (lambda: SwitchingPrecision(actuator_modes=(controllers.Offset(),)), "give a list of actuator modes"),
-        (lambda: SwitchingPrecision(actuator_modes=[LostEffect]), r"the class LostEffect .* of it: LostEffect\(\)"),
+        (lambda: SwitchingPrecision(actuator_modes=[LostEffect]), r"the class LostEffect; .*: LostEffect\(\)"),
         (lambda: SwitchingPrecision(actuator_modes=[controllers.ActuatorMode()]), "has no method expected"),
         (lambda: SwitchingPrecision(actuator_modes=[Blind()]), r"Blind.expected is called .* it is expected\(\)"),
-        (lambda: SwitchingPrecision(actuator_modes=[Idle()]), "Idle does not say how it acts"),
-        (lambda: SwitchingPrecision(actuator_modes=[Lone()]).learner(MODEL), "Lone.expected gave 0.0"),
+        (lambda: SwitchingPrecision(actuator_modes=[Idle()]), "Idle has no effect"),
+        (lambda: SwitchingPrecision(actuator_modes=[Lone()]).learner(MODEL), "Lone.expected returned 0.0"),
         (lambda: SwitchingPrecision(actuator_modes=MODES, joint=False).learner(MODEL), "need the joint form"),
         (
             lambda: SwitchingPrecision(actuator_modes=(LostEffect(0.01),)).learner(MODEL),
@@ -297,7 +297,7 @@ class Idle(Lone):
             ),
             "control 0 of the model moves no state",
         ),
-        (lambda: SwitchingPrecision(actuator_modes=(Vague(),)).learner(MODEL), "Vague.expected gave"),
+        (lambda: SwitchingPrecision(actuator_modes=(Vague(),)).learner(MODEL), "Vague.expected returned"),
         (lambda: SwitchingPrecision(modes=(controllers.Offset(0.03),)).learner(MODEL), "too short for the joint form"),
         (lambda: InputOffset(jump=-1.0), "jump=-1.0"),
         (lambda: LostEffect(share=3.0), "share=3.0"),

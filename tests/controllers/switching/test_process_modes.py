@@ -221,7 +221,7 @@ def test_they_are_a_part_of_the_joint_form(precision, ports):
             "^X learns .* leave the process modes out",
         ),
         (lambda: SwitchingPrecision(process_modes=3), "give a list of process modes"),
-        (lambda: SwitchingPrecision(process_modes=[NoisierProcess]), r"give a mode made of it: NoisierProcess\(\)"),
+        (lambda: SwitchingPrecision(process_modes=[NoisierProcess]), r"give an instance: NoisierProcess\(\)"),
     ],
 )
 def test_bad_settings(make, words):
