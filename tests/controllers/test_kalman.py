@@ -193,7 +193,7 @@ def test_what_computes_by_filterpy_says_where_it_cannot(tmp_path):
     assert np.isfinite(result["controller.u"]).all()
     assert controllers.check_kalman(result, controller, y="sensors.y").steps == 51
     assert controllers.check_kalman(result, controller, y="sensors.y", most=10).steps == 10
-    with pytest.raises(ModelError, match=r"belief='joint' has a belief of its own.*filter='own'"):
+    with pytest.raises(ModelError, match=r"belief='joint' has its own belief.*filter='own'"):
         controllers.BayesianController(model, precision=learner, belief="joint")
     with pytest.raises(ModelError, match="filter='own'"):
         controllers.ExplicitDetection(learner).learner(model)
