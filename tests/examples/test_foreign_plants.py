@@ -131,13 +131,13 @@ def refused(file, *parts, measured="y", actuated="u", **options):
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_without_an_input(written):
     file = written("Alone", "self.y += step * (1.0 - self.y)", inputs=())
-    refused(file, "The FMU 'alone' has no input, so there is nothing that could control it", "`bayesftc monitor`")
+    refused(file, "The FMU 'alone' has no input that could control it", "`bayesftc monitor`")
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_without_an_output(written):
     file = written("Blind", "self.x += step * (self.u - self.x)", outputs=())
-    refused(file, "The FMU 'blind' has no output, so no sensor could see it", "it has none either")
+    refused(file, "The FMU 'blind' has no output that a sensor could measure", "it has none either")
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
@@ -173,7 +173,7 @@ def equations(tmp_path, monkeypatch):
 
 def test_without_a_state(equations):
     file = equations({}, lambda u: 3 * u)
-    refused(file, "The FMU 'plant' has no state: its outputs follow its inputs at once (a relative degree of 0)")
+    refused(file, "The FMU 'plant' has no state. Its outputs depend directly on its inputs (a relative degree of 0)")
 
 
 def test_an_output_that_depends_at_once_on_the_input(equations):
@@ -221,7 +221,7 @@ def test_a_control_without_effect_where_the_plant_rests():
 
     refuse_unmoved(linear, ["voltage"])
     with pytest.raises(
-        ModelError, match="voltage moves nothing about the operating point, so the plant is not controllable"
+        ModelError, match="voltage has no effect about the operating point, so it cannot control the plant"
     ):
         refuse_unmoved(still, ["voltage"])
 
