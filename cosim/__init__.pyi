@@ -7,6 +7,24 @@ from .blocks.camera import (
     planar_arm as planar_arm,
     radial_distortion as radial_distortion,
 )
+from .blocks.combining import (
+    Compare as Compare,
+    Logic as Logic,
+    Maximum as Maximum,
+    Minimum as Minimum,
+    Product as Product,
+    Switch as Switch,
+)
+from .blocks.elementwise import (
+    Abs as Abs,
+    DeadZone as DeadZone,
+    LookupTable as LookupTable,
+    LookupTable2D as LookupTable2D,
+    Polynomial as Polynomial,
+    Quantizer as Quantizer,
+    Sign as Sign,
+)
+from .blocks.excitation import PRBS as PRBS, Chirp as Chirp, Pulse as Pulse, Recorded as Recorded
 from .blocks.faults.kinds import (
     FAULTS as FAULTS,
     Bias as Bias,
@@ -27,6 +45,16 @@ from .blocks.faults.kinds import (
     Stuck as Stuck,
 )
 from .blocks.mathblocks import Gain as Gain, Saturation as Saturation, Sum as Sum, UnitDelay as UnitDelay
+from .blocks.memory import (
+    Counter as Counter,
+    ExponentialFilter as ExponentialFilter,
+    Hysteresis as Hysteresis,
+    Integrator as Integrator,
+    MovingAverage as MovingAverage,
+    RateLimiter as RateLimiter,
+    SampleAndHold as SampleAndHold,
+    VariableDelay as VariableDelay,
+)
 from .blocks.sensors import Sensors as Sensors
 from .blocks.sources import (
     Constant as Constant,
@@ -38,6 +66,7 @@ from .blocks.sources import (
     Table as Table,
 )
 from .blocks.state_space import StateSpace as StateSpace
+from .blocks.transfer_function import TransferFunction as TransferFunction
 from .campaign.campaign import Campaign as Campaign
 from .campaign.designs.design import Design as Design, Grid as Grid, Points as Points
 from .campaign.designs.factors import varied as varied

@@ -132,8 +132,7 @@ class Functions:
 
     def name(self, wanted: str) -> str:
         """Return a name for something of the file, like this one and not taken, and take it."""
-        plain = self.allowed(wanted)
-        plain = plain.lstrip("_") or plain  # C keeps such names of files for itself
+        plain = self.allowed(wanted.lstrip("_") or wanted)  # C keeps names of files that begin so for itself
         found, count = plain, 1
         while found in self._names:
             count += 1

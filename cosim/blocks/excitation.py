@@ -1,0 +1,286 @@
+"""Sources that excite or replay: pulses, a pseudo-random binary sequence, a chirp, a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from math import log
+from pathlib import Path
+
+import numpy as np
+
+from bayesftc.cosim.base.numbers import reals
+from bayesftc.cosim.block import Definition
+from bayesftc.cosim.blocks.elementwise import place
+from bayesftc.cosim.blocks.sources import TAU, Source
+from bayesftc.cosim.errors import ModelError, RecordingError, did_you_mean
+from bayesftc.cosim.ops import exp, floor, select, sin
+
+EDGE = 1e-9
+"""Share of a period by which an edge may lie behind a sample and count at it: times are rounded."""
+
+
+def _pulse(t, amplitude, period, width, offset, start, y):
+    turns = (t - start[0]) / period[0] + EDGE
+    on = turns - floor(turns) < width[0]
+    y[0] = offset[0] + select(t >= start[0] - EDGE * period[0], select(on, amplitude[0], 0.0), 0.0)
+
+
+@dataclass(frozen=True)
+class Pulse(Source):
+    """Rectangular pulses: in each period first ``offset + amplitude``, then ``offset``.
+
+    Parameters
+    ----------
+    amplitude : float
+        Height of a pulse.
+    period : float
+        Seconds. From one pulse to the next.
+    width : float
+        Share of the period in which the pulse is on, between 0 and 1.
+    offset : float
+        What the output is between the pulses.
+    start : float
+        Seconds. When the first pulse begins.
+    unit : str or None
+        Unit of the output.
+    """
+
+    amplitude: float = field(metadata={"unit": "{y}"})
+    period: float = field(metadata={"unit": "s"})
+    width: float = 0.5
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
+    start: float = field(default=0.0, metadata={"unit": "s"})
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check("amplitude", "period", "width", "offset", "start")
+        if self.period <= 0 or not 0 < self.width < 1:
+            raise ModelError(
+                f"Pulse has period={self.period!r}, width={self.width!r}; the period must be positive, the width "
+                "between 0 and 1."
+            )
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        names = ("amplitude", "period", "width", "offset", "start")
+        return Definition(_pulse, parameters={name: getattr(self, name) for name in names})
+
+
+TAPS = {3: 2, 4: 3, 5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9, 15: 14, 17: 14, 18: 11, 20: 17}
+"""Length of the shift register: the place that is added to the last; each gives a sequence of the longest period."""
+
+
+def _prbs(t, register, drawn, interval, tap, amplitude, offset, y):
+    n = register.shape[0]
+    passed = floor(t / interval[0] + EDGE)
+    new = select(passed > drawn[0], 1.0, 0.0)
+    drawn[0] = select(passed > drawn[0], passed, drawn[0])
+    other = 0.0
+    for i in range(n):
+        other = other + select(tap[0] == i + 1, register[i], 0.0)
+    first = register[n - 1] + other - 2.0 * register[n - 1] * other  # exclusive or
+    for i in range(n - 1, 0, -1):
+        register[i] = select(new > 0.5, register[i - 1], register[i])
+    register[0] = select(new > 0.5, first, register[0])
+    y[0] = offset[0] + amplitude[0] * (2.0 * register[n - 1] - 1.0)
+
+
+@dataclass(frozen=True)
+class PRBS(Source):
+    """Pseudo-random binary sequence: ``offset + amplitude`` or ``offset - amplitude``, as white as two values can be.
+
+    A shift register of `order` bits gives a sequence that repeats after ``2**order - 1`` intervals. It excites all frequencies
+    up to about ``0.4 / interval`` Hz alike, for `identify`.
+
+    Parameters
+    ----------
+    amplitude : float
+        How far the output is from `offset`.
+    interval : float
+        Seconds for which each bit lasts; a multiple of the block's step.
+    order : int
+        Bits of the register: 3 to 7, 9 to 11, 15, 17, 18 or 20.
+    offset : float
+        Between the two values.
+    unit : str or None
+        Unit of the output.
+
+    References
+    ----------
+    L. Ljung, System Identification: Theory for the User, 2nd ed., 1999, section 13.3.
+    """
+
+    amplitude: float = field(metadata={"unit": "{y}"})
+    interval: float = field(metadata={"unit": "s"})
+    order: int = 7
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check("amplitude", "interval", "offset")
+        if self.interval <= 0:
+            raise ModelError(f"PRBS has interval={self.interval!r}; it must be positive.")
+        if self.order not in TAPS:
+            raise ModelError(f"PRBS has order={self.order!r}; it must be one of {', '.join(map(str, TAPS))}.")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        names = ("interval", "amplitude", "offset")
+        parameters = {name: getattr(self, name) for name in names} | {"tap": float(TAPS[self.order])}
+        return Definition(_prbs, state={"register": np.ones(self.order), "drawn": 0.0}, parameters=parameters)
+
+
+def _linear_chirp(t, amplitude, offset, begin, end, duration, y):
+    passed = select(t < duration[0], t, duration[0])
+    turns = begin[0] * passed + 0.5 * (end[0] - begin[0]) / duration[0] * passed * passed
+    y[0] = offset[0] + amplitude[0] * sin(TAU * (turns + end[0] * (t - passed)))
+
+
+def _exponential_chirp(t, amplitude, offset, begin, end, duration, growth, y):
+    passed = select(t < duration[0], t, duration[0])
+    turns = begin[0] * duration[0] / growth[0] * (exp(growth[0] * passed / duration[0]) - 1.0)
+    y[0] = offset[0] + amplitude[0] * sin(TAU * (turns + end[0] * (t - passed)))
+
+
+@dataclass(frozen=True)
+class Chirp(Source):
+    """A sine whose frequency rises or falls from `begin` to `end` within `duration` seconds, and then stays.
+
+    Parameters
+    ----------
+    amplitude : float
+        How far the output swings to either side.
+    begin, end : float
+        Hertz. Frequencies, positive.
+    duration : float
+        Seconds in which the one becomes the other.
+    sweep : {"linear", "exponential"}
+        Whether the frequency changes by as much, or by the same factor, in each second.
+    offset : float
+        What the output swings about.
+    unit : str or None
+        Unit of the output.
+    """
+
+    amplitude: float = field(metadata={"unit": "{y}"})
+    begin: float = field(metadata={"unit": "Hz"})
+    end: float = field(metadata={"unit": "Hz"})
+    duration: float = field(metadata={"unit": "s"})
+    sweep: str = "linear"
+    offset: float = field(default=0.0, metadata={"unit": "{y}"})
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        self._check("amplitude", "begin", "end", "duration", "offset")
+        for name in ("begin", "end", "duration"):
+            if getattr(self, name) <= 0:
+                raise ModelError(f"Chirp has {name}={getattr(self, name)!r}; it must be positive.")
+        if self.sweep not in {"linear", "exponential"}:
+            raise ModelError(f"Chirp has sweep={self.sweep!r}; it must be 'linear' or 'exponential'.")
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        names = ("amplitude", "offset", "begin", "end", "duration")
+        parameters = {name: getattr(self, name) for name in names}
+        if self.sweep == "linear" or self.begin == self.end:
+            return Definition(_linear_chirp, parameters=parameters)
+        return Definition(_exponential_chirp, parameters=parameters | {"growth": log(self.end / self.begin)})
+
+
+def _held_recording(t, times, values, y):
+    last = times.shape[0] - 1
+    y[0] = select(t >= times[last], values[last], values[place(times, t)])
+
+
+def _linear_recording(t, times, values, y):
+    last = times.shape[0] - 1
+    i = place(times, t)
+    share = (t - times[i]) / (times[i + 1] - times[i])
+    between = values[i] + share * (values[i + 1] - values[i])
+    y[0] = select(t >= times[last], values[last], select(t <= times[0], values[0], between))
+
+
+@dataclass(frozen=True)
+class Recorded(Source):
+    """A recorded signal: linear between its samples, or held from each to the next; constant outside.
+
+    `Table` has the same outputs for few points. This finds the samples of a long recording at once.
+
+    Parameters
+    ----------
+    times : sequence of float
+        Seconds, strictly rising; at least two.
+    values : sequence of float
+        As many values.
+    interpolate : bool
+        True for straight lines, False to hold each value until the next.
+    unit : str or None
+        Unit of the output.
+    """
+
+    times: Sequence[float] = field(metadata={"unit": "s"}, repr=False)
+    values: Sequence[float] = field(metadata={"unit": "{y}"}, repr=False)
+    interpolate: bool = True
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        times, values = reals(self.times), reals(self.values)
+        if times.ndim != 1 or times.shape != values.shape or len(times) < 2:
+            raise ModelError(
+                f"Recorded needs as many times as values, at least two; it has {times.shape} and {values.shape}."
+            )
+        if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
+            raise ModelError(
+                "Recorded needs finite values at strictly rising times; sort the data and drop what is missing."
+            )
+        object.__setattr__(self, "times", tuple(times.tolist()))
+        object.__setattr__(self, "values", tuple(values.tolist()))
+
+    @classmethod
+    def read(
+        cls, file: str | Path, column: str, *, time: str = "time", interpolate: bool = True, unit: str | None = None
+    ) -> Recorded:
+        """Return the signal in a column of a CSV or Parquet file; rows without a sample are left out.
+
+        Parameters
+        ----------
+        file : str or Path
+            The file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
+        column : str
+            Name of the column.
+        time : str
+            Name of the column with the times in seconds.
+        interpolate, unit
+            As of the class.
+
+        Raises
+        ------
+        RecordingError
+            If the file cannot be read, has no such column, or has text in one of them.
+        ModelError
+            If fewer than two samples are left, or their times do not rise.
+        """
+        import pandas as pd
+
+        try:
+            table = pd.read_parquet(file) if Path(file).suffix == ".parquet" else pd.read_csv(file)
+        except Exception as error:  # noqa: BLE001 - of pandas, of a codec, of the system
+            raise RecordingError(f"{file} cannot be read as a table: {error}.") from None
+        for name in (time, column):
+            if name not in table:
+                raise RecordingError(f"{file} has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")
+        try:
+            rows = table[[time, column]].astype(float).dropna()
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"{file} has text in {time!r} or {column!r}: {error}.") from None
+        return cls(rows[time].tolist(), rows[column].tolist(), interpolate, unit)
+
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        parameters = {"times": np.array(self.times), "values": np.array(self.values)}
+        return Definition(_linear_recording if self.interpolate else _held_recording, parameters=parameters)
+
+
+__all__ = ["PRBS", "Chirp", "Pulse", "Recorded"]
