@@ -36,31 +36,31 @@ class Jacobians(NamedTuple):
 class ModelEquations:
     """The right-hand side and the outputs of a model exchange FMU, evaluated at any point.
 
-    A running instance of its own, initialized with the block's parameters, that nobody integrates. Discrete states (positions
-    of switches, counters) are those after initialization until `settle` lets events happen. Close it in the end, or use it in
-    a ``with`` statement; it pickles (a copy begins after initialization).
+    It is a separate instance, initialized with the block's parameters, and is not integrated. Discrete states (positions of
+    switches, counters) keep their values after initialization until `settle` triggers events. Close it in the end, or use it
+    in a ``with`` statement. It can be pickled; a copy begins after initialization.
 
     Parameters
     ----------
     fmu : FMU or path
-        The FMU; a block's parameters, inputs and outputs hold, also where the block is for co-simulation and the file can do
-        both.
+        The FMU. A block's parameters, inputs and outputs are used, also if the block is for co-simulation and the file
+        supports both kinds.
 
     Attributes
     ----------
     state_names, input_names, output_names : tuple of str
-        Elements of x, u and y; of an array each with its index, as ``"T[0]"`` (of a matrix ``"T[0][1]"``).
+        Elements of x, u and y. Elements of arrays have an index, as ``"T[0]"`` (of a matrix ``"T[0][1]"``).
     x0, u0 : ndarray
         States after initialization, start values of the inputs.
     nominals : ndarray
-        Nominal values of the states: their orders of magnitude.
+        Nominal values (orders of magnitude) of the states.
     has_directional_derivatives : bool
-        Whether `jacobians` asks the FMU, else it takes central differences.
+        Whether `jacobians` uses the FMU's directional derivatives; else it uses central differences.
 
     Raises
     ------
     FMUError
-        If the FMU is not for model exchange, or refuses to be initialized.
+        If the FMU is not for model exchange, or its initialization fails.
 
     Examples
     --------
@@ -77,18 +77,18 @@ class ModelEquations:
         info = description.exchange
         if info is None:
             raise FMUError(
-                f"The FMU {archive.path} is not for model exchange, so its states and derivatives cannot be evaluated: export it "
+                f"The FMU {archive.path} is not for model exchange, so its states and derivatives cannot be evaluated. Export it "
                 "for model exchange, or identify a model from its inputs and outputs."
             )
         beginning, outputs = fmu._variables()
         beginning = replace(beginning, tolerance=fmu.rtol or DEFAULT_TOLERANCE)
         inputs = list(beginning.inputs)
         self._model = ExchangeModel(load_model(archive, description), fmu.default_name, beginning, outputs)
-        given: Any = fmu.parameters or {}
-        variables = resolved(archive, description, given)
+        parameters: Any = fmu.parameters or {}
+        variables = resolved(archive, description, parameters)
         states = [variables[v.name] for v in info.states]
-        names = [name for name, _ in element_names(states)] if states else self._model.state_names
-        self.state_names: tuple[str, ...] = tuple(names)
+        state_names = [name for name, _ in element_names(states)] if states else self._model.state_names
+        self.state_names: tuple[str, ...] = tuple(state_names)
         self.input_names, self.output_names = (
             tuple(name for name, _ in element_names(side)) for side in (inputs, outputs)
         )
@@ -122,7 +122,7 @@ class ModelEquations:
         ModelError
             If x or u has another size.
         FMUError
-            If the FMU fails there, with its log.
+            If the FMU fails at this point. The message quotes its log.
         """
         self._place(x, u, t)
         result = np.zeros(self._model.nx)
@@ -130,16 +130,16 @@ class ModelEquations:
         return result
 
     def outputs(self, x: ArrayLike, u: ArrayLike, t: float = 0.0) -> Floats:
-        """Return y; arguments and errors as of `derivatives`."""
+        """Return y. Arguments and errors are those of `derivatives`."""
         self._place(x, u, t)
         result = np.zeros(len(self.output_names))
         self._try(lambda: self._model.read_outputs(result))
         return result
 
     def settle(self, x: ArrayLike, u: ArrayLike, t: float = 0.0) -> Floats:
-        """Let events happen at a point: discrete states take the values that belong to it; return the states after that.
+        """Trigger events at a point, so that discrete states take their values there; return the continuous states.
 
-        Arguments and errors are as of `derivatives`.
+        Arguments and errors are those of `derivatives`.
         """
         self._place(x, u, t)
         self._try(lambda: self._model.event(np.asarray(u, dtype=np.float64)))
@@ -148,22 +148,22 @@ class ModelEquations:
     def jacobians(self, x: ArrayLike, u: ArrayLike, t: float = 0.0) -> Jacobians:
         """Return the matrices A, B, C, D of the linearization at a point.
 
-        By the FMU's directional derivatives where it has them and all inputs are continuous, else by central differences with
-        steps of 6e-6 times the state or input, or its nominal value where that is larger (1 of an input). Outputs that are whole
-        numbers have derivatives of zero. Arguments and errors are as of `derivatives`; a ModelError, too, if an input is a whole
-        number.
+        The FMU's directional derivatives are used if it has them and all inputs are continuous. Else central differences are
+        used. Their step is 6e-6 times the state or input, or times its nominal value (1 for an input) if that is larger.
+        Outputs that are whole numbers have derivatives of zero. Arguments and errors are those of `derivatives`. An input that
+        is a whole number is a ModelError, too.
         """
         x, u = self._checked(x, u)
         if self._whole:
             raise ModelError(
-                f"The FMU {self._model.library.description.name!r} has no derivative with respect to {self._whole[0]!r}, a whole "
-                "number; leave it out of inputs=, so that it keeps its start value."
+                f"The FMU {self._model.library.description.name!r} has no derivative with respect to {self._whole[0]!r}, which "
+                "is a whole number. Leave it out of inputs=, so that it keeps its start value."
             )
         nx, nu = len(x), len(u)
         columns = np.zeros((nx + len(self.output_names), nx + nu))
         if (
             self.has_directional_derivatives and not self._model.jumps
-        ):  # FMI gives none by parameters or discrete inputs
+        ):  # FMI defines no derivatives by parameters or discrete inputs
             self._place(x, u, t)
             for i in range(nx + nu):
                 seed, column = np.zeros(nx + nu), np.zeros(len(self._rows))
@@ -208,11 +208,11 @@ class ModelEquations:
         for array, names, what in ((x, self.state_names, "x"), (u, self.input_names, "u")):
             if array.shape != (len(names),):
                 raise ModelError(
-                    f"{what} has the shape {array.shape}; the FMU {self._model.library.description.name!r} wants "
+                    f"{what} has the shape {array.shape}, but the FMU {self._model.library.description.name!r} needs "
                     f"{len(names)} numbers: {', '.join(names) or 'none'}."
                 )
         if not self._model.component:
-            raise FMUError("These equations are closed; make new ones of the FMU.")
+            raise FMUError("These equations are closed. Create new ModelEquations from the FMU.")
         return x, u
 
     def _place(self, x: ArrayLike, u: ArrayLike, t: float) -> None:
@@ -243,7 +243,7 @@ class ModelEquations:
         except (CallError, StopError) as error:
             model = self._model
             raise FMUError(
-                f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {error}; evaluate it where its "
+                f"The FMU {model.library.description.name!r} fails at t = {model.time:g} s: {error}. Evaluate it where its "
                 f"equations hold. {model.messages.quoted()}"
             ) from None
 

@@ -1,4 +1,4 @@
-"""FMUs as blocks: plants from any tool, or controllers that were exported, of FMI 1.0, 2.0 or 3.0, of either kind."""
+"""FMUs as blocks: plants from any tool, or exported controllers; FMI 1.0, 2.0 or 3.0, co-simulation or model exchange."""
 
 from __future__ import annotations
 
@@ -28,71 +28,70 @@ from bayesftc.cosim.ports import Port, listed
 class FMU(ExternalBlock):
     """An FMU of FMI 1.0, 2.0 or 3.0; its inputs and outputs that are numbers become ports.
 
-    The file is read and checked when the block is made; it is unpacked (once per machine) and its binary loaded (once per
-    process) when a run begins, and each run has a new instance. Time starts at 0 and has no end.
+    The file is read and checked when the block is made. When a run begins, the file is unpacked (once per machine) and its
+    binary is loaded (once per process). Each run has a new instance. Time starts at 0 and has no end.
 
     Parameters
     ----------
     path : str or path
         The ``.fmu`` file.
     parameters : mapping, optional
-        Start values by name: parameters, and whatever else may be set before initialization (an input's start value is its
-        value while nothing is connected to it). Numbers are in the variables' own units, or have one: ``"100 km/h"`` or
-        ``(30, "deg")``, with the FMU's own units and those of pint. Arrays are nested sequences, row by row; structural
-        parameters say how large arrays are; enumerations are names or numbers. After construction: plain values in the
-        variables' own units.
+        Start values by name, of parameters and of whatever else may be set before initialization. An unconnected input keeps
+        its start value. Numbers are in the variables' units, or have a unit: ``"100 km/h"`` or ``(30, "deg")``. Units are the
+        FMU's and those of pint. Arrays are nested sequences, row by row. Structural parameters set the sizes of arrays.
+        Enumerations are names or numbers. After construction: plain values in the variables' units.
     inputs, outputs : sequence of str, optional
         Names of the variables that become ports; by default all inputs and outputs that are numbers. Local variables and
-        parameters may be outputs as well. Arrays are vector and matrix ports; whole numbers,
-        Booleans (0 or 1) and enumerations are converted exactly, and an input that its type does not hold stops the run. An
-        input that is left out keeps its start value. After construction these hold the ports.
+        parameters may be outputs as well. Arrays become vector and matrix ports. Whole numbers, Booleans (0 or 1) and
+        enumerations are converted exactly. An input value that its type cannot represent stops the run. An input that is left
+        out keeps its start value. After construction: the ports.
     tunable : sequence of str, optional
-        Names of tunable parameters that become inputs, with their start value while nothing is connected: a source can change
-        them while the FMU runs.
+        Names of tunable parameters that become inputs, so that a source can change them while the FMU runs. Unconnected ones
+        keep their start value.
     timing : {"plant", "direct", "sampled"}, optional
-        ``"plant"``: the outputs at t_k are read before the step that the inputs at t_k take to t_k+1. ``"sampled"``: the FMU
-        makes its step with the inputs at t_k and its outputs count at t_k, as a controller's do. ``"direct"``, for model
-        exchange only: the outputs at t_k are computed from the inputs at t_k, before the step; inputs on which an output
-        depends feed through. By default what the FMU says of itself (exports of this package do); else ``"direct"`` for
-        model exchange where an output depends on an input or nothing is said of that, and ``"plant"`` otherwise; for
-        co-simulation a ``"plant"`` that was not asked for warns where outputs depend at once on inputs.
+        ``"plant"``: the outputs at t_k are read before the step from t_k to t_k+1, which uses the inputs at t_k.
+        ``"sampled"``: the FMU makes its step with the inputs at t_k, and its outputs count at t_k, as a controller's do.
+        ``"direct"``, for model exchange only: the outputs at t_k are computed from the inputs at t_k, before the step. Inputs
+        on which an output depends feed through. The default is the timing that the description states (exports of this package
+        state one). Else it is ``"direct"`` for model exchange if an output depends on an input or no dependencies are
+        declared, and ``"plant"`` otherwise.
     name : str, optional
-        Name under which a diagram adds it; the model's name in small letters by default.
+        Name of the block in a diagram; by default the model's name in lower case.
     validate : bool
         False to accept a model description that breaks the rules of FMI, at your own risk.
     kind : {"co-simulation", "model exchange"}, optional
-        As what to use it: by default for co-simulation where it can, else for model exchange, as an ordinary differential
-        equation that is integrated here, with its events.
+        How to use the FMU. The default is co-simulation if the FMU supports it, else model exchange. In model exchange, its
+        ordinary differential equations and events are solved here.
     solver : str, optional
-        For model exchange: ``"cvode"`` (by default), for any plant; ``"rk45"`` (Runge-Kutta), faster and more accurate for one
-        that is not stiff; or ``"scipy:METHOD"`` with a method of ``scipy.integrate.solve_ivp``, as ``"scipy:LSODA"``.
+        For model exchange: ``"cvode"`` (default), for any plant; ``"rk45"`` (Runge-Kutta), faster and more accurate for plants
+        that are not stiff; or ``"scipy:METHOD"`` with a method of ``scipy.integrate.solve_ivp``, as ``"scipy:LSODA"``.
     rtol : float, optional
-        Relative tolerance, by default the FMU's own: of the integrator for model exchange (else 1e-6); for co-simulation the
-        FMU is told it, and does with it what it does (else it is told none).
+        Relative tolerance; by default that of the FMU's default experiment. In model exchange it is the integrator's (else
+        1e-6). In co-simulation it is passed to the FMU (else none is).
     atol : float, optional
-        For model exchange: absolute tolerance of all states, by default rtol times each state's nominal value.
+        For model exchange: absolute tolerance of all states; by default rtol times each state's nominal value.
     isolate : bool
-        Run each instance in a process of its own: what would take this process down becomes `FMUCrashed`. On Linux
-        only; elsewhere an `FMUError` says so.
+        Run each instance in a separate process: a crash ends the FMU's process, not yours, and raises `FMUCrashed`. Linux
+        only; an `FMUError` elsewhere.
     time_limit : float, optional
-        With `isolate`: seconds that a call of the FMU, its initialization or one step, may take before its process is ended;
-        10 by default, ``math.inf`` for no end.
+        With `isolate`: seconds that a call of the FMU (its initialization, or one step) may take. After that its process is
+        ended. 10 by default, ``math.inf`` for no limit.
 
     Raises
     ------
     FMUError
-        If the file is missing or damaged, no FMU of FMI 1.0, 2.0 or 3.0 of that kind, has no binary for this platform, or a
-        variable cannot be what it was asked to be.
+        If the file is missing or damaged, is no FMU of FMI 1.0, 2.0 or 3.0 of that kind, or has no binary for this platform.
+        If a variable cannot be used as requested.
     ModelError
-        If a solver or tolerance is none, or a solver or absolute tolerance is given for co-simulation.
+        If a solver or tolerance is not valid, or a solver or absolute tolerance is given for co-simulation.
     UnknownNameError
-        If it has no variable of that name.
+        If the FMU has no variable of that name.
 
     Warns
     -----
     UserWarning
-        If outputs depend at once on inputs by the FMU's own account (or for lack of one), and `timing` is not given: as a
-        plant's, these outputs show the inputs of the step before.
+        If the FMU declares that outputs depend on inputs of the same instant, but is used for co-simulation with the timing
+        ``"plant"`` by default. Such outputs show the inputs of the previous step.
 
     Examples
     --------
@@ -119,7 +118,7 @@ class FMU(ExternalBlock):
 
     @property
     def checks_finite(self) -> bool:  # type: ignore[override]
-        """Whether a NaN in the outputs stops the run: not of what was exported, but for plants; there it is a missing sample."""
+        """Whether a NaN in the outputs stops the run: yes for plants; of an exported controller it is a missing sample."""
         return self.description.timing != "sampled" and self.description.finite
 
     def __post_init__(self) -> None:
@@ -128,7 +127,7 @@ class FMU(ExternalBlock):
         check_isolation(self.isolate, self.time_limit)
         path = absolute(self.path, "FMU", "an .fmu file", ModelError)
         if self.name is not None and not isinstance(self.name, str):
-            raise ModelError(f"FMU has name={self.name!r}; it must be a text, as 'plant'.")
+            raise ModelError(f"FMU has name={self.name!r}; it must be a string, as 'plant'.")
         if not isinstance(self.validate, bool):
             raise ModelError(f"FMU has validate={self.validate!r}; it must be True or False.")
         set_ = object.__setattr__
@@ -144,14 +143,14 @@ class FMU(ExternalBlock):
         settings = checked_settings(archive, description, exchange, self.solver, self.rtol, self.atol)
         for name, value in settings.items():
             set_(self, name, value)
-        asked = self.timing
-        if asked == "direct" and not exchange:
+        requested = self.timing
+        if requested == "direct" and not exchange:
             raise ModelError(
-                f"FMU has timing='direct', but {archive.path.name} is used for co-simulation, where an output cannot show the "
-                "inputs of the same instant without a step: give timing='plant' or 'sampled', or kind='model exchange'."
+                f"FMU has timing='direct', but {archive.path.name} is used for co-simulation. There outputs cannot show inputs "
+                "of the same instant without a step. Give timing='plant' or 'sampled', or kind='model exchange'."
             )
-        own = "direct" if exchange else "plant"
-        set_(self, "timing", asked or description.timing or own)
+        default = "direct" if exchange else "plant"
+        set_(self, "timing", requested or description.timing or default)
         set_(self, "name", self.name or "".join(description.name.lower().split()))
         set_(self, "parameters", start_values(archive, description, self.parameters or {}, validate=self.validate))
         set_(self, "tunable", tuple(self.tunable) if isinstance(self.tunable, list | tuple) else self.tunable)
@@ -169,20 +168,20 @@ class FMU(ExternalBlock):
         chosen["input"] += choose_tunable(archive, variables, self.tunable)
         states = {v.name for v in description.exchange.states} if exchange and description.exchange else set()
         # A state, or a parameter, depends on no input of the same instant.
-        still = states | {v.name for v in chosen["output"] if "arameter" in v.causality}
-        through = [() if v.name in still else description.feedthrough.get(v.name) for v in chosen["output"]]
+        independent = states | {v.name for v in chosen["output"] if "arameter" in v.causality}
+        dependencies = [() if v.name in independent else description.feedthrough.get(v.name) for v in chosen["output"]]
         reaching = {
-            # The model structure names inputs alone: an output may depend on any tunable parameter.
+            # The model structure lists inputs only: an output may depend on any tunable parameter.
             v.name
             for v in chosen["input"]
-            if any(names is None or v.name in names or v.causality == "parameter" for names in through)
+            if any(names is None or v.name in names or v.causality == "parameter" for names in dependencies)
         }
-        if asked is None and self.timing == "direct" and not reaching:
-            set_(self, "timing", "plant")  # there it is the same
+        if requested is None and self.timing == "direct" and not reaching:
+            set_(self, "timing", "plant")  # the same without feedthrough
         resized = {v.name for v in description.variables if v.start is not None}
         for side, ports in chosen.items():
             set_(self, f"{side}s", tuple(self._port(v, side, reaching, description.units, resized) for v in ports))
-        if asked is None and self.timing == "plant" and not exchange:
+        if requested is None and self.timing == "plant" and not exchange:
             late = late_outputs(archive, description, *self._sides)
             if late:
                 warnings.warn(late, stacklevel=3)  # at the line that makes the block
@@ -206,11 +205,11 @@ class FMU(ExternalBlock):
 
     @property
     def description(self) -> FMUDescription:
-        """What the FMU says of itself."""
+        """The FMU's model description."""
         return self._read()[1]
 
     def start_value(self, name: str) -> Value | None:
-        """Return the value of a variable before initialization: what `parameters` gives it, else what the FMU says.
+        """Return the value of a variable before initialization: from `parameters`, else from the model description.
 
         Parameters
         ----------
@@ -220,8 +219,8 @@ class FMU(ExternalBlock):
         Returns
         -------
         float, int, bool, str or tuple, or None
-            In the variable's own unit; of an array, tuples of tuples; None where the FMU computes it, and of an array whose
-            size structural parameters have changed.
+            In the variable's unit; of an array, tuples of tuples. None if the FMU computes it, and for an array whose size
+            structural parameters have changed.
 
         Raises
         ------
@@ -246,23 +245,25 @@ class FMU(ExternalBlock):
     @property
     def only_recorded(self) -> int:
         """See `Block.only_recorded`."""
-        found: int = vars(self).get("_only_recorded", 0)
-        return found
+        count: int = vars(self).get("_only_recorded", 0)
+        return count
 
     def watching(self, names: Iterable[str], *, only_recorded: bool = False) -> FMU:
         """See `Block.watching`: an FMU has local variables and parameters."""
         variables = {v.name: v for v in self.description.variables}
-        there = {port.name for side in self._sides for port in side}
+        present = {port.name for side in self._sides for port in side}
         # In FMI 2 ``body.r[1]`` is the name of a variable; in FMI 3 it may be an element of ``body.r``.
-        whole = [name if name in variables else re.sub(r"\[[\d,]+\]$", "", name) for name in names]
+        variable_names = [name if name in variables else re.sub(r"\[[\d,]+\]$", "", name) for name in names]
         further = [
-            n for n in whole if n in variables and n not in there and variables[n].causality in ("output", *WATCHED)
+            n
+            for n in variable_names
+            if n in variables and n not in present and variables[n].causality in ("output", *WATCHED)
         ]
         if not further:
             return self
         outputs = [port.name for port in self._sides[1]]
         watching = replace(self, outputs=[*outputs, *dict.fromkeys(further)])
-        # What is looked at changes nothing: inputs feed through to whom they fed through before.
+        # Recording further outputs must not change the order of computation: the inputs keep their feedthrough.
         object.__setattr__(watching, "inputs", self.inputs)
         if only_recorded:
             more = sum(port.size for port in watching._sides[1]) - sum(port.size for port in self._sides[1])
@@ -270,16 +271,16 @@ class FMU(ExternalBlock):
         return watching
 
     def instantiate(self, step: Fraction, name: str) -> External:
-        """Return a new initialized instance that makes steps of `step` seconds; close it in the end.
+        """Return a new initialized instance that makes steps of `step` seconds. Close it in the end.
 
         Raises
         ------
         FMUError
-            If the binary cannot be loaded, or the FMU refuses to be instantiated or initialized.
+            If the binary cannot be loaded, or the FMU's instantiation or initialization fails.
         StepSizeError
-            If the FMU makes steps of a fixed size, and `step` is no multiple of it.
+            If the FMU has a fixed step size, and `step` is no multiple of it.
         FMUCrashed
-            If it is isolated and its process dies meanwhile, or has to be ended.
+            If the FMU is isolated and its process crashes or exceeds the time limit.
         """
         if self.isolate:
             from bayesftc.cosim.isolation.instance import isolated
@@ -303,36 +304,36 @@ class FMU(ExternalBlock):
         return instance(load_library(archive, description), name, step, kind, beginning, outputs)
 
     def _variables(self) -> tuple[Beginning, list[FMUVariable]]:
-        """Return what an instance begins with, and the outputs."""
+        """Return the start values and inputs of an instance, and the outputs."""
         given = self._given
         variables = resolved(*self._read(), given)
         missing = [n for n in (*(p.name for side in self._sides for p in side), *given) if n not in variables]
         if missing:
             raise FMUError(
-                f"The FMU {self.path} was changed since it was read and has no {missing[0]!r} any more; read it again."
+                f"The FMU {self.path} has changed since it was read and no longer has {missing[0]!r}. Read it again."
             )
-        into = [variables[p.name] for p in self._sides[0]]
+        input_variables = [variables[p.name] for p in self._sides[0]]
         described = {v.name: v.start for v in self.description.variables}
-        own = {v for v in into if v.start is None and v.name not in given and described[v.name] is not None}
-        inputs = {variable: None if variable in own else value_of(variable, given) for variable in into}
+        free = {v for v in input_variables if v.start is None and v.name not in given and described[v.name] is not None}
+        inputs = {variable: None if variable in free else value_of(variable, given) for variable in input_variables}
         start = {variables[n]: value for n, value in given.items()}
         return Beginning(start, inputs, self.rtol or 0.0), [variables[p.name] for p in self._sides[1]]
 
     def _without_tunable(self, side: str) -> Sequence[str | Port] | None:
-        # A block that is made anew from its fields has its tunable parameters among the inputs.
-        wanted: Sequence[str | Port] | None = getattr(self, side)
-        if side == "outputs" or not isinstance(wanted, list | tuple):
-            return wanted
-        return [item for item in wanted if not (isinstance(item, Port) and item.name in self.tunable)]
+        # dataclasses.replace passes the ports again, and the tunable parameters are among the inputs.
+        requested: Sequence[str | Port] | None = getattr(self, side)
+        if side == "outputs" or not isinstance(requested, list | tuple):
+            return requested
+        return [item for item in requested if not (isinstance(item, Port) and item.name in self.tunable)]
 
     @property
     def _given(self) -> Mapping[str, Value]:
-        """The parameters once they are checked."""
+        """The parameters after they were checked."""
         return cast("Mapping[str, Value]", self.parameters or {})
 
     @property
     def _sides(self) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """The ports, which `inputs` and `outputs` hold once the block is made, whatever they were given as."""
+        """The ports that `inputs` and `outputs` hold after construction."""
         return cast("tuple[Port, ...]", self.inputs), cast("tuple[Port, ...]", self.outputs)
 
     def _read(self) -> tuple[Archive, FMUDescription]:
@@ -351,30 +352,30 @@ class FMU(ExternalBlock):
         meaning = definition.unit if definition else None
         if side == "output":
             return Port(variable.name, variable.shape, variable.unit, meaning=meaning)
-        # A start value that is NaN or infinite is none: a zero in its place would look like one.
-        known = variable.start is not None or variable.name in self._given or variable.name in resized
-        default = as_floats(value_of(variable, self._given)) if known else None
+        # A start value that is NaN or infinite counts as missing: a zero in its place would look like a start value.
+        has_start = variable.start is not None or variable.name in self._given or variable.name in resized
+        default = as_floats(value_of(variable, self._given)) if has_start else None
         feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
         return Port(variable.name, variable.shape, variable.unit, feedthrough, default, meaning=meaning)
 
 
 def _check_clocks(archive: Archive, description: FMUDescription) -> None:
-    """Refuse a model exchange FMU of which parts would stand still, as nobody ticks their clocks."""
+    """Refuse a model exchange FMU with time-based clocks: they would not tick, and its clocked parts would not be computed."""
     timed = [v.name for v in description.variables if v.causality == "input" and v.clock and v.clock.is_timed]
     if timed:
         raise FMUError(
-            f"The FMU {archive.path} has the clock {timed[0]!r}, and clocks tick in co-simulation only, not in model exchange: "
-            "export it for co-simulation with event mode, or without clocks."
+            f"The FMU {archive.path} has the clock {timed[0]!r}, but clocks tick in co-simulation only, not in model exchange. "
+            "Export it for co-simulation with event mode, or without clocks."
         )
 
 
 def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescription:
-    """Return what an FMU of FMI 1.0, 2.0 or 3.0 says of itself, without unpacking it or loading its binary.
+    """Return the description of an FMU of FMI 1.0, 2.0 or 3.0, without unpacking the file or loading its binary.
 
     Parameters
     ----------
     path : str or path
-        The ``.fmu`` file, of any kind (co-simulation or not) and for any platform.
+        The ``.fmu`` file, of any kind and for any platform.
     validate : bool
         False to accept a model description that breaks the rules of FMI.
 
@@ -386,7 +387,7 @@ def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescript
     Raises
     ------
     FMUError
-        If the file is missing or damaged, or no FMU of FMI 1.0, 2.0 or 3.0.
+        If the file is missing or damaged, or is no FMU of FMI 1.0, 2.0 or 3.0.
     """
     description = read_description(
         open_archive(absolute(path, "describe", "an .fmu file", FMUError)), validate=validate
@@ -396,28 +397,28 @@ def describe(path: str | PathLike[str], *, validate: bool = True) -> FMUDescript
     return description
 
 
-def _chosen_kind(archive: Archive, description: FMUDescription, asked: str | None) -> str:
-    """Return as what an FMU is used: what was asked for, else co-simulation where it can, else model exchange."""
+def _chosen_kind(archive: Archive, description: FMUDescription, requested: str | None) -> str:
+    """Return the kind in which an FMU is used: the requested one, else co-simulation if supported, else model exchange."""
     names = {
         "coSimulation": "co-simulation",
         "modelExchange": "model exchange",
         "scheduledExecution": "scheduled execution",
     }
-    have = [names[kind] for kind in description.kinds]
-    usable = [kind for kind in ("co-simulation", "model exchange") if kind in have]
-    if asked is not None and asked not in ("co-simulation", "model exchange"):
-        raise ModelError(f"FMU has kind={asked!r}; it must be 'co-simulation' or 'model exchange'.")
-    if asked is not None and asked not in usable:
+    supported = [names[kind] for kind in description.kinds]
+    usable = [kind for kind in ("co-simulation", "model exchange") if kind in supported]
+    if requested is not None and requested not in ("co-simulation", "model exchange"):
+        raise ModelError(f"FMU has kind={requested!r}; it must be 'co-simulation' or 'model exchange'.")
+    if requested is not None and requested not in usable:
         raise FMUVersionError(
-            f"The FMU {archive.path} cannot be used for {asked}, only for {' and '.join(have) or 'nothing'}: leave kind= out, "
-            "or export it for that."
+            f"The FMU {archive.path} cannot be used for {requested}, only for {' and '.join(supported) or 'nothing'}. Leave "
+            f"kind= out, or export it for {requested}."
         )
     if not usable:
         raise FMUVersionError(
-            f"The FMU {archive.path} is for {' and '.join(have) or 'nothing'} only, and only co-simulation and model exchange "
-            "can be used: export it for one of these."
+            f"The FMU {archive.path} supports {' and '.join(supported) or 'nothing'} only. Export it for co-simulation or model "
+            "exchange."
         )
-    return asked or usable[0]
+    return requested or usable[0]
 
 
 __all__ = ["FMU", "FMUDescription", "FMUVariable", "describe"]

@@ -1,1 +1,1 @@
-"""The file of an FMU: checked, unpacked, and what its description says."""
+"""The file of an FMU: checks, unpacking, and the model description."""

@@ -1,4 +1,4 @@
-"""Variables of an FMU that share a value reference, by which alone the binary knows them."""
+"""Variables of an FMU that share a value reference; the binary cannot tell them apart."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 
 def check_aliases(archive: Archive, variables: Iterable[FMUVariable]) -> None:
-    """Check that no two variables that can be set are one and the same to the binary.
+    """Check that no two settable variables share a value reference.
 
-    FMI 2 lets variables of one type share a value reference, as an output that shows an input. Of two inputs or parameters that
-    do, one would never arrive. FMI 3 forbids all sharing, which fmpy finds.
+    FMI 2 allows variables of one type to share a value reference: an output may show an input. If two inputs or parameters
+    share one, the value of one of them is lost. FMI 3 forbids all sharing, which fmpy checks.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def check_aliases(archive: Archive, variables: Iterable[FMUVariable]) -> None:
             if key in seen:
                 raise FMUError(
                     f"The FMU {archive.path} gives {seen[key]!r} and {variable.name!r} one value reference, "
-                    f"{variable.reference}, so that to set one would set the other. Ask its maker for a valid one, or "
+                    f"{variable.reference}, so that setting one would set the other. Ask its maker for a valid FMU, or "
                     f"{LAX}"
                 )
             seen[key] = variable.name

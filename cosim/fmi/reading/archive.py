@@ -1,4 +1,4 @@
-"""The file of an FMU (or of an SSP): checked before anything of it is believed, and unpacked once per machine."""
+"""The file of an FMU (or of an SSP): checked before anything of it is used, and unpacked once per machine."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Archive:
     Attributes
     ----------
     path : pathlib.Path
-        Where it lies.
+        Path of the file.
     digest : str
         SHA-256 of its content: two copies of a file are the same FMU, an edited file is another.
     names : tuple of str
         Names of its entries.
     kind : Kind
-        What it is.
+        Kind of the file: FMU or SSP.
     """
 
     path: Path
@@ -43,31 +43,31 @@ class Archive:
     kind: Kind = FMU_FILE
 
     def platforms(self) -> tuple[str, ...]:
-        """Return the names of the platforms that it has binaries for, as FMI spells them."""
-        found = (PurePosixPath(name).parts for name in self.names)
-        return tuple(sorted({parts[1] for parts in found if len(parts) > 2 and parts[0] == "binaries"}))
+        """Return the platforms with binaries in this file, in FMI's spelling."""
+        paths = (PurePosixPath(name).parts for name in self.names)
+        return tuple(sorted({parts[1] for parts in paths if len(parts) > 2 and parts[0] == "binaries"}))
 
 
 def absolute(path: object, who: str, what: str, error: type[BayesFTCError]) -> Path:
-    """Return a path that somebody has given as an absolute one.
+    """Return a path of the user as an absolute path.
 
     Parameters
     ----------
     path : object
-        What was given.
+        The user's argument.
     who, what : str
-        Whom it was given to, and what it is to be the path of, as the error says.
+        The function that it was given to, and the expected file, for the error message.
     error : type
-        What is raised if it is no path.
+        The error to raise if it is no path.
     """
     if not isinstance(path, str | PathLike):
         raise error(f"{who} has path={path!r}; it must be the path of {what}.")
-    found = expanded(path).absolute()
-    return _stand_ins.get(found, found)
+    result = expanded(path).absolute()
+    return _stand_ins.get(result, result)
 
 
 def stand_in(path: Path, other: Path) -> None:
-    """Have `other` taken for a file of another machine wherever that is asked for by its path there."""
+    """Use the file `other` in place of a file of another machine, wherever that is opened by its path there."""
     _stand_ins[path] = other
 
 
@@ -75,27 +75,27 @@ _stand_ins: dict[Path, Path] = {}
 
 
 def open_archive(path: Path, kind: Kind = FMU_FILE) -> Archive:
-    """Read the table of contents of an FMU (or SSP); nothing is unpacked.
+    """Read the table of contents of an FMU (or SSP) without unpacking it.
 
     Raises
     ------
     FMUError
-        If there is no such file, it is no FMU, or one that could do harm when it is unpacked or its XML is read (see `_zip`).
+        If there is no such file, or it is no FMU, or unpacking it or reading its XML could do harm (see `_zip`).
     """
     try:
         status = path.stat()
     except OSError as error:
         raise kind.error(f"The {kind.noun} {path} cannot be read ({error.strerror}); check the path.") from None
     except ValueError:
-        raise kind.error(f"The path {str(path)!r} has a NUL in it, as no file's has; check the path.") from None
+        raise kind.error(
+            f"The path {str(path)!r} contains a NUL character, which no file name can; check the path."
+        ) from None
     if S_ISDIR(status.st_mode):
         raise kind.error(
             f"{path} is a folder; give the {kind.suffix} file itself, or zip the folder's content into one."
         )
     if not S_ISREG(status.st_mode):
-        raise kind.error(
-            f"{path} is no file but a device, or a connection between programs; give the {kind.suffix} file itself."
-        )
+        raise kind.error(f"{path} is a device or a pipe and no regular file; give the {kind.suffix} file itself.")
     return _read(path, kind, (status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino))
 
 
@@ -114,12 +114,12 @@ def _read(path: Path, kind: Kind, stamp: tuple[int, ...]) -> Archive:
     archive = Archive(path, digest, names, kind)
     for name in kind.xml:
         if name in names:
-            read_entry(archive, name)  # what XML can do to its reader is found out here, before anyone reads it
+            read_entry(archive, name)  # refuses harmful XML before any parser sees it
     return archive
 
 
 def read_entry(archive: Archive, name: str) -> bytes:
-    """Return the content of one entry of XML, whatever it is called; it has no document type, and so no entities.
+    """Return the content of one XML entry of any name; it has no document type, and so no entities.
 
     Raises
     ------
@@ -136,20 +136,20 @@ def _unreadable(path: Path, kind: Kind, error: OSError) -> Exception:
     return kind.error(f"The {kind.noun} {path} cannot be read ({error.strerror}); check its permissions.")
 
 
-def extract(archive: Archive, wanted: str) -> Path:
+def extract(archive: Archive, entry: str) -> Path:
     """Unpack an FMU (or SSP) into the user's cache, unless it is there already.
 
     Parameters
     ----------
     archive : Archive
         The file.
-    wanted : str
-        An entry that must be there in the end: a folder that someone emptied is unpacked anew.
+    entry : str
+        An entry that must be there in the end. A folder that was emptied is unpacked again.
 
     Returns
     -------
     pathlib.Path
-        The folder with its content; it is shared by all processes of this user, and stays.
+        The folder with its content. All processes of this user share it, and it is not deleted.
 
     Raises
     ------
@@ -160,15 +160,15 @@ def extract(archive: Archive, wanted: str) -> Path:
 
     root = cache_directory(archive.kind.folder)
     folder = root / archive.digest
-    if _is_there(folder, wanted):
+    if _is_there(folder, entry):
         return folder
     try:
         with FileLock(root / f"{archive.digest}.lock"):
-            if not _is_there(folder, wanted):  # else another process was faster
+            if not _is_there(folder, entry):  # else another process was faster
                 for left in (
                     folder,
                     *root.glob(f".{archive.digest[:16]}-*"),
-                ):  # of a process that was killed meanwhile, too
+                ):  # also leftovers of a process that was killed
                     shutil.rmtree(left, ignore_errors=True)
                 _unpack(archive, folder)
     except OSError as error:
@@ -179,15 +179,15 @@ def extract(archive: Archive, wanted: str) -> Path:
     return folder
 
 
-def _is_there(folder: Path, wanted: str) -> bool:
-    """Return whether an FMU was unpacked, by this user: what others have left in the cache is not trusted."""
-    entry = folder / wanted
+def _is_there(folder: Path, name: str) -> bool:
+    """Return whether this user has unpacked an FMU: files of other users in the cache are not trusted."""
+    entry = folder / name
     return entry.exists() and is_own(folder) and is_own(entry)
 
 
 def _unpack(archive: Archive, folder: Path) -> None:
-    # Beside its place, so that the move is one step and no one ever sees half of it; from a copy, so that what is unpacked is
-    # what the folder is named after, even if someone exports the file anew just now.
+    # Unpack in the same parent folder, so that one atomic move puts the complete content in place. Unpack from a copy, so that
+    # the content matches the digest in the folder's name, even if the file is exported again meanwhile.
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{archive.digest[:16]}-"))
     copy = temporary / "copy.fmu"
     try:
@@ -195,10 +195,8 @@ def _unpack(archive: Archive, folder: Path) -> None:
         with copy.open("rb") as file:
             if hashlib.file_digest(file, "sha256").hexdigest() != archive.digest:
                 _read.cache_clear()
-                raise archive.kind.error(f"{archive.path} was changed while it was being read; read it again.")
-        _zip.check(
-            copy, archive.kind
-        )  # again: what was checked before was a file that others may have changed meanwhile
+                raise archive.kind.error(f"{archive.path} changed while it was being read; read it again.")
+        _zip.check(copy, archive.kind)  # again: the file may have changed since the first check
         _zip.unpack(copy, archive.kind, temporary / "content", archive.path)
         os.replace(temporary / "content", folder)
     finally:

@@ -1,4 +1,4 @@
-"""Clocks of FMI 3: what a model description says of them, and when those that time ticks are due."""
+"""Clocks of FMI 3: their declarations in the model description, and when time-based clocks are due."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from xml.etree import ElementTree
 PERIODIC = ("constant", "fixed", "tunable")
 
 UNKNOWN, UNCHANGED, CHANGED = range(3)
-"""What an FMU says of an interval that it is asked for: fmi3IntervalQualifier."""
+"""The values of fmi3IntervalQualifier."""
 
 
 @dataclass(frozen=True)
 class Clock:
-    """What a model description says of a clock.
+    """The declaration of a clock in a model description.
 
     Attributes
     ----------
@@ -24,13 +24,13 @@ class Clock:
         Its ``intervalVariability``: ``"constant"``, ``"fixed"``, ``"tunable"``, ``"changing"``, ``"countdown"`` or
         ``"triggered"``.
     interval : Fraction or None
-        Seconds from tick to tick; None where the FMU is to be asked.
+        Seconds from tick to tick; None if the FMU gives it at run time.
     shift : Fraction
         Seconds to the first tick.
     resolution : int or None
-        Of a clock that counts in fractions of a second: how many make one second.
+        Of a clock that counts in fractions of a second: the number of fractions in one second.
     fractions : bool
-        Whether the FMU is asked for fractions, instead of decimal numbers.
+        Whether the FMU gives intervals as fractions instead of decimal numbers.
     """
 
     kind: str
@@ -41,7 +41,7 @@ class Clock:
 
     @property
     def is_timed(self) -> bool:
-        """Whether time ticks it, so that it can be known when."""
+        """Whether the clock is time-based: its tick times are known in advance."""
         return self.kind != "triggered"
 
     @property
@@ -56,36 +56,42 @@ def read_clocks(root: ElementTree.Element) -> dict[int, Clock]:
     Raises
     ------
     ValueError
-        If an interval is no number, or none that a clock can have.
+        If an interval is no number, or not valid for a clock.
     """
     types = {t.get("name"): t.attrib for t in root.iterfind("TypeDefinitions/ClockType")}
     clocks = {}
     for element in root.iterfind("ModelVariables/Clock"):
-        said = {**types.get(element.get("declaredType"), {}), **element.attrib}
+        attributes = {**types.get(element.get("declaredType"), {}), **element.attrib}
         try:
-            clocks[int(said["valueReference"])] = _clock(said)
+            clocks[int(attributes["valueReference"])] = _clock(attributes)
         except (ValueError, ZeroDivisionError, KeyError, OverflowError):
-            raise ValueError(f"the clock {said.get('name')!r} has an interval or shift that is none") from None
+            raise ValueError(
+                f"the clock {attributes.get('name')!r} has an interval or shift that is not valid"
+            ) from None
     return clocks
 
 
-def _clock(said: dict[str, str]) -> Clock:
-    kind = said["intervalVariability"]
-    fractions = said.get("supportsFraction") in {"true", "1"}
-    resolution = int(said["resolution"]) if "resolution" in said else None
+def _clock(attributes: dict[str, str]) -> Clock:
+    kind = attributes["intervalVariability"]
+    fractions = attributes.get("supportsFraction") in {"true", "1"}
+    resolution = int(attributes["resolution"]) if "resolution" in attributes else None
     interval, shift = None, Fraction(0)
-    if fractions and resolution and "intervalCounter" in said:
-        interval = Fraction(int(said["intervalCounter"]), resolution)
-        shift = Fraction(int(said.get("shiftCounter", "0")), resolution)
-    elif "intervalDecimal" in said:
-        interval, shift, resolution = Fraction(said["intervalDecimal"]), Fraction(said.get("shiftDecimal", "0")), None
+    if fractions and resolution and "intervalCounter" in attributes:
+        interval = Fraction(int(attributes["intervalCounter"]), resolution)
+        shift = Fraction(int(attributes.get("shiftCounter", "0")), resolution)
+    elif "intervalDecimal" in attributes:
+        interval, shift, resolution = (
+            Fraction(attributes["intervalDecimal"]),
+            Fraction(attributes.get("shiftDecimal", "0")),
+            None,
+        )
     if (interval is not None and interval <= 0) or shift < 0 or (kind == "constant" and interval is None):
         raise ValueError
     return Clock(kind, interval, shift, resolution, fractions)
 
 
 class Ticks:
-    """When a clock is due in one run.
+    """The tick times of a clock in one run.
 
     Parameters
     ----------
@@ -94,7 +100,7 @@ class Ticks:
     reference : int
         Its value reference.
     clock : Clock
-        What is said of it.
+        Its declaration.
     """
 
     def __init__(self, name: str, reference: int, clock: Clock):
@@ -105,25 +111,25 @@ class Ticks:
             self.due = float(clock.shift)
 
     def start(self, shift: Fraction, interval: Fraction) -> None:
-        """Take what the FMU says while it is initialized: of a periodic clock the first tick, of others the time to it."""
+        """Set the first tick from initialization: at `shift` for a periodic clock, after `interval` for others."""
         self.begin, self.interval, self._count = shift, interval, 0
         self.due = float(shift if self.clock.is_periodic else interval)
 
     def tick(self) -> None:
-        """Note that it has ticked: a periodic one is due again, the others when the FMU says so."""
+        """Advance by one tick: a periodic clock is due again, others when the FMU gives a new interval."""
         self._count += 1
         self.due = math.inf
         if self.clock.is_periodic and self.interval is not None:
             self.due = float(self.begin + self._count * self.interval)
 
     def change(self, now: float, interval: Fraction) -> None:
-        """Take an interval that begins now."""
+        """Set a new interval that begins now."""
         self.begin, self.interval, self._count = Fraction(now) + interval, interval, 0
         self.due = float(self.begin)
 
     @property
     def state(self) -> tuple[Any, ...]:
-        """What is to be remembered of it."""
+        """The state to save and restore."""
         return self.begin, self.interval, self._count, self.due
 
     @state.setter

@@ -1,4 +1,4 @@
-"""What an FMU says of itself, as plain data: read and validated by fmpy, without loading any binary."""
+"""The model description of an FMU as plain data: read and validated by fmpy, without loading any binary."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription, ModelVariable
 
 Value = float | int | bool | str | tuple[Any, ...]
-"""A value of a variable: of an array, tuples of tuples, row by row."""
+"""A value of a variable; for an array, tuples of tuples, row by row."""
 
 _Scalar = float | int | bool | str
 Given = _Scalar | Sequence[_Scalar | Sequence[_Scalar | Sequence[_Scalar]]] | NDArray[Any]
-"""A value as a user gives it: with a unit (``(30, "deg")``, ``([[1, 0], [0, 1]], "kg")``) or without."""
+"""A value from the user, with a unit (``(30, "deg")``, ``([[1, 0], [0, 1]], "kg")``) or without."""
 
 _FLOATS = frozenset({"Real", "Float64", "Float32"})
 _KINDS = ("coSimulation", "modelExchange", "scheduledExecution")
@@ -52,44 +52,43 @@ _SYMBOLS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _SHOWN, _LONGEST = 3, 300
 
 LONGEST_IDENTIFIER = 240
-"""Bytes of a model identifier: with its suffix, it is the name of a file."""
+"""Most bytes of a model identifier: with its suffix, it is the name of a file."""
 
 
 @dataclass(frozen=True)
 class FMUVariable:
-    """One variable of an FMU, in the words of the standard.
+    """One variable of an FMU, in the terms of the standard.
 
     Attributes
     ----------
     name, causality, variability, type : str
         As in the model description, with the standard's defaults filled in.
     start : float, int, bool, str, tuple or None
-        Its start value; of an array, tuples of tuples, row by row.
+        Start value; of an array, tuples of tuples, row by row.
     unit, description : str or None
         As in the model description.
     shape : tuple of int
-        ``()`` for a scalar; only FMI 3 has arrays. Where structural parameters say how large an array is, with their start
-        values.
+        ``()`` for a scalar; only FMI 3 has arrays. Structural parameters count with their start values.
     settable : bool
         Whether its start value may be set before initialization.
     reference : int
-        The value reference, by which the binary knows it.
+        The value reference, which identifies it in the binary.
     clocks : tuple of int
-        Value references of the clocks at whose ticks alone it exists (FMI 3); none for most.
+        Value references of its clocks (FMI 3): a clocked variable has a value only at their ticks. Mostly empty.
     alias : bool
         Whether it is another name of a variable that is listed too (FMI 3).
     dimensions : tuple of int or str
-        Of an array: how large it is in each direction, or the name of the structural parameter that says so.
+        Of an array: its size in each direction, or the name of the structural parameter that sets the size.
     items : tuple of (str, int)
         Of an enumeration: names and numbers.
     relative : bool
         Whether it is a difference, to which a unit's offset (degC) does not apply.
     bounds : (float, float)
-        The least and the largest value that it may have (its min and max); infinite where it names none.
+        Its min and max; infinite if not declared.
     clock : Clock or None
-        Of a clock, when it ticks.
+        Of a clock: its declaration.
     negated : bool
-        Whether its value is the negative of what the binary has under its value reference (FMI 1).
+        Whether its value is the negative of the binary's value under its value reference (FMI 1).
     """
 
     name: str
@@ -113,12 +112,12 @@ class FMUVariable:
 
     @property
     def clocked(self) -> bool:
-        """Whether it only exists at the ticks of clocks."""
+        """Whether it has a value only at the ticks of clocks."""
         return bool(self.clocks)
 
     @property
     def is_float(self) -> bool:
-        """Whether it is made of floating-point numbers, of 64 or 32 bits: it can be continuous."""
+        """Whether it consists of floating-point numbers, of 64 or 32 bits, and so can be continuous."""
         return self.type in _FLOATS
 
     @property
@@ -129,46 +128,45 @@ class FMUVariable:
 
 @dataclass(frozen=True)
 class FMUDescription:
-    """What an FMU says of itself.
+    """The model description of an FMU.
 
     Attributes
     ----------
     name, fmi_version : str
         The model's name, and the version of the standard, as ``"2.0"``.
     kinds : tuple of str
-        Of ``"coSimulation"``, ``"modelExchange"``, ``"scheduledExecution"``: what it can be used for.
+        The supported ones of ``"coSimulation"``, ``"modelExchange"``, ``"scheduledExecution"``.
     platforms : tuple of str
-        Platforms that it has binaries for, as FMI spells them.
+        Platforms with binaries in the file, in FMI's spelling.
     variables : tuple of FMUVariable
         All its variables.
     capabilities : mapping
-        The flags of its co-simulation kind (of its first kind, where it has none).
+        The flags of its co-simulation kind, or of its first kind if it does not support co-simulation.
     default_experiment : mapping of str to float
-        Of ``startTime``, ``stopTime``, ``tolerance``, ``stepSize``: those that it gives.
+        The given ones of ``startTime``, ``stopTime``, ``tolerance``, ``stepSize``.
     description, generation_tool : str or None
         As in the model description.
     timing : str or None
-        What the vendor annotation of this package's exports says: ``"plant"`` or ``"sampled"``.
+        ``"plant"`` or ``"sampled"``, from the vendor annotation of this package's exports.
     feedthrough : mapping of str to tuple of str, or None
-        For each output, the inputs on which it depends at the same instant; None where the FMU does not say, which by the
-        standard means all of them.
+        For each output, the inputs on which it depends at the same instant. None if not declared, which in the standard means
+        all inputs.
     identifier, token : str
-        Name of the binary, and what proves that binary and description belong together.
+        Name of the binary, and the token (GUID) that proves that binary and description belong together.
     log_categories : tuple of str
         Categories under which it logs.
     units : mapping of str to UnitDefinition
-        What the FMU says of its units, by name.
+        Its unit definitions, by name.
     exchange : ExchangeInfo or None
-        Its states, derivatives and capabilities as a model exchange FMU; None where it is none.
+        Its states, derivatives and capabilities in model exchange; None if that is not supported.
     blocks : tuple of str
-        What the vendor annotation says of the blocks of a diagram that it was exported from, and
+        Names of the blocks from which it was exported, from the vendor annotation.
     origins : mapping of str to str
-        of its signals: what those that were renamed are called there.
+        Names in the diagram of signals that the export renamed, from the vendor annotation.
     finite : bool
-        Whether a NaN among its outputs means that something went wrong: not where that annotation says that it is a missing
-        sample.
+        Whether a NaN in its outputs is an error. False if the vendor annotation declares NaN as a missing sample.
     lax : str or None
-        Which rules of FMI the description breaks, if it does in ways on which nothing hangs: a sentence.
+        A sentence that lists broken rules of FMI which do not affect results, if there are any.
     """
 
     name: str
@@ -194,12 +192,12 @@ class FMUDescription:
 
     @property
     def fmi_major(self) -> int:
-        """1, 2 or 3."""
+        """Major version of FMI: 1, 2 or 3."""
         return int(self.fmi_version[0])
 
     @property
     def uses_event_mode(self) -> bool:
-        """Whether it goes through event mode in co-simulation."""
+        """Whether it uses event mode in co-simulation."""
         return "coSimulation" in self.kinds and bool(self.capabilities.get("hasEventMode"))
 
 
@@ -213,7 +211,7 @@ def read_description(archive: Archive, *, validate: bool = True) -> FMUDescripti
     Raises
     ------
     FMUError
-        If it is of another version than FMI 1.0, 2.0 or 3.0, or not valid.
+        If its version is not FMI 1.0, 2.0 or 3.0, or it is not valid.
     """
     with _lock:
         key = (archive.digest, validate)
@@ -221,10 +219,9 @@ def read_description(archive: Archive, *, validate: bool = True) -> FMUDescripti
             try:
                 _known[key] = _read(archive, validate)
             except (ValueError, TypeError, LookupError, AttributeError) as error:
-                # Where a description is not validated, anything may stand where a number or a name should.
+                # Without validation, numbers and names may be anything.
                 raise FMUError(
-                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI so that it cannot be read ({error}); export it "
-                    "again."
+                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI and cannot be read ({error}); export it again."
                 ) from None
         return _known[key]
 
@@ -241,7 +238,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
     declared = root.find("ModelVariables")
     aliases = version1.aliases(root) if version == "1.0" else {}
     if version != "1.0" and declared is not None:
-        declared.clear()  # of a large model, as large as what fmpy makes of it
+        declared.clear()  # saves memory: for a large model, this tree is as large as fmpy's
     model, lax = _parse(archive, content, validate)
     if version == "1.0":
         version1.complete(model, root)
@@ -290,8 +287,7 @@ def _check_identifier(archive: Archive, identifier: str) -> None:
     if len(identifier.encode()) > LONGEST_IDENTIFIER:
         raise FMUError(
             f"The {DESCRIPTION} of {archive.path} has a modelIdentifier of {len(identifier):,} characters, {identifier[:20]!r} "
-            f"and so on, which is too long for the name of its binary (at most {LONGEST_IDENTIFIER}). Export it again with a "
-            "shorter one."
+            f"and so on. The name of a binary has at most {LONGEST_IDENTIFIER}. Export it again with a shorter one."
         )
     if (
         "/" in identifier
@@ -300,8 +296,8 @@ def _check_identifier(archive: Archive, identifier: str) -> None:
         or not (identifier + "a").isprintable()
     ):
         raise FMUError(
-            f"The {DESCRIPTION} of {archive.path} calls its binary {identifier!r}, which could lead outside of the FMU. Do not "
-            "use this file; ask its maker for one whose modelIdentifier is a plain name."
+            f"The {DESCRIPTION} of {archive.path} has the modelIdentifier {identifier!r}, which could lead outside of the FMU. "
+            "Do not use this file; ask its maker for one whose modelIdentifier is a plain name."
         )
 
 
@@ -310,12 +306,12 @@ HARMLESS = re.compile(
     r"The attribute '(generationDateAndTime|version|author)' is required|"
     r'must have variability != "continuous"|has no start value|but provides a start value|[Uu]nit ".*" .* is not defined'
 )
-"""What of the rules of FMI a description may break: nothing is computed otherwise for it. An unknown element, or attribute of a
-variable, is none of that, for it may be a known one that is misspelt; and what comes after it is not looked at."""
+"""Broken rules of FMI that are tolerated, because they do not affect results. Unknown elements, and unknown attributes of
+variables, are not tolerated: they may be misspelt ones, and the schema check stops at them."""
 
 
 def _parse(archive: Archive, content: bytes, validate: bool) -> tuple[ModelDescription, str | None]:
-    """Return the description, and in a sentence which rules it breaks on which nothing hangs."""
+    """Return the description, and a sentence that lists the broken rules that do not affect results (or None)."""
     from fmpy import read_model_description
     from fmpy.model_description import ValidationError
     from fmpy.validation import validate_model_description
@@ -328,21 +324,21 @@ def _parse(archive: Archive, content: bytes, validate: bool) -> tuple[ModelDescr
             problems = _harmful(broken)
             if not problems:
                 model = read_model_description(_checked_xml(archive, content), validate=False)
-                # An error of the schema comes alone: what fmpy looks at after it is to be looked at, too.
+                # fmpy stops at an error of the schema: run its further checks, too.
                 broken += [str(p).removesuffix(".") for p in validate_model_description(model)]
                 problems = _harmful(broken)
             if not problems:
                 return model, (
-                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI, but not so that anything were computed "
-                    f"otherwise: {_listed([*dict.fromkeys(broken)])}."
+                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI, but this does not affect results: "
+                    f"{_listed([*dict.fromkeys(broken)])}."
                 )
     except KeyError as error:
         problems = [f"it refers to a variable {error}, which it does not define"]
     except ValueError as error:
-        # Python reads no number of thousands of digits, and says by which function it could be made to.
+        # Python refuses numbers of thousands of digits, with a message about one of its functions.
         text = " ".join(str(error).split()).removesuffix(".")
-        problems = ["it has a number of thousands of digits" if "integer string conversion" in text else text]
-    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and trips over what is missing
+        problems = ["it contains a number of thousands of digits" if "integer string conversion" in text else text]
+    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and fails on missing elements
         problems = [(" ".join(str(error).split()) or type(error).__name__).removesuffix(".")]
     remedy = f"Ask its maker for a valid one, or {LAX}" if validate else "Export it again."
     raise FMUError(f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {_listed(problems)}. {remedy}")
@@ -358,7 +354,7 @@ def _listed(problems: Sequence[str]) -> str:
 
 
 def _checked_xml(archive: Archive, description: bytes) -> io.BytesIO:
-    """Return an archive of the XML files alone, as they were checked: fmpy sees nothing else of the file."""
+    """Return an archive of the checked XML files alone, so that fmpy reads nothing else of the file."""
     content = io.BytesIO()
     with ZipFile(content, "w") as copy:
         for name in archive.kind.xml:
@@ -396,22 +392,22 @@ def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Cl
 
 
 def _bounds(variable: ModelVariable) -> tuple[float, float]:
-    """Return the least and the largest value that a variable may have by its own account."""
-    found = []
+    """Return the declared min and max of a variable."""
+    limits = []
     for attribute, otherwise in (("min", -math.inf), ("max", math.inf)):
-        given = _declared(variable, attribute)
+        declared = _declared(variable, attribute)
         try:
-            found.append(otherwise if given is None else float(given))
-        except (TypeError, ValueError):  # nobody has validated what it has
-            found.append(otherwise)
-    low, high = (otherwise if math.isnan(x) else x for x, otherwise in zip(found, (-math.inf, math.inf), strict=True))
+            limits.append(otherwise if declared is None else float(declared))
+        except (TypeError, ValueError):  # the description is not validated
+            limits.append(otherwise)
+    low, high = (otherwise if math.isnan(x) else x for x, otherwise in zip(limits, (-math.inf, math.inf), strict=True))
     return (low, high) if low <= high else (-math.inf, math.inf)
 
 
 def _declared(variable: ModelVariable, attribute: str) -> Any:
-    """Return what a variable says, or else its type."""
-    own = getattr(variable, attribute, None)
-    return getattr(variable.declaredType, attribute, None) if own is None else own
+    """Return an attribute of a variable, or else of its declared type."""
+    value = getattr(variable, attribute, None)
+    return getattr(variable.declaredType, attribute, None) if value is None else value
 
 
 def _unit(unit: Any) -> UnitDefinition:
@@ -430,11 +426,11 @@ def _is_factor(value: float) -> bool:
 
 
 def _feedthrough(model: ModelDescription) -> dict[str, tuple[str, ...] | None]:
-    found: dict[str, tuple[str, ...] | None] = {v.name: None for v in model.modelVariables if v.causality == "output"}
+    result: dict[str, tuple[str, ...] | None] = {v.name: None for v in model.modelVariables if v.causality == "output"}
     for unknown in model.outputs:
-        if unknown.variable is not None and unknown.dependencies is not None and unknown.variable.name in found:
-            found[unknown.variable.name] = tuple(v.name for v in unknown.dependencies if v.causality == "input")
-    return found
+        if unknown.variable is not None and unknown.dependencies is not None and unknown.variable.name in result:
+            result[unknown.variable.name] = tuple(v.name for v in unknown.dependencies if v.causality == "input")
+    return result
 
 
 def _start(archive: Archive, variable: ModelVariable) -> Value | None:
@@ -449,7 +445,7 @@ def _start(archive: Archive, variable: ModelVariable) -> Value | None:
     except ValueError:
         what = f"{variable.type} of shape {tuple(variable.shape)}" if variable.shape else variable.type
         raise FMUError(
-            f"The variable {variable.name!r} of {archive.path} has the start value {text[:80]!r}, which is no {what}; "
+            f"The variable {variable.name!r} of {archive.path} has the start value {text[:80]!r}, which is not of type {what}; "
             "export the FMU again."
         ) from None
 
@@ -464,12 +460,12 @@ def _number(kind: str, text: str) -> Value | None:
 
 
 def flattened(value: Value) -> tuple[Any, ...]:
-    """Return the elements of a value, row by row; of a scalar, the one."""
+    """Return the elements of a value, row by row; a scalar has one element."""
     return tuple(x for row in value for x in flattened(row)) if isinstance(value, tuple) else (value,)
 
 
 def shaped(values: tuple[Any, ...], shape: tuple[int, ...]) -> Value:
-    """Return elements as tuples of tuples; a single one fills the array.
+    """Return elements as tuples of tuples; a single element fills the array.
 
     Raises
     ------

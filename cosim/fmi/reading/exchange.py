@@ -1,4 +1,4 @@
-"""What the description of an FMU says of its model exchange: states, derivatives, event indicators, capabilities."""
+"""The model exchange part of an FMU's description: states, derivatives, event indicators, capabilities."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ class ExchangeInfo:
     identifier : str
         Name of the binary.
     states, derivatives : tuple of FMUVariable
-        The continuous states and their derivatives, in the order of the model structure; an array of FMI 3 is one of each. Of FMI
-        1 none: there the binary says which they are.
+        The continuous states and their derivatives, in the order of the model structure. An array of FMI 3 is one of each.
+        Empty for FMI 1, where only the binary gives them.
     count : int
-        How many numbers the continuous states are.
+        Number of elements of the continuous states.
     indicators : int
-        How many event indicators it declares.
+        Number of declared event indicators.
     needs_completed_step : bool
-        Whether it wants to be told of every completed step of the integrator.
+        Whether completedIntegratorStep must be called after every step of the integrator.
     directional : bool
-        Whether it gives directional derivatives.
+        Whether it provides directional derivatives.
     can_save, can_serialise : bool
-        Whether its state can be read and set, and turned into bytes.
+        Whether its state can be saved and restored, and turned into bytes.
     once : bool
-        Whether a process can have one instance only.
+        Whether only one instance per process is possible.
     smooth : bool
-        Whether time, continuous states and inputs are all that it remembers: it declares no event indicators, no discrete
-        variables, and no interest in completed steps.
+        Whether time, continuous states and inputs are its whole state: it has no event indicators and no discrete variables,
+        and does not need completed steps.
     """
 
     identifier: str
@@ -57,7 +57,7 @@ class ExchangeInfo:
 
 
 def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVariable, ...]) -> ExchangeInfo | None:
-    """Return the model exchange part of a description that fmpy has parsed; None where it has none."""
+    """Return the model exchange part of a description that fmpy has parsed, or None."""
     if model.modelExchange is None:
         return None
     states = model.numberOfContinuousStates if model.fmiVersion == "1.0" else 0
@@ -70,32 +70,32 @@ def read_exchange(model: ModelDescription, root: Element, variables: tuple[FMUVa
     named = {v.name: v for v in variables}
     derivatives = [u.variable for u in model.derivatives if u.variable is not None]
 
-    def says(*attributes: str) -> bool:  # both versions' spellings; fmpy keeps only some of them
+    def has_flag(*attributes: str) -> bool:  # both versions' spellings; fmpy keeps only some of them
         return any(element.get(name) in {"true", "1"} for name in attributes)
 
     if root.get("fmiVersion", "").startswith("2"):
-        completed = not says("completedIntegratorStepNotNeeded")
+        needs_completed_step = not has_flag("completedIntegratorStepNotNeeded")
     else:
-        completed = says("needsCompletedIntegratorStep")
+        needs_completed_step = has_flag("needsCompletedIntegratorStep")
     discrete = any(v.variability == "discrete" or (v.variability == "continuous" and not v.is_float) for v in variables)
-    held = tuple(named[d.derivative.name] for d in derivatives if hasattr(d.derivative, "name"))
+    state_variables = tuple(named[d.derivative.name] for d in derivatives if hasattr(d.derivative, "name"))
     return ExchangeInfo(
         identifier=element.get("modelIdentifier") or "",
-        states=held,
+        states=state_variables,
         derivatives=tuple(named[d.name] for d in derivatives),
-        count=sum(prod(v.shape) for v in held),
+        count=sum(prod(v.shape) for v in state_variables),
         indicators=model.numberOfEventIndicators,
-        needs_completed_step=completed,
-        directional=says("providesDirectionalDerivative", "providesDirectionalDerivatives"),
-        can_save=says("canGetAndSetFMUstate", "canGetAndSetFMUState"),
-        can_serialise=says("canSerializeFMUstate", "canSerializeFMUState"),
-        once=says("canBeInstantiatedOnlyOncePerProcess"),
-        smooth=not (model.numberOfEventIndicators or completed or discrete),
+        needs_completed_step=needs_completed_step,
+        directional=has_flag("providesDirectionalDerivative", "providesDirectionalDerivatives"),
+        can_save=has_flag("canGetAndSetFMUstate", "canGetAndSetFMUState"),
+        can_serialise=has_flag("canSerializeFMUstate", "canSerializeFMUState"),
+        once=has_flag("canBeInstantiatedOnlyOncePerProcess"),
+        smooth=not (model.numberOfEventIndicators or needs_completed_step or discrete),
     )
 
 
 def _exchange1(model: ModelDescription) -> ExchangeInfo:
-    """Return that of FMI 1: it declares numbers alone, always wants to be told of steps, and cannot save its state."""
+    """Return the part for FMI 1, which declares counts only, always needs completed steps, and cannot save its state."""
     return ExchangeInfo(
         identifier=model.modelExchange.modelIdentifier or "",
         states=(),

@@ -1,4 +1,4 @@
-"""What FMUs say while they run: kept for error messages, forwarded to Python's logging, never printed."""
+"""Log messages of running FMUs: kept for error messages, forwarded to Python's logging, never printed."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ LENGTH = 500
 """How many characters of a message are kept."""
 
 FORWARDED = 10_000
-"""How many messages of an instance are forwarded; an FMU that says more is kept from filling disks and taking all time."""
+"""How many messages of an instance are forwarded; the limit keeps a verbose FMU from filling disks and slowing runs."""
 
 ENDS = "The FMU asks to end the simulation"
-"""How the sentence begins that says of an FMU that it ends a run, which is no failure."""
+"""Beginning of the message of an FMU that ends a run, which is no failure."""
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
-"""The standard's words for what a call returned."""
+"""The standard's names of the statuses that calls return."""
 
 
 def status_word(status: int) -> str:
-    """Return the standard's word for what a call returned, or that it has none."""
+    """Return the standard's name of a status, or say that it is none."""
     return STATUS[status] if 0 <= status < len(STATUS) else f"{status}, which is no status of FMI"
 
 
 _LEVELS = (logging.INFO, logging.WARNING, logging.WARNING, logging.ERROR, logging.CRITICAL, logging.INFO)
 
 logger = logging.getLogger("bayesftc.fmu")
-logger.addHandler(logging.NullHandler())  # else logging prints warnings where nobody has set it up
+logger.addHandler(logging.NullHandler())  # else logging prints warnings if the user has not set it up
 
 _numbers = itertools.count(1)
 _open: dict[int | bytes, Messages] = {}
 
 
 class Messages:
-    """The last messages of one instance, which the FMU's callbacks find by `key`."""
+    """The last messages of one instance; the FMU's callbacks find them by `key`."""
 
-    #: The last key that was given away.
+    #: The key of the newest instance.
     last = 0
 
     def __init__(self, name: str):
@@ -56,7 +56,7 @@ class Messages:
 
     def add(self, status: int, text: bytes) -> None:
         """Keep a message and forward it."""
-        line = text[: 8 * LENGTH]  # not all of what may be megabytes
+        line = text[: 8 * LENGTH]  # a message may have megabytes
         self._lines.append(line)
         self._count += 1
         if self._count <= FORWARDED:
@@ -64,30 +64,30 @@ class Messages:
             logger.log(level, "%s: %s", self.name, _cleaned(line))
         elif self._count == FORWARDED + 1:
             logger.warning(
-                "%s: %s", self.name, f"This FMU has logged {FORWARDED} messages; later ones are not forwarded any more."
+                "%s: %s", self.name, f"This FMU has logged {FORWARDED} messages; later ones are not forwarded."
             )
 
     def __iter__(self) -> Iterator[str]:
         return iter([_cleaned(line) for line in self._lines])
 
     def quoted(self) -> str:
-        """Return the messages as the tail of a sentence."""
+        """Return the messages as a sentence."""
         return quoted(self)
 
     def hear(self, key: int | bytes) -> None:
-        """Be found by another key, too: FMI 1 gives its callbacks none, but the instance's name and address."""
+        """Add a key: callbacks of FMI 1 get no key, but the instance's name and address."""
         self._more.append(key)
         _open[key] = self
 
     def close(self) -> None:
-        """Forget that the FMU may still speak."""
+        """Receive no more messages."""
         for key in (self.key, *self._more):
             if _open.get(key) is self:
                 del _open[key]
 
 
 def quoted(messages: Iterable[str]) -> str:
-    """Return messages as the tail of a sentence, repetitions once."""
+    """Return messages as a sentence, repetitions once."""
     lines = list(dict.fromkeys(line for line in messages if line))
     if not lines:
         return "It logged nothing."
@@ -99,7 +99,7 @@ def _cleaned(line: bytes) -> str:
 
 
 def _deliver(key: int | None, status: int, text: bytes | None, name: bytes | None = None) -> bool:
-    """Keep a message for whom it is; return whether it is of an instance of ours, maybe of one that is closed."""
+    """Add a message to its instance's; return whether the instance is ours, open or closed."""
     messages = _open.get(key or 0) or _open.get(name or b"")
     if messages is not None:
         messages.add(status, text or b"")
@@ -108,7 +108,7 @@ def _deliver(key: int | None, status: int, text: bytes | None, name: bytes | Non
 
 @cache
 def callback2() -> Any:
-    """Return the logger callback of FMI 1 and 2: one for the process, as fmpy's proxy knows only one."""
+    """Return the logger callback of FMI 1 and 2: one for the process, as fmpy's proxy supports only one."""
     from fmpy import fmi2
 
     def log(key: int | None, name: bytes | None, status: int, category: bytes | None, text: bytes | None) -> None:
@@ -130,7 +130,7 @@ def callback3() -> Any:
 
 
 def callbacks2(messages: Messages) -> Any:
-    """Return the structure of callbacks that an FMI 2 instance gets; keep it as long as the instance lives."""
+    """Return the structure of callbacks for an FMI 2 instance; keep it as long as the instance exists."""
     from fmpy import fmi2
 
     structure = fmi2.fmi2CallbackFunctions()
@@ -139,7 +139,7 @@ def callbacks2(messages: Messages) -> Any:
 
 
 def callbacks1(messages: Messages, name: str) -> Any:
-    """Return the structure of callbacks that an FMI 1 instance of this name gets; keep it as long as the instance lives."""
+    """Return the structure of callbacks for an FMI 1 instance of this name; keep it as long as the instance exists."""
     from fmpy import fmi1
 
     messages.hear(name.encode())
@@ -152,7 +152,7 @@ def _filled(structure: Any) -> Any:
 
     kinds = dict(structure._fields_)
     structure.logger = ctypes.cast(callback2(), kinds["logger"])
-    # The C functions themselves, not Python functions around them: an FMU may allocate in a step, where no GIL is held.
+    # Plain C functions, because an FMU may allocate during a step, when the GIL is not held.
     structure.allocateMemory = ctypes.cast(fmpy.calloc, kinds["allocateMemory"])
     structure.freeMemory = ctypes.cast(fmpy.free, kinds["freeMemory"])
     try:

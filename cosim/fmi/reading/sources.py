@@ -1,4 +1,4 @@
-"""FMUs that bring their C sources and no binary for this machine: compiled on the spot, once per machine."""
+"""FMUs with C sources but no binary for this platform: their sources are compiled, once per machine."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _SHOWN = 1000
 
 @dataclass(frozen=True)
 class Sources:
-    """What is to be compiled, as an FMU says.
+    """The sources that an FMU lists for its binary.
 
     Attributes
     ----------
     files : tuple of str
-        C files, as seen from the folder ``sources``.
+        C files, relative to the folder ``sources``.
     includes : tuple of str
-        Folders with headers, seen from there.
+        Folders with headers, relative to the same folder.
     definitions : tuple of str
         Macros, as ``NAME`` or ``NAME=value``.
     libraries : tuple of str
@@ -47,26 +47,28 @@ class Sources:
 
 
 def read_sources(archive: Archive, description: FMUDescription, *, exchange: bool = False) -> Sources | None:
-    """Return what an FMU says of its sources, or None where it brings none that can be compiled here.
+    """Return the sources of an FMU, or None if it has none that can be compiled here.
 
     Parameters
     ----------
     archive : Archive
         The FMU.
     description : FMUDescription
-        What it says of itself.
+        Its model description.
     exchange : bool
         Whether it is used for model exchange.
     """
     if BUILD in archive.names:
-        found = _from_build(ElementTree.fromstring(read_entry(archive, BUILD)), description.identifier)
+        sources = _from_build(ElementTree.fromstring(read_entry(archive, BUILD)), description.identifier)
     else:
         root = ElementTree.fromstring(read_entry(archive, DESCRIPTION))
         kind = "ModelExchange" if exchange else "CoSimulation"
-        found = Sources(tuple(f.get("name", "") for f in root.findall(f"{kind}/SourceFiles/File")))
-    if found is None or not found.files or not all(f"sources/{name}" in archive.names for name in found.files):
+        sources = Sources(tuple(f.get("name", "") for f in root.findall(f"{kind}/SourceFiles/File")))
+    if sources is None or not sources.files or not all(f"sources/{name}" in archive.names for name in sources.files):
         return None
-    return replace(found, major=description.fmi_major) if all(_stays_inside(name) for name in found.includes) else None
+    return (
+        replace(sources, major=description.fmi_major) if all(_stays_inside(name) for name in sources.includes) else None
+    )
 
 
 def _from_build(root: ElementTree.Element, identifier: str) -> Sources | None:
@@ -109,17 +111,17 @@ def compiled(archive: Archive, sources: Sources, platform: str, entry: str) -> P
     sources : Sources
         What to compile.
     platform, entry : str
-        The platform's name, and where the binary belongs in the FMU.
+        The platform's name, and the path of the binary in the FMU.
 
     Returns
     -------
     pathlib.Path
-        The folder with the FMU's content and the binary at its place.
+        The folder with the FMU's content and the new binary.
 
     Raises
     ------
     FMUPlatformError
-        If there is no compiler, or it refuses the sources.
+        If there is no compiler, or the sources cannot be compiled.
     """
     from filelock import FileLock
 
@@ -151,21 +153,21 @@ def _compile(archive: Archive, folder: Path, sources: Sources, platform: str, en
         text = str(error).replace(str(folder), "<fmu>")
         raise FMUPlatformError(
             f"The FMU {archive.path} has no binary for this platform, {platform}, and its sources cannot be compiled: "
-            f"{text[:_SHOWN].rstrip().removesuffix('.')}. Export it for {platform}, or mend what the compiler says."
+            f"{text[:_SHOWN].rstrip().removesuffix('.')}. Export it for {platform}, or correct these errors."
         ) from None
     finally:
         Path(temporary).unlink(missing_ok=True)
 
 
 def _attempts(sources: Sources) -> Iterator[list[str]]:
-    """Yield options of the compiler under which the functions have the names that they have in a binary.
+    """Yield compiler options that give the functions the names of a binary's functions.
 
-    In sources the standard wants the model's name before them. Headers can be told to leave it out, but for those of FMI 2
-    before 2.0.4: there the header of a binary goes before all, and takes their place.
+    In sources, the standard puts the model's name before the functions' names. A macro removes it, except in the headers of FMI
+    2 before 2.0.4. For these, a newer header is included first and takes their place.
     """
     import fmpy
 
-    headers = Path(fmpy.__file__).parent / "c-code"  # the standard's own, for FMUs that bring none
+    headers = Path(fmpy.__file__).parent / "c-code"  # the standard's headers, for FMUs that contain none
     common = [
         *(f"-D{name}" for name in sources.definitions),
         *(f"-I{name}" for name in sources.includes),
@@ -179,5 +181,5 @@ def _attempts(sources: Sources) -> Iterator[list[str]]:
 
 
 def _has_functions(library: Path, major: int) -> bool:
-    """Whether the functions of FMI have their own names in a library, in which names end with a zero."""
+    """Whether a library exports the functions of FMI without a prefix; names in it are between zero bytes."""
     return re.search(rb"\0_?fmi%dGetVersion\0" % major, library.read_bytes()) is not None

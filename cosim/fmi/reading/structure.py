@@ -1,4 +1,4 @@
-"""What an FMU says of its structure by numbers, which a reader may take for others than are meant."""
+"""Checks of the numbers in a model description: indices, value references, shapes and sizes."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
     from bayesftc.cosim.fmi.reading.archive import Archive
 
 LARGEST = 10_000_000
-"""How many elements an array may have, and all variables together."""
+"""Most elements of an array, and of all variables together."""
 
 LARGEST_REFERENCE = 2**32 - 1
 MOST_DIMENSIONS = 32
-"""What NumPy and compiled code allow."""
+"""The limit of NumPy and of compiled code."""
 
 
 def check_structure(archive: Archive, root: Element, *, validate: bool) -> None:
-    """Check the model structure: that what it refers to is there and, with `validate`, that its outputs are outputs.
+    """Check that all references of the model structure exist and, with `validate`, that its outputs are outputs.
 
-    FMI 2 counts variables from 1. To Python number 0 is the last one, and a dependency would be another one than is meant.
+    FMI 2 counts variables from 1. An index of 0 would silently select the last variable in Python.
 
     Raises
     ------
     FMUError
-        If it is not in order.
+        If the model structure is not valid.
     """
 
     def refuse(what: str) -> NoReturn:
@@ -42,62 +42,59 @@ def check_structure(archive: Archive, root: Element, *, validate: bool) -> None:
         for unknown in root.findall("ModelStructure/*/Unknown"):
             for number in _numbers((unknown.get("index", ""), *unknown.get("dependencies", "").split())):
                 if not 1 <= number <= len(variables):
-                    refuse(f"refers to the variable number {number}, but they are counted from 1 to {len(variables)}")
+                    refuse(f"refers to variable number {number}, but variables are numbered from 1 to {len(variables)}")
         places = (
             [(int(u.get("index", "0")) - 1) for u in root.findall("ModelStructure/Outputs/Unknown")] if validate else []
         )
         listed = [variables[place] for place in places]
     else:
-        wanted = {o.get("valueReference") for o in root.findall("ModelStructure/Output")} if validate else set()
-        listed = [v for v in variables if v.get("valueReference") in wanted]
+        references = {o.get("valueReference") for o in root.findall("ModelStructure/Output")} if validate else set()
+        listed = [v for v in variables if v.get("valueReference") in references]
     for variable in listed:
         causality = variable.get("causality", "local")
         if causality != "output":
-            refuse(f"lists {variable.get('name')!r} among the outputs, which is of causality {causality}")
+            refuse(f"lists {variable.get('name')!r} as an output, but its causality is {causality}")
 
 
 def check_shape(name: str, reference: int, dimensions: Sequence[object]) -> None:
-    """Check what no binary interface can carry.
+    """Check the value reference and the number of dimensions of a variable.
 
     Raises
     ------
     ValueError
-        If it is so.
+        If one is out of range.
     """
     if not 0 <= reference <= LARGEST_REFERENCE:
-        raise ValueError(f"the value reference of {name!r} is {reference}, and must be from 0 to {LARGEST_REFERENCE}")
+        raise ValueError(f"the value reference of {name!r} is {reference}, but must be from 0 to {LARGEST_REFERENCE}")
     if len(dimensions) > MOST_DIMENSIONS:
-        raise ValueError(
-            f"{name!r} has {len(dimensions)} dimensions, more than the {MOST_DIMENSIONS} that an array can have"
-        )
+        raise ValueError(f"{name!r} has {len(dimensions)} dimensions, but an array can have at most {MOST_DIMENSIONS}")
 
 
 def check_size(archive: Archive, shapes: Sequence[tuple[str, tuple[int, ...]]]) -> None:
-    """Check that the variables of a model, by name and shape, fit into memory, before there are any values of them.
+    """Check that the variables of a model, given by name and shape, fit into memory.
 
     Raises
     ------
     FMUError
-        If they do not, or an array is of a negative size.
+        If they do not, or an array has a negative size.
     """
     for name, shape in shapes:
         if shape and min(shape) < 0:
             raise FMUError(
-                f"The array {name!r} of the FMU {archive.path.name} is as large as {min(shape)}: that is no size; export the FMU "
-                "again."
+                f"The array {name!r} of the FMU {archive.path.name} has the negative size {min(shape)}; export the FMU again."
             )
     total = sum(prod(shape) for _, shape in shapes)
     if total > LARGEST:
         name, shape = max(shapes, key=lambda pair: prod(pair[1]))
         more = "" if prod(shape) > LARGEST else f", and all variables together {total:,} numbers"
         raise FMUError(
-            f"{name!r} of the FMU {archive.path.name} would have the shape {shown(shape)}{more}: more than {LARGEST:,} numbers; "
-            "give smaller structural parameters, or export it with smaller arrays."
+            f"{name!r} of the FMU {archive.path.name} would have the shape {shown(shape)}{more}: more than {LARGEST:,} numbers. "
+            "Give smaller structural parameters, or export it with smaller arrays."
         )
 
 
 def check_counts(counts: Mapping[str, int]) -> None:
-    """Check that arrays of these sizes, which a description declares by a number alone, fit into memory.
+    """Check that arrays of these declared sizes fit into memory.
 
     Raises
     ------
@@ -106,15 +103,15 @@ def check_counts(counts: Mapping[str, int]) -> None:
     """
     for what, count in counts.items():
         if not 0 <= count <= LARGEST:
-            raise ValueError(f"it declares {count:,} {what}, and must have from 0 to {LARGEST:,}")
+            raise ValueError(f"it declares {count:,} {what}, but must have from 0 to {LARGEST:,}")
 
 
 def shown(shape: Sequence[int]) -> str:
-    """Return the shape of an array as text, of which none is too long to be printed."""
+    """Return the shape of an array as text of limited length."""
     sizes = [str(size) if size < 10**20 else "more than 1e20" for size in shape[:MOST_DIMENSIONS]]
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"
 
 
 def _numbers(texts: Sequence[str]) -> list[int]:
-    """Return whole numbers; what is none is found by whoever validates."""
+    """Return the whole numbers among texts; validation reports the other texts."""
     return [int(text) for text in texts if text.lstrip("-").isdecimal()]

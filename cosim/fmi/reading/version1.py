@@ -1,4 +1,4 @@
-"""What descriptions of FMI 1.0 say otherwise than those of FMI 2, brought into the words of FMI 2."""
+"""Model descriptions of FMI 1.0, converted to the terms of FMI 2."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _FLAGS = ("canHandleVariableCommunicationStepSize", "canInterpolateInputs", "can
 
 
 def complete(model: ModelDescription, root: Element) -> None:
-    """Complete what fmpy has read of a description of FMI 1.0, in place.
+    """Complete fmpy's reading of a description of FMI 1.0, in place.
 
-    FMI 1 knows no calculated parameters, no ``initial`` and no model structure: what has a start value may be set before
-    initialization, and an output names the inputs that it depends on by itself. FMUs for co-simulation have their capabilities in
-    an element of their own, and have no saved states, directional derivatives or events.
+    FMI 1 has no calculated parameters, no ``initial`` and no model structure. Variables with a start value may be set before
+    initialization, and each output lists the inputs that it depends on. Co-simulation FMUs declare their capabilities in a
+    separate element. They have no saved states, directional derivatives or events.
 
     Parameters
     ----------
     model : fmpy.model_description.ModelDescription
-        What fmpy has read.
+        The description as fmpy has read it.
     root : Element
         The description.
     """
@@ -40,8 +40,8 @@ def complete(model: ModelDescription, root: Element) -> None:
             names = [(name.text or "").strip() for name in direct.findall("Name")]
             model.outputs.append(Unknown(variable=variable, dependencies=[inputs[n] for n in names if n in inputs]))
     if model.coSimulation is not None:
-        found = root.find("Implementation/*/Capabilities")
-        capabilities = {} if found is None else found.attrib
+        element_of_capabilities = root.find("Implementation/*/Capabilities")
+        capabilities = {} if element_of_capabilities is None else element_of_capabilities.attrib
         for name in _FLAGS:
             setattr(model.coSimulation, name, capabilities.get(name) in {"true", "1"})
         model.coSimulation.maxOutputDerivativeOrder = int(capabilities.get("maxOutputDerivativeOrder", "0"))
@@ -50,7 +50,7 @@ def complete(model: ModelDescription, root: Element) -> None:
 
 def _complete_variable(variable: ModelVariable) -> None:
     if variable.variability == "continuous" and variable.type != "Real":
-        variable.variability = "discrete"  # the default is continuous, for all types
+        variable.variability = "discrete"  # FMI 1's default is continuous, for all types
     if variable.causality == "parameter" and variable.start is None:
         variable.causality = "calculatedParameter"
     if variable.causality in {"none", "internal"}:
@@ -60,6 +60,6 @@ def _complete_variable(variable: ModelVariable) -> None:
 
 
 def aliases(root: Element) -> dict[str, str]:
-    """Return which variables declare that they are another name of a variable, or the negative of one, by name."""
-    found = ((v.get("name", ""), v.get("alias", "")) for v in root.findall("ModelVariables/ScalarVariable"))
-    return {name: alias for name, alias in found if alias in ALIASES}
+    """Return ``alias`` or ``negatedAlias`` by name, for the variables that declare it."""
+    declared = ((v.get("name", ""), v.get("alias", "")) for v in root.findall("ModelVariables/ScalarVariable"))
+    return {name: alias for name, alias in declared if alias in ALIASES}

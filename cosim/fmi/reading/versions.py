@@ -1,4 +1,4 @@
-"""Which versions of FMI can be used, and what their functions are called."""
+"""The supported versions of FMI, and the prefixes of their functions' names."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ _SHOWN = 40
 
 
 def check_version(archive: Archive, version: str) -> None:
-    """Check that an FMU is of a version of FMI that can be used.
+    """Check that the FMI version of an FMU is supported.
 
     Raises
     ------
     FMUVersionError
-        If it is of another one, or of a draft, whose functions are not those of the standard that came of it.
+        If it is not. Drafts are not supported: their functions differ from those of the final standard.
     """
     if version in VERSIONS:
         return
     what = f"FMI {version[:_SHOWN]}" if version else "FMI without a version"
     if _DRAFT.match(version):
-        what += ", a draft that differs from the standard that came of it"
+        what += ", a draft that differs from the final standard"
     raise FMUVersionError(
-        f"{archive.path} is an FMU of {what}, and only FMI 1.0, 2.0 and 3.0 can be used: export the model as FMI 2.0 or 3.0."
+        f"{archive.path} is an FMU of {what}, but only FMI 1.0, 2.0 and 3.0 can be used. Export the model as FMI 2.0 or 3.0."
     )
 
 
 def prefix(major: int) -> str:
-    """Return how the names of FMI's functions begin in a version: only those of FMI 1 have no number."""
+    """Return the prefix of the names of FMI's functions in a version; that of FMI 1 has no number."""
     return "fmi" if major == 1 else f"fmi{major}"

@@ -258,7 +258,7 @@ def test_drafts_of_the_standard_are_refused_by_name(slave, version):
     ("version", "what"), [("4.0", "FMI 4.0,"), ("", "FMI without a version,"), ("9" * 500, f"FMI {'9' * 40},")]
 )
 def test_other_versions_are_refused_by_name(slave, version, what):
-    with pytest.raises(FMUVersionError, match=f"is an FMU of {what} and only FMI"):
+    with pytest.raises(FMUVersionError, match=f"is an FMU of {what} but only FMI"):
         describe(slave(('fmiVersion="1.0"', f'fmiVersion="{version}"')))
 
 

@@ -234,7 +234,7 @@ def test_numbers_that_stand_for_no_variable(tmp_path, validate):
     for number in (0, 99):
         path = rewritten("2.0", tmp_path / f"{number}.fmu", ('<Unknown index="3"', f'<Unknown index="{number}"'))
         with pytest.raises(
-            FMUError, match=rf"refers to the variable number {number}, but they are counted from 1 to \d+"
+            FMUError, match=rf"refers to variable number {number}, but variables are numbered from 1 to \d+"
         ):
             describe(path, validate=validate)
     path = rewritten("2.0", tmp_path / "input.fmu", ('<Unknown index="3" dep', '<Unknown index="1" dep'))

@@ -65,7 +65,7 @@ def test_a_tunable_parameter_counts_as_feeding_through(built):
     block = FMU(built("typed"), tunable=["k"], inputs=["u"], outputs=["x"])
     assert (block.timing, {p.name: p.feedthrough for p in block.inputs}) == ("direct", {"u": False, "k": True})
     assert pickle.loads(pickle.dumps(block)) == block
-    with pytest.raises(FMUError, match="only tunable parameters that are numbers can be changed while it runs"):
+    with pytest.raises(FMUError, match="only tunable parameters that are numbers can change during a run"):
         FMU(built("ball"), tunable=["g"])
 
 
