@@ -1,1 +1,1 @@
-"""The binary of an FMU: loaded, its functions called, memory lent to them."""
+"""The binary of an FMU: loading it, calling its functions, and their buffers."""

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Addresses:
-    """Addresses of the FMI functions that a step may call; 0 where the instance does not have them or is not to use them.
+    """Addresses of the FMI functions that a step may call; 0 for functions that the instance lacks or must not use.
 
     Attributes
     ----------
     do_step : int
         Makes the step.
     real_status, boolean_status : int
-        FMI 2, where steps of any size can be made: say how far a discarded step came, and whether the FMU wants to end.
+        For FMI 2 with variable step size: the time that a discarded step reached, and whether the FMU ends the simulation.
     enter_event_mode, update_discrete, enter_step_mode : int
-        FMI 3, where event mode is used.
+        For FMI 3 with event mode.
     """
 
     do_step: int

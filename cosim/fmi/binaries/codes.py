@@ -1,45 +1,45 @@
-"""What the step of an FMU returns, and where it keeps what FMI returns: numbers that compiled code and Python share."""
+"""Statuses of the step of an FMU, and the layout of its scratch memory; shared by compiled code and Python."""
 
 GET, SET, STEP, EVENTS = 100, 200, 300, 500
-"""Functions that failed; FMI's own status is added."""
+"""Which function failed; FMI's own status is added."""
 
 EARLY, TERMINATED, ENDLESS = 401, 402, 403
 UNFIT_INPUT, UNFIT_OUTPUT = 601, 602
 
 LAST = 5
-"""The last status that FMI knows."""
+"""The last status that FMI defines."""
 
 ODD, MOST = 100, 4_999
-"""Of any other status: factor of where it came from, and the largest that is told from larger ones."""
+"""For any other status: the factor of the failed function's code, and the largest status that is not clipped."""
 
 DISCARD, FATAL, PENDING = 2, 4, 5
 
-# Words of the scratch memory for what fmi3DoStep returns; a C bool takes the lowest byte of its word. Then what the status of
-# fmi2DoStep is asked, the place of a value that does not fit, and what fmi3UpdateDiscreteStates returns; last whether a promise
-# is made that no state before the step will be restored (noSetFMUStatePriorToCurrentPoint), and when a clock is to tick next.
+# Words of the scratch memory. The first four receive the results of fmi3DoStep; a C bool takes the lowest byte of its word. Then
+# come the answer of fmi2GetXStatus, the index of a value that does not fit, and the results of fmi3UpdateDiscreteStates. The
+# last two are noSetFMUStatePriorToCurrentPoint and the time of the next tick of a clock.
 EVENT, TERMINATE, RETURNED_EARLY, REACHED, ANSWER, UNFIT, UPDATE = range(7)
 UPDATE_TERMINATE, NEXT_DEFINED, NEXT_TIME = UPDATE + 1, UPDATE + 4, UPDATE + 5
 NO_RETURN, DUE = 12, 13
 SCRATCH_WORDS = 14
 
 TOLERANCE = 1e-9
-"""Part of a step that an FMU may fall short of its end before it counts as an early return."""
+"""Fraction of a step that may be missing at its end without counting as an early return."""
 
 SMALLEST = 1e-6
-"""Part of a step below which a step that was discarded is not cut further."""
+"""Fraction of a step below which a discarded step is not cut further."""
 
 TRIES = 10_000
-"""How often a step may return early or be discarded, and an event be updated, before it counts as endless."""
+"""Most early returns or discards of a step, and updates of an event, before it counts as endless."""
 
 LAST_TIME, HAS_TERMINATED = 2, 3
 """Kinds of fmi2GetRealStatus and fmi2GetBooleanStatus."""
 
 EXACT = 2.0**53
-"""From here on, not every whole number is a double."""
+"""From here on, doubles cannot represent every whole number."""
 
 
 def failed(where: int, status: int) -> int:
-    """Return 0 for FMI's OK and Warning, else the status of a step, see `decoded`; it is compiled as well."""
+    """Return 0 for FMI's OK and Warning, else the status of a step, see `decoded`; it is also used in compiled code."""
     if status == 0 or status == 1:
         return 0
     if status > 1 and status <= LAST:
@@ -48,7 +48,7 @@ def failed(where: int, status: int) -> int:
 
 
 def decoded(status: int) -> tuple[int, int]:
-    """Return what has failed (`GET`, `SET`, `STEP`, `EVENTS`, or another code), and the status that FMI's function returned."""
+    """Return what has failed (`GET`, `SET`, `STEP`, `EVENTS`, or another code), and FMI's own status."""
     if status >= ODD * GET:
         where, code = divmod(status, ODD * GET)
         return where * GET, code - MOST

@@ -1,4 +1,4 @@
-"""Ports of an FMU in groups of one type, which one FMI call reads or sets, converted to and from float64 exactly."""
+"""Ports of an FMU in groups of one type: one FMI call reads or sets a group, with exact conversion to and from float64."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VALUES3 = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_size_t
 )
 MAY_ROUND, ROUNDED = 1, 2
-"""Of an element of 64-bit whole numbers that no double holds: it may be rounded (0: it stops the run), and it was."""
+"""States of a 64-bit whole number that does not fit a double: it may be rounded (0: it stops the run), and it was rounded."""
 
 _WIDE = 8
 _FLOAT32_MAX = float(np.finfo(np.float32).max)
@@ -42,16 +42,16 @@ _DTYPES = (
 
 @dataclass(frozen=True)
 class NumericType:
-    """How the values of a type lie in memory, and which numbers it holds.
+    """The memory layout and the range of a numeric type.
 
     Attributes
     ----------
     code : int
-        As in `bayesftc.cosim.fmi.running.typed_kernels`.
+        Code of the type in `bayesftc.cosim.fmi.running.typed_kernels`.
     low, limit : float
-        Its least number, and for whole numbers the first that is too large; of a Float32 the largest.
+        The least number and, for whole numbers, the first that is too large; for a Float32, the largest.
     negated : bool
-        Whether what lies in memory is the negative of the value.
+        Whether the memory contains the negative of the value.
     """
 
     code: int
@@ -61,12 +61,12 @@ class NumericType:
 
     @property
     def plain(self) -> bool:
-        """Whether values lie in memory as the engine has them."""
+        """Whether values need no conversion for the engine."""
         return self.code == 0 and not self.negated
 
     @property
     def is_wide(self) -> bool:
-        """Whether it has whole numbers of 64 bits, which a double may not hold."""
+        """Whether its values are whole numbers of 64 bits, which may not fit a double."""
         return self.code >= _WIDE
 
     @property
@@ -75,7 +75,7 @@ class NumericType:
         return np.dtype(_DTYPES[self.code])
 
     def misfit(self, values: Floats) -> int:
-        """Return the place of the first value that the type does not hold, or -1."""
+        """Return the index of the first value that does not fit the type, or -1."""
         if self.code == 0:
             return -1
         if self.code == 1:
@@ -95,7 +95,7 @@ def function_name(variable: FMUVariable, major: int, verb: str) -> str:
 
 
 def numeric_type(variable: FMUVariable, major: int) -> NumericType:
-    """Return how a variable's values lie in memory; an enumeration goes from its least item to its largest."""
+    """Return the numeric type of a variable; the range of an enumeration is from its least item to its largest."""
     kind = variable.type
     if kind in {"Real", "Float64"}:
         return replace(FLOAT64, negated=True) if variable.negated else FLOAT64
@@ -128,11 +128,11 @@ class Group:
     references : sequence of int
         Their value references.
     begin, size : int
-        Where their elements begin among those of all inputs or outputs, and how many they are.
+        Index of their first element among those of all inputs or outputs, and the number of elements.
     read : int
-        Of inputs that may only change at events: address of the FMI function that reads them; else 0.
+        For inputs that may only change at events: address of the FMI function that reads them; else 0.
     clocks : tuple of int
-        Value references of the clocks of which one must be active when they are set or read; none for other variables.
+        Value references of their clocks, of which one must be active when they are set or read; empty if not clocked.
     """
 
     def __init__(
@@ -152,15 +152,15 @@ class Group:
         self.references = np.array(references, dtype=np.uint32)
         self.guarded = Guarded(max(size, 1), kind.dtype)
         self.buffer = self.guarded.values
-        self.mine = slice(begin, begin + size)
+        self.span = slice(begin, begin + size)
         self.rounding = np.zeros(max(size, 1) if kind.is_wide else 1, dtype=np.int64)
 
     def place(self) -> tuple[int, int, int, int]:
-        """Return the function, the value references, how many they are and how many values."""
+        """Return the addresses of the function and of the value references, their number, and the number of values."""
         return self.function, self.references.ctypes.data, len(self.references), self.size
 
     def words(self) -> list[int]:
-        """Return the group as the compiled functions see it."""
+        """Return the group in the layout of the compiled functions."""
         low, limit = (int(np.float64(x).view(np.int64)) for x in (self.kind.low, self.kind.limit))
         return [
             self.function, self.kind.code, self.references.ctypes.data, len(self.references), self.begin, self.size,
@@ -181,8 +181,8 @@ class Group:
         return lambda component: int(call(component, references, count, buffer, *size))
 
     def put(self, component: int, inputs: Floats) -> tuple[int, int]:
-        """Set the group's inputs; return FMI's status, and the place of a value that the type does not hold, or -1."""
-        values = -inputs[self.mine] if self.kind.negated else inputs[self.mine]
+        """Set the group's inputs; return FMI's status, and the index of a value that does not fit the type, or -1."""
+        values = -inputs[self.span] if self.kind.negated else inputs[self.span]
         bad = self.kind.misfit(values)
         if bad >= 0:
             return 0, self.begin + bad
@@ -190,10 +190,10 @@ class Group:
         return self._call(component), -1
 
     def take(self, component: int, outputs: Floats) -> tuple[int, int]:
-        """Read the group's outputs; return FMI's status, and the place of a value that is no double, or -1."""
+        """Read the group's outputs; return FMI's status, and the index of a value that does not fit a double, or -1."""
         buffer, code = self.buffer[: self.size], self.kind.code
         if code == 0:
-            buffer[:] = outputs[self.mine]  # what a failing FMU does not write stays as it is, as in compiled code
+            buffer[:] = outputs[self.span]  # values that a failing FMU does not write stay, as in compiled code
         status = self._call(component)
         if code == 0 or status in {0, 1}:
             values = buffer.astype(np.float64)
@@ -201,33 +201,33 @@ class Group:
                 values = -values
             exact = (values > -EXACT) & (values < EXACT)
             if self.kind.is_wide and not exact.all():
-                kept = self.rounding != 0
-                self.rounding[~exact & kept] = ROUNDED
-                if not (exact | kept).all():
-                    bad = int(np.argmin(exact | kept))
+                may_round = self.rounding != 0
+                self.rounding[~exact & may_round] = ROUNDED
+                if not (exact | may_round).all():
+                    bad = int(np.argmin(exact | may_round))
                     outputs[self.begin : self.begin + bad + 1] = values[: bad + 1]
                     return status, self.begin + bad
-            outputs[self.mine] = values
+            outputs[self.span] = values
         return status, -1
 
     def unwritten(self, component: int) -> int:
-        """Return the place of the first output that the FMU says it has given and has not written, or -1."""
+        """Return the index of the first output that the FMU does not write though it returns OK, or -1."""
         values = self.buffer[: self.size]
-        kept = np.ones(self.size, dtype=bool)
+        unchanged = np.ones(self.size, dtype=bool)
         for filling in (0x5A, 0x25):
             values.view(np.uint8)[:] = filling
             before = values.copy()
             if self._call(component) not in {0, 1}:
                 return -1
-            kept &= values == before
-        return self.begin + int(np.argmax(kept)) if kept.any() else -1
+            unchanged &= values == before
+        return self.begin + int(np.argmax(unchanged)) if unchanged.any() else -1
 
     def alone(self, reference: int, size: int) -> Group:
-        """Return a group of one of the variables alone."""
+        """Return a group of a single variable."""
         return Group(self.name, self.function, self.kind, self.major, [reference], 0, size)
 
     def exceeds(self, component: int) -> bool:
-        """Return whether the FMU writes beyond the memory that it is given for the group."""
+        """Return whether the FMU writes beyond the group's buffer."""
         self._call(component)
         return not self.guarded.intact
 
@@ -275,7 +275,7 @@ def groups(
 
 
 def type_range(variable: FMUVariable, major: int) -> tuple[float, float]:
-    """Return the least and the largest number that a variable can hold."""
+    """Return the least and the largest number that fit the type of a variable."""
     kind = numeric_type(variable, major)
     return kind.low, kind.limit - (0.0 if kind.code < 2 else 1.0)
 

@@ -1,4 +1,4 @@
-"""Memory with guard zones: who writes beyond what is lent shows it, and damages nothing."""
+"""Memory with guard zones: writing beyond a buffer is detected, and damages nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.fmi.binaries.groups import Group
 
 ZONE = 4096
-"""Bytes before and after."""
+"""Bytes before and after the array."""
 
 _FILLING = 0xA5
 
@@ -45,12 +45,12 @@ class Guarded:
         return bool((self._memory[:ZONE] == _FILLING).all() and (self._memory[-ZONE:] == _FILLING).all())
 
     def mend(self) -> None:
-        """Make the guard zones as they were."""
+        """Restore the guard zones."""
         self._memory[:ZONE] = self._memory[-ZONE:] = _FILLING
 
 
 def beyond(groups: Sequence[Group], component: int, elements: Sequence[tuple[str, FMUVariable]]) -> str | None:
-    """Return which variables an FMU has written beyond the memory that it was given for them, or None.
+    """Return which variables an FMU has written beyond their buffers, or None.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def beyond(groups: Sequence[Group], component: int, elements: Sequence[tuple[str
     if group is None:
         return None
     sizes: dict[str, int] = {}
-    for _, variable in elements[group.mine]:
+    for _, variable in elements[group.span]:
         sizes[variable.name] = sizes.get(variable.name, 0) + 1
     alone = [
         name

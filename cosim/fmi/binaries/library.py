@@ -46,22 +46,23 @@ class CallError(Exception):
         self.function, self.status = function, status
 
     def __str__(self) -> str:
-        """Return what happened in FMI's words."""
+        """Return the function and its status in FMI's terms."""
         return f"{self.function} returned {status_word(self.status)}"
 
 
 @dataclass(frozen=True)
 class Beginning:
-    """What is set before and while an instance is initialized.
+    """The values for the initialization of an instance.
 
     Attributes
     ----------
     start : mapping
         Start values.
     inputs : mapping
-        What is set while it runs (inputs and tunable parameters) with its start values; None for what the FMU itself gives it.
+        The variables that are set during the run (inputs and tunable parameters), with their start values; None for values
+        that only the FMU has.
     tolerance : float
-        Above 0 it is told to the FMU, which solves its equations as well as that needs.
+        Tolerance that is passed to the FMU; 0 for none.
     """
 
     start: Mapping[FMUVariable, Value]
@@ -70,7 +71,7 @@ class Beginning:
 
     @property
     def before(self) -> dict[FMUVariable, Value]:
-        """What is set before initialization mode."""
+        """The values to set before initialization mode."""
         return {v: value for v, value in self.start.items() if v.causality != "input"}
 
     @property
@@ -80,22 +81,22 @@ class Beginning:
 
     @property
     def during(self) -> dict[FMUVariable, Value]:
-        """What is set in initialization mode: inputs, also those that are no ports."""
+        """The values to set in initialization mode: inputs, also those that are no ports."""
         return {v: value for v, value in self.start.items() if v.causality == "input"} | self.known
 
 
 class Library(ABC):
     """The loaded binary of one FMU; the parts that FMI 2 and 3 have in common.
 
-    Several instances may live at a time. fmpy's own ``freeInstance`` would unload the binary under the feet of the others,
-    so instances are made and freed through the bound C functions, and the binary stays until the process ends.
+    Several instances may exist at a time. fmpy's ``freeInstance`` would unload the binary while other instances use it. So
+    instances are created and freed by the bound C functions, and the binary stays loaded until the process ends.
     """
 
     #: Names of the functions of saved states: get, set, free.
     state_functions: tuple[str, str, str]
-    #: Names of the functions that make bytes of them: how many, to bytes, from bytes.
+    #: Names of the functions that serialise them: number of bytes, to bytes, from bytes.
     serial_functions: tuple[str, str, str]
-    #: What fmpy takes for one of these bytes.
+    #: fmpy's type of these bytes.
     byte: Any
 
     def __init__(self, description: FMUDescription, slave: Any, keep: Any):
@@ -103,8 +104,8 @@ class Library(ABC):
         from fmpy.fmi1 import FMICallException
 
         self._slave = slave
-        self._refused = FMICallException  # here, for what is freed as Python ends can import nothing
-        self._keep = keep  # a handle of our own: the binary stays even if someone closes fmpy's
+        self._refused = FMICallException  # imported here: instances that are freed as Python ends cannot import
+        self._keep = keep  # a second handle: the binary stays loaded even if fmpy's handle is closed
         self.alive = 0
         self._addresses: dict[str, int] = {}
 
@@ -125,18 +126,18 @@ class Library(ABC):
         """Return the addresses of the functions that a step of co-simulation may call."""
 
     def begin(self, name: str, messages: Messages) -> tuple[int, Any]:
-        """Return a new instance and what must be kept alive with it; if it is a model in Python, of its own Python files.
+        """Return a new instance and the objects that must be kept with it; a Python model uses its own Python files.
 
         Raises
         ------
         FMUError
-            If the FMU refuses it.
+            If instantiation fails.
         """
-        model, can = self.description.name, self.description.capabilities
-        if self.alive and can.get("canBeInstantiatedOnlyOncePerProcess"):
+        model, capabilities = self.description.name, self.description.capabilities
+        if self.alive and capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
             raise FMUError(
-                f"{name!r} cannot be a second instance of the FMU {model!r}, which allows only one in a process; run one "
-                "after the other, or each in a process of its own with FMU(..., isolate=True)."
+                f"{name!r} cannot be a second instance of the FMU {model!r}, which allows one instance per process. Run them one "
+                "after the other, or each in a separate process with FMU(..., isolate=True)."
             )
         with in_this_python(Path(self._slave.unzipDirectory, "resources"), self._keep):
             component, kept = self.create(name, messages)
@@ -144,36 +145,36 @@ class Library(ABC):
             tool = self.description.generation_tool or "the tool that exported it"
             needs = (
                 f"It needs {tool} to run (needsExecutionTool): install it here, or export the FMU without that need."
-                if can.get("needsExecutionTool")
-                else "If it needs a tool or a licence, check that it is there."
+                if capabilities.get("needsExecutionTool")
+                else "If it needs a tool or a licence, check that it is available."
             )
-            raise FMUError(f"The FMU {model!r} refused to be instantiated as {name!r}. {needs} {messages.quoted()}")
+            raise FMUError(f"The FMU {model!r} could not be instantiated as {name!r}. {needs} {messages.quoted()}")
         self.alive += 1
         return component, kept
 
     @abstractmethod
     def create(self, name: str, messages: Messages) -> tuple[int, Any]:
-        """Return a new instance (None if refused) and what must be kept alive with it."""
+        """Return a new instance (0 if instantiation fails) and the objects that must be kept with it."""
 
     @abstractmethod
     def initialize(
         self, component: int, beginning: Beginning, time: float = 0.0, meanwhile: Callable[[], None] = lambda: None
     ) -> None:
-        """Set the start values, go through initialization mode, and leave it ready for the first step.
+        """Set the start values and initialize an instance, up to the first step.
 
-        `time` is when it begins. `meanwhile` is called in initialization mode, when all is set.
+        `time` is the start time. `meanwhile` is called in initialization mode, after all values are set.
         """
 
     @abstractmethod
     def terminate(self, component: int) -> None:
-        """Tell a healthy instance that the run is over."""
+        """Terminate a healthy instance."""
 
     @abstractmethod
     def free(self, component: int) -> None:
         """Free an instance."""
 
     def release(self, component: int, forget_states: Callable[[], None], *, healthy: bool, fatal: bool) -> None:
-        """End and free an instance, which is over whatever that says.
+        """Terminate and free an instance; errors are ignored.
 
         Parameters
         ----------
@@ -182,9 +183,9 @@ class Library(ABC):
         forget_states : callable
             Frees its saved states.
         healthy : bool
-            Whether it stands where it may be told that the run is over.
+            Whether the standard allows to terminate it.
         fatal : bool
-            Whether it has returned Fatal, after which the standard allows no call at all.
+            Whether it has returned Fatal, after which the standard allows no call.
         """
         self.alive -= 1
         with suppress(CallError, FMUError):
@@ -194,18 +195,18 @@ class Library(ABC):
             if not fatal:
                 self.free(component)
 
-    def last_words(self, component: int) -> tuple[str, bool]:
-        """Return what more is known of a discarded step, as a sentence or nothing, and whether the FMU ends the simulation."""
+    def discard_details(self, component: int) -> tuple[str, bool]:
+        """Return details of a discarded step, as a sentence or nothing, and whether the FMU ends the simulation."""
         return "", False
 
     def _how_far(self, function: str, component: int) -> tuple[str, bool]:
-        """Return as `last_words` how far a discarded step has come, which the function of FMI 1 or 2 says."""
+        """Return how far a discarded step has come, as `discard_details`, by this function of FMI 1 or 2."""
         reached = ctypes.c_double(0.0)
         try:
             self.call(function, component, LAST_TIME, ctypes.byref(reached))
         except CallError:
             return "", False
-        return f"It could compute the step up to t = {reached.value:g} s; a smaller step may do.", False
+        return f"It computed the step up to t = {reached.value:g} s. Try a smaller step.", False
 
     def call(self, function: str, *arguments: Any) -> Any:
         """Call an FMI function through fmpy.
@@ -221,7 +222,7 @@ class Library(ABC):
             raise CallError(function, int(error.status)) from None
 
     def set_values(self, component: int, values: dict[FMUVariable, Value]) -> None:
-        """Set variables of any type, one at a time, so that a refusal names one."""
+        """Set variables of any type, one at a time, so that an error names the variable."""
         for variable, value in values.items():
             function, c_type = self._setter(variable.type)
             reference = (ctypes.c_uint * 1)(variable.reference)
@@ -239,13 +240,15 @@ class Library(ABC):
     def _set(self, function: str, component: int, reference: Any, array: Any) -> None: ...
 
     def _narrow_log(self, function: str, component: int) -> None:
-        # The log is on while the instance is made, so that a refusal says why. Afterwards only problems are wanted:
+        # All messages are logged during instantiation, so that a failure has its reason. Afterwards only problems are logged:
         # a message costs more than a thousand steps.
-        wanted = [c.encode() for c in _STATUS_CATEGORIES if c in self.description.log_categories]
+        categories = [c.encode() for c in _STATUS_CATEGORIES if c in self.description.log_categories]
         if (self.description.generation_tool or "").startswith("PythonFMU"):
-            wanted = [b""]  # it declares categories, but its own errors are of none of them
-        with suppress(CallError):  # it then says more or less than asked for, which harms nothing
-            self.call(function, component, bool(wanted), len(wanted), (ctypes.c_char_p * len(wanted))(*wanted))
+            categories = [b""]  # it declares categories, but its errors belong to none of them
+        with suppress(CallError):  # then it logs more or less than requested, which is harmless
+            self.call(
+                function, component, bool(categories), len(categories), (ctypes.c_char_p * len(categories))(*categories)
+            )
 
 
 class Library2(Library):
@@ -286,10 +289,10 @@ class Library2(Library):
 
     def step_addresses(self) -> Addresses:
         """See `Library.step_addresses`."""
-        asks: tuple[int, ...] = ()
+        status_functions: tuple[int, ...] = ()
         if self.description.capabilities.get("canHandleVariableCommunicationStepSize"):
-            asks = self.function_address("fmi2GetRealStatus"), self.function_address("fmi2GetBooleanStatus")
-        return Addresses(self.function_address("fmi2DoStep"), *asks)
+            status_functions = self.function_address("fmi2GetRealStatus"), self.function_address("fmi2GetBooleanStatus")
+        return Addresses(self.function_address("fmi2DoStep"), *status_functions)
 
     def terminate(self, component: int) -> None:
         """See `Library.terminate`."""
@@ -299,8 +302,8 @@ class Library2(Library):
         """See `Library.free`."""
         self.call("fmi2FreeInstance", component)
 
-    def last_words(self, component: int) -> tuple[str, bool]:
-        """See `Library.last_words`."""
+    def discard_details(self, component: int) -> tuple[str, bool]:
+        """See `Library.discard_details`."""
         ended = ctypes.c_int(0)
         try:
             self.call("fmi2GetBooleanStatus", component, HAS_TERMINATED, ctypes.byref(ended))
@@ -379,9 +382,9 @@ class Library3(Library):
         """See `Library.free`."""
         self.call("fmi3FreeInstance", component)
 
-    def last_words(self, component: int) -> tuple[str, bool]:
-        """See `Library.last_words`."""
-        return "It has stayed where it was; a smaller step may do.", False
+    def discard_details(self, component: int) -> tuple[str, bool]:
+        """See `Library.discard_details`."""
+        return "It has made no progress. Try a smaller step.", False
 
     def _setter(self, kind: str) -> tuple[str, Any]:
         name = "Int64" if kind == "Enumeration" else kind

@@ -1,4 +1,4 @@
-"""The binary of an FMU of FMI 1 for co-simulation: its functions are called as those of FMI 2, but have names of their own."""
+"""The binary of an FMU of FMI 1 for co-simulation: its functions are called as those of FMI 2, but have other names."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _MIME = b"application/x-fmu-sharedlibrary"
 class Library1(Library):
     """A binary of FMI 1.
 
-    The names of its functions begin with the model's, as ``car_fmiDoStep``; it has one function more or less for what FMI 2 does
-    in modes, and none for saved states.
+    The names of its functions begin with the model's name, as ``car_fmiDoStep``. It has other functions where FMI 2 has modes,
+    and none for saved states.
     """
 
     state_functions = ("", "", "")
@@ -30,7 +30,7 @@ class Library1(Library):
 
     def __init__(self, description: FMUDescription, slave: Any, keep: Any):
         super().__init__(description, slave, keep)
-        # fmpy binds some functions as if they returned a text: a status of 3 would be read as its address.
+        # fmpy binds some functions as if they returned a string: a status of 3 would be used as its address.
         for name, function in slave._functions.items():
             if function.restype is ctypes.c_char_p and not name.endswith(("GetVersion", "TypesPlatform")):
                 function.restype = ctypes.c_int
@@ -51,8 +51,8 @@ class Library1(Library):
         callbacks = callbacks1(messages, name)
         component = self._instantiate(name.encode(), callbacks)
         if component:
-            messages.hear(component)
-            self.call("fmiSetDebugLogging", component, FALSE)  # as in `_narrow_log`; here it is all or nothing
+            messages.add_key(component)
+            self.call("fmiSetDebugLogging", component, FALSE)  # as in `_narrow_log`, but FMI 1 has no categories
         return component or 0, callbacks
 
     def _instantiate(self, name: bytes, callbacks: Any) -> Any:
@@ -83,8 +83,8 @@ class Library1(Library):
         """See `Library.free`."""
         self.call("fmiFreeSlaveInstance", component)
 
-    def last_words(self, component: int) -> tuple[str, bool]:
-        """See `Library.last_words`."""
+    def discard_details(self, component: int) -> tuple[str, bool]:
+        """See `Library.discard_details`."""
         return self._how_far("fmiGetRealStatus", component)
 
     def _setter(self, kind: str) -> tuple[str, Any]:

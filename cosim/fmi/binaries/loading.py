@@ -1,4 +1,4 @@
-"""Binaries of FMUs: found, or compiled; loaded once per process, and kept."""
+"""Binaries of FMUs: selected or compiled, and loaded once per process."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _loaded: dict[tuple[str, bool], Library] = {}
 
 
 def binary_entry(archive: Archive, description: FMUDescription) -> tuple[str, str]:
-    """Return the platform's name in the FMU's version of FMI, and the entry where its binary lies, or would have to lie.
+    """Return this platform's name in the FMU's version of FMI, and the entry of its binary (present or not).
 
-    On ARM, FMI 2.0.4 has the folders of FMI 3.0; many exporters use those of x86, and so they are looked at, too. A
-    binary that is not called after the model's identifier is taken where it is the only one.
+    On ARM, FMI 2.0.4 has the folders of FMI 3.0. Many exporters use those of x86, so these are searched, too. A binary whose
+    name is not the model identifier is used if it is the only one.
     """
     import fmpy
 
@@ -52,15 +52,17 @@ def _binaries(archive: Archive, platform: str) -> list[str]:
 
 
 def misnamed(description: FMUDescription, entry: str) -> str:
-    """Return, as the rest of a sentence, that a binary is not called after the model's identifier; nothing where it is."""
+    """Return the end of a sentence about a binary whose name is not the model identifier; nothing if it is."""
     name = PurePosixPath(entry)
     if name.stem == description.identifier:
         return ""
-    return f"is called {name.name}, and not {description.identifier}{name.suffix} as its modelIdentifier says; it is the only one"
+    return (
+        f"is named {name.name} instead of {description.identifier}{name.suffix} (modelIdentifier), but is the only one"
+    )
 
 
 def load_library(archive: Archive, description: FMUDescription, *, exchange: bool = False) -> Library:
-    """Unpack an FMU and load its binary, both only once; `exchange` for model exchange, else co-simulation.
+    """Unpack an FMU and load its binary, both only once; for model exchange with `exchange`, else for co-simulation.
 
     Raises
     ------
@@ -79,13 +81,13 @@ def load_library(archive: Archive, description: FMUDescription, *, exchange: boo
             else:
                 sources = read_sources(archive, description, exchange=exchange)
                 if sources is None:
-                    have = ", ".join(archive.platforms()) or "no binaries at all"
-                    what = f"binary for this platform, {platform} (it has: {have})"
+                    platforms = ", ".join(archive.platforms()) or "no binaries at all"
+                    what = f"binary for this platform, {platform} (it has: {platforms})"
                     if platform in archive.platforms():
                         others = " and ".join(_binaries(archive, platform)[:_SHOWN]) or "no binary at all"
                         what = f"binary {PurePosixPath(entry).name} for this platform, {platform} (but {others} there)"
                     raise FMUPlatformError(
-                        f"The FMU {archive.path} has no {what}, and no C sources that could be compiled here; export it for "
+                        f"The FMU {archive.path} has no {what}, and no C sources that can be compiled here. Export it for "
                         f"{platform}, or with its sources."
                     )
                 folder = compiled(archive, sources, platform, entry)
@@ -102,7 +104,7 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
     from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary2, ModelLibrary3
     from bayesftc.cosim.fmi.binaries.model_library1 import ModelLibrary1
 
-    binding, made = {
+    binding, library_type = {
         (1, False): (FMU1Slave, Library1),
         (1, True): (FMU1Model, ModelLibrary1),
         (2, False): (FMU2Slave, Library2),
@@ -117,21 +119,21 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
         "instanceName": description.name,
         "libraryPath": str(folder / entry),
     }
-    if description.fmi_major == 3:  # there fmpy takes no path, and the identifier for nothing but the path
+    if description.fmi_major == 3:  # fmpy derives the path from the identifier, and uses it for nothing else
         settings["modelIdentifier"] = PurePosixPath(entry).stem
-    here = os.getcwd()
+    folder_before = os.getcwd()
     try:
         with kept():
             slave = binding(**settings)
             keep = ctypes.CDLL(str(folder / entry))
-    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError where a function lacks
+    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError for a missing function
         raise FMUError(
             f"The binary of the FMU {archive.path} cannot be loaded: {_reason(error, folder)}. Install the libraries that it "
-            "needs, or ask its maker for a binary that fits this system."
+            "needs, or ask its maker for a binary for this system."
         ) from None
     finally:
-        os.chdir(here)  # fmpy goes to the binary's folder, and stays there if loading fails
-    return made(description, slave, keep)
+        os.chdir(folder_before)  # fmpy changes to the binary's folder, and does not return if loading fails
+    return library_type(description, slave, keep)
 
 
 def _reason(error: Exception, folder: Path) -> str:

@@ -1,4 +1,4 @@
-"""The functions by which an integrator drives the binary of a model exchange FMU, in all versions of FMI."""
+"""The functions of a model exchange FMU that an integrator calls, in all versions of FMI."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ VECTOR = ("set_states", "get_states", "get_derivatives", "get_indicators", "get_
 
 
 class Bound:
-    """Functions of the binary as plain ctypes calls of addresses, which cost a fraction of fmpy's."""
+    """Functions of the binary as plain ctypes calls of addresses, which are much faster than fmpy's."""
 
-    #: The standard's names of the functions that are the same in all versions but for their names.
+    #: The standard's names of the functions that differ between versions only in their names.
     names: dict[str, str]
     description: FMUDescription
     function_address: Callable[[str], int]
@@ -41,7 +41,7 @@ class Bound:
         return {role: kind(address) for role, kind in kinds.items() if (address := self.address(role))}
 
     def completed_step(self, component: int, no_return: int, enter: Any, terminate: Any) -> int:
-        """Tell an instance that a step of the integrator is completed; `enter` and `terminate` are written."""
+        """Call completedIntegratorStep; `enter` and `terminate` receive its results."""
         places = ctypes.addressof(enter), ctypes.addressof(terminate)
         return int(_COMPLETED(self.address("completed_step"))(component, no_return, *places))
 

@@ -1,4 +1,4 @@
-"""The binary of a model exchange FMU: the functions by which an integrator drives it, in FMI 2 and 3."""
+"""The binary of a model exchange FMU of FMI 2 or 3: the functions that an integrator calls."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class EventInfo2(ctypes.Structure):
 
 
 class EventInfo3(ctypes.Structure):
-    """What fmi3UpdateDiscreteStates writes, with the fields of `EventInfo2`."""
+    """The results of fmi3UpdateDiscreteStates, with the fields of `EventInfo2`."""
 
     _fields_ = (
         ("needed", ctypes.c_bool),
@@ -66,7 +66,7 @@ class ModelLibrary2(Bound, Library2):
 
     @cached_property
     def update_discrete(self) -> Callable[[int, Any], int]:
-        """Function ``(instance, event info)``: one turn of the event iteration."""
+        """Function ``(instance, event info)``: one pass of the event iteration."""
         kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE)
         function = kind(self.address("update_discrete"))
         return lambda component, info: function(component, ctypes.addressof(info))
@@ -74,11 +74,11 @@ class ModelLibrary2(Bound, Library2):
     event_info = EventInfo2
 
     def size(self, component: int, what: str, declared: int) -> int:
-        """Return how many states or event indicators there are."""
+        """Return the number of states or event indicators."""
         return declared
 
     def directional(self, component: int, unknowns: Any, knowns: Any, seed: Any, result: Any) -> int:
-        """Return the status of a directional derivative; the arrays are NumPy's."""
+        """Compute a directional derivative into the NumPy array `result`; return the status."""
         kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT, _PLACE, _COUNT, _PLACE, _PLACE)
         status: int = kind(self.address("directional"))(
             component, unknowns.ctypes.data, len(unknowns), knowns.ctypes.data, len(knowns), seed.ctypes.data,
@@ -132,13 +132,13 @@ class ModelLibrary3(Bound, Library3):
     event_info = EventInfo3
 
     def size(self, component: int, what: str, declared: int) -> int:
-        """Return how many states or event indicators there are: structural parameters may have changed it."""
+        """Return the number of states or event indicators, which structural parameters may have changed."""
         count = ctypes.c_size_t(declared)
         function = {"states": "fmi3GetNumberOfContinuousStates", "indicators": "fmi3GetNumberOfEventIndicators"}[what]
         try:
             self.call(function, component, ctypes.byref(count))
         except CallError:
-            return declared  # it says what it declared, by another function
+            return declared
         return count.value
 
     def directional(self, component: int, unknowns: Any, knowns: Any, seed: Any, result: Any) -> int:
@@ -169,7 +169,7 @@ def load_model(archive: Archive, description: FMUDescription) -> ModelLibrary:
         "canSerializeFMUstate": exchange.can_serialise,
         "canBeInstantiatedOnlyOncePerProcess": exchange.once,
     }
-    own = replace(description, identifier=exchange.identifier, capabilities=capabilities)
-    library = load_library(archive, own, exchange=True)
+    local_description = replace(description, identifier=exchange.identifier, capabilities=capabilities)
+    library = load_library(archive, local_description, exchange=True)
     assert isinstance(library, ModelLibrary)
     return library

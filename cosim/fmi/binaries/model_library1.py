@@ -1,4 +1,4 @@
-"""The binary of a model exchange FMU of FMI 1, which has no modes: it is always ready for events and for integration."""
+"""The binary of a model exchange FMU of FMI 1, which has no modes: events and integration are always possible."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _COMPLETED = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
 
 
 class EventInfo1(ctypes.Structure):
-    """fmiEventInfo, with what `EventInfo2` calls otherwise under its names."""
+    """fmiEventInfo, with the names of `EventInfo2`."""
 
     _fields_ = (
         ("converged", ctypes.c_int8),
-        ("nominals", ctypes.c_int8),  # that the states are others now, which have other nominal values
+        ("nominals", ctypes.c_int8),  # the states have changed, and so may their nominal values
         ("values", ctypes.c_int8),
         ("terminate", ctypes.c_int8),
         ("defined", ctypes.c_int8),
@@ -29,7 +29,7 @@ class EventInfo1(ctypes.Structure):
 
     @property
     def needed(self) -> bool:
-        """Whether another turn of the event iteration is needed."""
+        """Whether another pass of the event iteration is needed."""
         return not self.converged
 
 
@@ -51,14 +51,14 @@ class ModelLibrary1(Bound, Library1):
     event_info = EventInfo1
 
     def address(self, role: str) -> int:
-        """See `Bound.address`; 0 where FMI 1 has no such function."""
+        """See `Bound.address`; 0 if FMI 1 has no such function."""
         return super().address(role) if self.names[role] else 0
 
     @cached_property
     def bound(self) -> dict[str, Function]:
         """See `Bound.bound`."""
-        there = {role: function for role, function in super().bound.items() if role not in PLAIN}
-        return {**there, **dict.fromkeys(PLAIN, lambda component: 0)}
+        functions = {role: function for role, function in super().bound.items() if role not in PLAIN}
+        return {**functions, **dict.fromkeys(PLAIN, lambda component: 0)}
 
     def _instantiate(self, name: bytes, callbacks: Any) -> Any:
         return self.call("fmiInstantiateModel", name, self.description.token.encode(), callbacks, TRUE)
@@ -73,12 +73,12 @@ class ModelLibrary1(Bound, Library1):
 
     @cached_property
     def _first(self) -> dict[int, ctypes.Structure]:
-        """What initialization has said of events, until it is asked for."""
+        """The event information from initialization, until it is used."""
         return {}
 
     @cached_property
     def update_discrete(self) -> Callable[[int, Any], int]:
-        """See `ModelLibrary2.update_discrete`; the first turn was made in initialization."""
+        """See `ModelLibrary2.update_discrete`; initialization has made the first pass."""
         function = _UPDATE(self.address("update_discrete"))
 
         def update(component: int, info: EventInfo1) -> int:
@@ -91,7 +91,7 @@ class ModelLibrary1(Bound, Library1):
         return update
 
     def completed_step(self, component: int, no_return: int, enter: Any, terminate: Any) -> int:
-        """See `Bound.completed_step`; it cannot end a simulation."""
+        """See `Bound.completed_step`; in FMI 1 it cannot end a simulation."""
         return int(_COMPLETED(self.address("completed_step"))(component, ctypes.addressof(enter)))
 
     def size(self, component: int, what: str, declared: int) -> int:
@@ -99,18 +99,18 @@ class ModelLibrary1(Bound, Library1):
         return declared
 
     def state_names(self, component: int, count: int) -> list[str]:
-        """Return the names of the continuous states; one of which the binary tells nobody is called by its number."""
+        """Return the names of the continuous states, or ``x[i]`` if the binary does not identify them."""
         references = (ctypes.c_uint * count)()
         try:
             self.call("fmiGetStateValueReferences", component, references, count)
-        except CallError:  # many have not got it
+        except CallError:  # many binaries lack this function
             return [f"x[{i}]" for i in range(count)]
         reals = [v for v in self.description.variables if v.type == "Real" and not v.negated]
         names = {v.reference: v.name for v in reversed(reals)}
         return [names.get(reference, f"x[{i}]") for i, reference in enumerate(references)]
 
     def directional(self, component: int, unknowns: Any, knowns: Any, seed: Any, result: Any) -> int:
-        """FMI 1 has no directional derivatives, so that nobody asks for any."""
+        """FMI 1 has no directional derivatives; this is never called."""
         raise NotImplementedError
 
     def terminate(self, component: int) -> None:

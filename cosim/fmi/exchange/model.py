@@ -1,4 +1,4 @@
-"""One instance of a model exchange FMU: its modes, its numbers, its events; whoever integrates drives it through this."""
+"""One instance of a model exchange FMU: modes, values and events, for the integrators."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _DISCARD, _FATAL = 2, 4
 
 @dataclass(frozen=True)
 class SavedModel:
-    """The state of a model exchange FMU: the FMU's own, if it has more than what the side of the integrator knows."""
+    """The state of a model exchange FMU: time, inputs and states, with the FMU's own saved state if they are not enough."""
 
     state: SavedState | None
     token: str
@@ -51,29 +51,29 @@ class ExchangeModel:
     name : str
         Name of the instance.
     beginning : Beginning
-        Start values, inputs, and the relative tolerance of its integrator, for equations that the FMU solves by itself.
+        Start values, inputs, and the integrator's relative tolerance, which the FMU uses for equations that it solves itself.
     outputs : sequence of FMUVariable
-        The outputs that are read while it runs.
+        The outputs to read.
 
     Attributes
     ----------
     table : ndarray of int64
-        What compiled functions know of it: see `bayesftc.cosim.fmi.exchange.words`.
+        The table for compiled functions: see `bayesftc.cosim.fmi.exchange.words`.
     component : int
         The instance's address.
     nx, nz : int
         Numbers of continuous states and event indicators.
     x : ndarray, (nx,)
-        Where `read_states` writes to and `write_states` reads from.
+        The states that `read_states` reads and `write_states` writes.
     inputs : ndarray
-        The inputs as they were set last.
+        The inputs that were set last.
     jumps : bool
-        Whether some inputs may only be set in event mode: they are discrete, or tunable parameters.
+        Whether some inputs may only be set in event mode, because they are discrete or tunable parameters.
 
     Raises
     ------
     FMUError
-        If the FMU refuses to be instantiated or initialized, or ends at once.
+        If the FMU's instantiation or initialization fails, or it ends the simulation at once.
     """
 
     def __init__(
@@ -121,11 +121,13 @@ class ExchangeModel:
             library.initialize(self.component, self._beginning)
             self.nx = library.size(self.component, "states", self._declared)
             if self.nx != self._declared and not any(v.dimensions for v in self.info.states):
-                raise StopError(f"Its binary has {self.nx} continuous states, its model description {self._declared}")
+                raise StopError(
+                    f"Its binary has {self.nx} continuous states, but its model description has {self._declared}"
+                )
             self.nz = library.size(self.component, "indicators", self.info.indicators)
             self.places = Guarded(
                 max(self.nx, 1), np.dtype(np.float64)
-            ).values  # without states, a constant stands for them in an integrator
+            ).values  # an FMU without states is integrated with one constant state
             self.x = self.places[: self.nx]
             self.x.view(np.int64)[:] = UNWRITTEN
             self._iterate()
@@ -144,14 +146,14 @@ class ExchangeModel:
         table[words.STATES], table[words.INDICATORS], table[words.X] = self.nx, self.nz, self.places.ctypes.data
         table[words.WANTS_STEPS] = self.info.needs_completed_step
         table[words.NO_RETURN] = 1
-        into, out = self.ports.rows
-        table[words.IN_GROUPS], table[words.IN_GROUP_COUNT] = into.ctypes.data, len(into)
-        table[words.OUT_GROUPS], table[words.OUT_GROUP_COUNT] = out.ctypes.data, len(out)
+        input_rows, output_rows = self.ports.rows
+        table[words.IN_GROUPS], table[words.IN_GROUP_COUNT] = input_rows.ctypes.data, len(input_rows)
+        table[words.OUT_GROUPS], table[words.OUT_GROUP_COUNT] = output_rows.ctypes.data, len(output_rows)
         table[words.IN_SIZE], table[words.INPUTS] = len(self.inputs), self.inputs.ctypes.data
 
     @property
     def time(self) -> float:
-        """Its own time in seconds."""
+        """The FMU's time in seconds."""
         return float(self.reals[words.TIME])
 
     @time.setter
@@ -160,7 +162,7 @@ class ExchangeModel:
 
     @property
     def next_event(self) -> float:
-        """The time of its next time event in seconds; infinity if there is none."""
+        """The time of the next time event in seconds; infinity if there is none."""
         return float(self.reals[words.NEXT_EVENT])
 
     @next_event.setter
@@ -179,7 +181,7 @@ class ExchangeModel:
     # --- calls -----------------------------------------------------------------------------------------------------
 
     def call(self, role: str, *arguments: Any) -> None:
-        """Call one of the functions that an integrator needs.
+        """Call one of the functions in `Bound.names`.
 
         Raises
         ------
@@ -195,22 +197,22 @@ class ExchangeModel:
             raise CallError(self.library.names[role], status)
 
     def note(self, status: int) -> None:
-        """Remember what an instance may still be called for after a status that is neither OK nor Warning."""
-        self.healthy = self.healthy and status == _DISCARD  # after an error it may not be asked to terminate
+        """Store, after a status other than OK and Warning, which calls FMI still allows."""
+        self.healthy = self.healthy and status == _DISCARD  # after an error FMI forbids to terminate it
         self.fatal = self.fatal or status == _FATAL
 
     def set_time(self, t: float) -> None:
-        """Tell the FMU what time it is."""
+        """Set the FMU's time."""
         self.call("set_time", t)
         self.time = t
 
     def write_states(self) -> None:
-        """Give it the continuous states in `x`."""
+        """Set the continuous states to `x`."""
         if self.nx:
             self.call("set_states", self.x.ctypes.data, self.nx)
 
     def read_states(self) -> None:
-        """Read its continuous states into `x`."""
+        """Read the continuous states into `x`."""
         if self.nx:
             self.call("get_states", self.x.ctypes.data, self.nx)
 
@@ -220,13 +222,13 @@ class ExchangeModel:
             self.call(role, array.ctypes.data, len(array))
 
     def nominals(self) -> Floats:
-        """Return the nominal values of the states, positive: 1 where the FMU gives none that can be one."""
+        """Return the nominal values of the states, all positive: 1 if the FMU's value is not valid."""
         values = np.ones(self.nx)
         self.read("get_nominals", values)
         return np.where(np.isfinite(values) & (values != 0.0), np.abs(values), 1.0)
 
     def write_inputs(self, values: Floats) -> None:
-        """Set the inputs, in the mode in which it is."""
+        """Set the inputs, in the present mode."""
         self.inputs[:] = values
         self._noting(self.ports.write, self.inputs)
 
@@ -244,12 +246,12 @@ class ExchangeModel:
     # --- events ----------------------------------------------------------------------------------------------------
 
     def event(self, inputs: Floats | None = None) -> bool:
-        """Go through event mode, where inputs may jump and discrete states change.
+        """Handle an event in event mode, where inputs may jump and discrete states change; `x` receives the new states.
 
         Returns
         -------
         bool
-            Whether the nominal values of the states have changed. The states themselves may have; `x` has them.
+            Whether the nominal values of the states have changed.
 
         Raises
         ------
@@ -278,12 +280,12 @@ class ExchangeModel:
                 break
         else:
             raise StopError(
-                f"Its event iteration does not end: after {ITERATIONS} turns at t = {self.time:g} s it still wants another "
+                f"Its event iteration does not end: after {ITERATIONS} passes at t = {self.time:g} s it still requests another "
                 f"{self.library.names['update_discrete']}"
             )
         self.next_event = float(info.time) if info.defined else math.inf
         if math.isnan(self.next_event):
-            raise StopError("The FMU says that its next event is at t = NaN")
+            raise StopError("The FMU gives t = NaN as the time of its next event")
         self.call("enter_continuous_mode")
         self.read_states()
         unwritten = self.x.view(np.int64) == UNWRITTEN
@@ -300,7 +302,7 @@ class ExchangeModel:
 
     @property
     def can_save(self) -> bool:
-        """See `bayesftc.cosim.block.External.can_save`; one that has continuous states only is saved without its help."""
+        """See `bayesftc.cosim.block.External.can_save`; an FMU with continuous states only needs no saved states."""
         return self.states.can_save or self._is_smooth
 
     @property
@@ -312,23 +314,23 @@ class ExchangeModel:
         self.table[words.NO_RETURN] = 0
 
     def save(self) -> SavedModel:
-        """Return its state; see `bayesftc.cosim.block.External.save`."""
+        """Return the state; see `bayesftc.cosim.block.External.save`."""
         self.expect_return()
-        own = None if self._is_smooth and not self.states.can_save else self.states.save()
-        held = self.inputs.copy(), self.x.copy()
-        return SavedModel(own, self.states.token, self.ports.names[0], self.time, self.next_event, *held)
+        fmu_state = None if self._is_smooth and not self.states.can_save else self.states.save()
+        values = self.inputs.copy(), self.x.copy()
+        return SavedModel(fmu_state, self.states.token, self.ports.names[0], self.time, self.next_event, *values)
 
     def restore(self, saved: object) -> None:
-        """Go back to a state; see `bayesftc.cosim.block.External.restore`."""
+        """Restore a state; see `bayesftc.cosim.block.External.restore`."""
         if not isinstance(saved, SavedModel) or saved.token != self.states.token:
             raise FMUError(
-                f"What {self.name!r} was to be restored to is no saved state of the FMU {self.library.description.name!r} as a "
-                "model exchange FMU; save it in a run of the same FMU."
+                f"{self.name!r} cannot be restored: this is no saved state of the FMU {self.library.description.name!r} in model "
+                "exchange. Give a state from a run of the same FMU."
             )
         if saved.names != self.ports.names[0] or saved.x.shape != self.x.shape:
             raise FMUError(
-                f"What {self.name!r} was to be restored to is of a block of the FMU {self.library.description.name!r} with other "
-                f"inputs or sizes ({', '.join(saved.names) or 'no inputs'}); save it in a run of the same block."
+                f"{self.name!r} cannot be restored: the state is from a block of the FMU {self.library.description.name!r} with "
+                f"other inputs or sizes ({', '.join(saved.names) or 'no inputs'}). Give a state from a run of the same block."
             )
         self.expect_return()
         try:
@@ -344,7 +346,7 @@ class ExchangeModel:
         self.healthy = not self.fatal
 
     def _go_back(self, saved: SavedModel) -> None:
-        """Bring an FMU that remembers nothing to a time, inputs and states."""
+        """Set an FMU without further memory to a time, inputs and states."""
         try:
             self.set_time(saved.time)
             if self.jumps:
@@ -354,7 +356,7 @@ class ExchangeModel:
         except CallError:
             if self.fatal:
                 raise
-            # By the letter of FMI, time does not go back before the last event: such an FMU begins anew.
+            # FMI does not allow to set a time before the last event: reset the FMU if it insists on that.
             self.library.call(f"fmi{self.library.description.fmi_major}Reset", self.component)
             self.library.initialize(self.component, self._beginning, saved.time)
             self.time = saved.time

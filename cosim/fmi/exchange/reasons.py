@@ -10,58 +10,59 @@ from bayesftc.cosim.fmi.exchange.model import ExchangeModel
 from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim.fmi.reading.messages import ENDS, status_word
 
-REMEDY = "give larger tolerances, a shorter step or another solver, or look at what the model does there"
+REMEDY = "give larger tolerances, a shorter step or another solver, or check what the model does there"
 
 CHATTERS = (
-    f"{words.QUIET_EVENTS} came one after the other without time going on between them (chattering). Give the switch a "
-    "hysteresis or a dead time, or export a model that regularises it"
+    f"{words.QUIET_EVENTS} occurred one after the other at the same time (chattering). Give the switch a hysteresis or a dead "
+    "time, or export a model that regularises it"
 )
 
 _CVODE = {
-    -1: f"it needed more than {INTERNAL_STEPS} steps of its own",
-    -2: "more accuracy is asked for than numbers of 64 bits have",
-    -3: "its error test fails again and again, or its step became as small as can be",
-    -4: "its equations for a step do not converge, again and again or with the smallest step",
-    -27: "the time to go is too short to begin",
+    -1: f"it needed more than {INTERNAL_STEPS} internal steps",
+    -2: "the tolerances are smaller than the precision of doubles",
+    -3: "its error test fails repeatedly, or with the smallest step",
+    -4: "the equations of a step do not converge, repeatedly or with the smallest step",
+    -27: "the remaining time is too short to start",
 }
-"""What CVODE's flags mean, of those that a model can bring about."""
+"""The meaning of those of CVODE's flags that a model can cause."""
 
 _CALLBACK_FAILED = frozenset({-8, -9, -10, -11, -12})
 
 
-def reason(model: ExchangeModel, solver: str, said: str) -> str:
-    """Return the sentence, without its full stop, for what the compiled functions wrote into the table.
+def reason(model: ExchangeModel, solver: str, message: str) -> str:
+    """Return the error message, without its full stop, for the results of the compiled functions in the table.
 
     Parameters
     ----------
     model : ExchangeModel
         The instance.
     solver : str
-        What the integrator is called.
-    said : str
-        The last words of the integrator.
+        Name of the integrator.
+    message : str
+        The last message of the integrator.
     """
     table, reals = model.table, model.reals
-    why, flag, role, status = (int(table[w]) for w in (words.REASON, words.FLAG, words.ROLE, words.STATUS))
-    if why == words.CALL or (why == words.GIVES_UP and flag in _CALLBACK_FAILED and role):
+    cause, flag, role, status = (int(table[w]) for w in (words.REASON, words.FLAG, words.ROLE, words.STATUS))
+    if cause == words.CALL or (cause == words.GIVES_UP and flag in _CALLBACK_FAILED and role):
         return _call(model, role, status, float(reals[words.WHEN]))
     now, reached = model.time, max(model.time, float(reals[words.REACHED]))
     sentences = {
         words.ENDS: f"{ENDS} (terminateSimulation)",
         words.ENDS_AFTER_STEP: f"{ENDS} (terminateSimulation, after a step of the integrator)",
-        words.ENDLESS: f"Its event iteration does not end: after {words.ITERATIONS} turns at t = {now:g} s it still wants "
+        words.ENDLESS: f"Its event iteration does not end: after {words.ITERATIONS} passes at t = {now:g} s it still requests "
         f"another {model.library.names['update_discrete']}",
-        words.NO_TIME: "The FMU says that its next event is at t = NaN",
+        words.NO_TIME: "The FMU gives t = NaN as the time of its next event",
         words.CHATTERS: _endless_events(model),
-        words.TOO_MANY_EVENTS: f"More than {words.MOST_EVENTS:,} events came within one step, which has come to t = {now:.9g} s: "
+        words.TOO_MANY_EVENTS: f"More than {words.MOST_EVENTS:,} events occurred within one step, up to t = {now:.9g} s: "
         "give the switch a wider hysteresis, or the run a shorter step",
         words.TOO_MANY: f"{solver} gives up at t = {reached:g} s: {_CVODE[-1]}; {REMEDY}",
-        words.TOO_SMALL: f"{solver} gives up at t = {reached:g} s: its step became as small as can be; {REMEDY}",
-        words.GIVES_UP: f"{solver} gives up at t = {reached:g} s: {_CVODE.get(flag) or f'it returned {flag} ({said})'}; {REMEDY}",
+        words.TOO_SMALL: f"{solver} gives up at t = {reached:g} s: it reached the smallest possible step; {REMEDY}",
+        words.GIVES_UP: f"{solver} gives up at t = {reached:g} s: {_CVODE.get(flag) or f'it returned {flag} ({message})'}; "
+        f"{REMEDY}",
     }
-    if why in {words.UNFIT_INPUT, words.UNFIT_OUTPUT}:
-        return model.ports.misfit(int(table[words.UNFIT]), is_input=why == words.UNFIT_INPUT)
-    return sentences.get(why, f"The step stopped for an unknown reason ({why})")
+    if cause in {words.UNFIT_INPUT, words.UNFIT_OUTPUT}:
+        return model.ports.misfit(int(table[words.UNFIT]), is_input=cause == words.UNFIT_INPUT)
+    return sentences.get(cause, f"The step stopped for an unknown reason ({cause})")
 
 
 def _call(model: ExchangeModel, role: int, status: int, when: float) -> str:
@@ -80,17 +81,17 @@ def _call(model: ExchangeModel, role: int, status: int, when: float) -> str:
 
 
 def _endless_events(model: ExchangeModel) -> str:
-    """Return the sentence for events one after the other without time going on."""
+    """Return the message for repeated events at the same time."""
     if model.next_event <= model.time:
         return (
-            f"Its events do not end at t = {model.time:.9g} s: the time that it gives for the next one (nextEventTime) is not "
-            f"later, again and again: t = {model.next_event:.9g} s. Its model of time events is wrong; export it again"
+            f"Its events do not end at t = {model.time:.9g} s: the time of the next event (nextEventTime) is repeatedly not "
+            f"later, but t = {model.next_event:.9g} s. Correct the time events of the model and export it again"
         )
     return f"Its events do not end at t = {model.time:.9g} s: {CHATTERS}"
 
 
 def nan_derivative(model: ExchangeModel) -> str:
-    """Return which derivative is NaN where the FMU is: the beginning of a sentence."""
+    """Return which derivative is NaN at the FMU's present point, as the beginning of a sentence."""
     values = np.zeros(model.nx)
     try:
         model.read("get_derivatives", values)

@@ -1,4 +1,4 @@
-"""The right-hand side and the event indicators of a model exchange FMU, compiled: what integrators call."""
+"""The right-hand side and the event indicators of a model exchange FMU as compiled functions for integrators."""
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc"
@@ -32,7 +32,7 @@ from bayesftc.cosim.stepping.numba_called import callee, inlined
 
 @inlined
 def failed(table, t, role, status):
-    """Note a call that failed; return 0 for none, 1 to try a smaller step (Discard), -1 to give up."""
+    """Record a failed call; return 0 for success, 1 to try a smaller step (Discard), -1 to give up."""
     if 0 <= status <= 1:
         return 0
     put_word(table, ROLE, role)
@@ -43,7 +43,7 @@ def failed(table, t, role, status):
 
 @inlined
 def place(table, t, x):
-    """Bring the FMU to a time and to the states at an address."""
+    """Set the FMU's time, and its states to those at an address."""
     component, count = word(table, COMPONENT), word(table, STATES)
     status = failed(table, t, SET_TIME, at_time(word(table, SET_TIME), component, t))
     if status != 0 or count == 0:
@@ -63,7 +63,7 @@ def not_finite(values, count):
 
 @callee
 def slope(table, t, x, values):
-    """Write the derivatives; without any states, that of the constant that stands for them."""
+    """Write the derivatives; without states, that of the constant that replaces them."""
     status = place(table, t, x)
     if status != 0:
         return status
@@ -94,7 +94,7 @@ def indicators(table, t, x, values):
 
 @callee
 def step_is_completed(table, t):
-    """Tell the FMU that a step of the integrator is completed; return 1 if it wants event mode, -1 if all is over, else 0."""
+    """Call completedIntegratorStep; return 1 if the FMU requests event mode, -1 if it fails or ends, else 0."""
     put_word(table, ENTER, 0)
     put_word(table, TERMINATE, 0)
     function, component, enter = word(table, COMPLETED_STEP), word(table, COMPONENT), table + 8 * ENTER

@@ -74,7 +74,7 @@ class Messages:
         """Return the messages as a sentence."""
         return quoted(self)
 
-    def hear(self, key: int | bytes) -> None:
+    def add_key(self, key: int | bytes) -> None:
         """Add a key: callbacks of FMI 1 get no key, but the instance's name and address."""
         self._more.append(key)
         _open[key] = self
@@ -142,7 +142,7 @@ def callbacks1(messages: Messages, name: str) -> Any:
     """Return the structure of callbacks for an FMI 1 instance of this name; keep it as long as the instance exists."""
     from fmpy import fmi1
 
-    messages.hear(name.encode())
+    messages.add_key(name.encode())
     return _filled(fmi1.fmi1CallbackFunctions())
 
 

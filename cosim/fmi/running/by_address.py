@@ -1,4 +1,4 @@
-"""How the interpreted engine steps what has compiled step functions: it calls them by address, as compiled code does."""
+"""Compiled step functions for the interpreted engine: it calls them by address, as compiled code does."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double,
 
 
 class ByAddress:
-    """An instance that is stepped by address alone; see `bayesftc.cosim.block.External`.
+    """An instance whose step functions are called by address; see `bayesftc.cosim.block.External`.
 
     Attributes
     ----------
     table : ndarray of int64
-        What the compiled functions find at the address ``parameters``.
+        The words at the address ``parameters`` of the compiled functions.
     step_word : int
         The word of the table that holds the step size.
     """
@@ -31,7 +31,7 @@ class ByAddress:
     table: NDArray[np.int64]
     step_word: int
     _step: Fraction
-    _arrays: tuple[Floats | None, Floats | None] = None, None  # of the last call; that of the next one mostly
+    _arrays: tuple[Floats | None, Floats | None] = None, None  # of the last call; mostly those of the next call, too
     _places: tuple[int, int, int]
 
     @property
@@ -41,7 +41,7 @@ class ByAddress:
 
     @property
     def update_address(self) -> int:
-        """Address of the compiled update function; 0 where all is done in the output function."""
+        """Address of the compiled update function; 0 if the output function does everything."""
         raise NotImplementedError
 
     def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
@@ -54,7 +54,7 @@ class ByAddress:
         return self._entered(entry, inputs, outputs, t) if entry else 0
 
     def resize(self, h: float) -> None:
-        """Make steps of `h` seconds from now on; compiled runs have a copy of the table, and change that."""
+        """Make steps of `h` seconds from now on; compiled runs change their own copy of the table."""
         self.table.view(np.float64)[self.step_word] = h
 
     @cached_property

@@ -1,8 +1,8 @@
-"""Running FMUs of FMI 3 with clocks: they tick in event mode, at the instants that the FMU asks for.
+"""Running FMUs of FMI 3 with clocks: they tick in event mode, at the instants that the FMU requests.
 
-A clock that is due at t_k ticks with the inputs of t_k, before the step from there; one that is due within a step cuts it.
-Clocked outputs keep between ticks what they had at the last one. This is done in Python, which compiled code calls back; the
-steps between are compiled, and know when the next clock is due.
+A clock that is due at t_k ticks with the inputs at t_k, before the step from there. A clock that is due within a step cuts the
+step. Clocked outputs keep their values between ticks. Ticks are handled in Python, called back from compiled code. The steps
+between them are compiled and read the time of the next tick.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from bayesftc.cosim.stepping.callbacks import Callback
 from bayesftc.cosim.types import Floats
 
 CLOCK, RAISED = 603, 604
-"""Status: a function of clocks has failed; Python has raised something."""
+"""Statuses: a function of clocks has failed; a Python callback has raised an exception."""
 
 
 def has_clocks(description: FMUDescription, ports: Sequence[FMUVariable]) -> bool:
-    """Whether an FMU has clocks that are to tick, or ports that are clocked."""
+    """Whether an FMU has time-based clocks, or clocked ports."""
     return any(v.clocked for v in ports) or (description.uses_event_mode and bool(_timed(description)))
 
 
@@ -48,9 +48,9 @@ class ClockedInstance(Instance):
     Raises
     ------
     FMUError
-        If the FMU refuses to be instantiated or initialized, or to say when its clocks tick.
+        If the FMU's instantiation or initialization fails, or it does not give the intervals of its clocks.
     StepSizeError
-        If its steps cannot be cut, and a clock ticks within them.
+        If a clock ticks within steps that the FMU does not allow to be cut.
     """
 
     def __init__(
@@ -82,20 +82,20 @@ class ClockedInstance(Instance):
 
     def _arranged(self, sides: tuple[list[Group], list[Group]]) -> tuple[list[Group], list[Group]]:
         self._clocked = tuple([g for g in side if g.clocks] for side in sides)
-        ours = {clock.reference for clock in self._clocks}
-        self._asked = sorted({c for group in self._clocked[1] for c in group.clocks} - ours)
+        timed = {clock.reference for clock in self._clocks}
+        self._output_clocks = sorted({c for group in self._clocked[1] for c in group.clocks} - timed)
         return [g for g in sides[0] if not g.clocks], [g for g in sides[1] if not g.clocks]
 
     def _initializing(self) -> None:
-        """See `Instance._initializing`: ask when clocks tick, and what clocked outputs are before the first tick."""
+        """See `Instance._initializing`: get clock intervals, and the clocked outputs before the first tick."""
         for clock in self._clocks:
-            said = clock.clock
-            if said.kind in {"fixed", "tunable"} and said.interval is not None:
-                self._tell(clock, said.interval)
-            elif said.interval is None:
+            declaration = clock.clock
+            if declaration.kind in {"fixed", "tunable"} and declaration.interval is not None:
+                self._set_interval(clock, declaration.interval)
+            elif declaration.interval is None:
                 qualifier, interval = self._interval(clock)
-                shift = self._shift(clock) if said.is_periodic else Fraction(0)
-                if said.is_periodic or qualifier == CHANGED:
+                shift = self._shift(clock) if declaration.is_periodic else Fraction(0)
+                if declaration.is_periodic or qualifier == CHANGED:
                     clock.start(shift, interval)
         for group in self._clocked[1]:
             status, _ = group.take(self._component, self._held)
@@ -113,8 +113,8 @@ class ClockedInstance(Instance):
                     raise StepSizeError(
                         f"The clock {clock.name!r} of the FMU {self._library.description.name!r} ticks every "
                         f"{float(clock.interval or 0):g} s from {float(clock.begin):g} s on, but {self._name!r} makes steps of "
-                        f"{show(step)} s, which the FMU does not allow to be cut there: choose dt, or every=, so that both "
-                        "are whole multiples of its step."
+                        f"{show(step)} s, and the FMU does not allow to cut them there. Choose dt, or every=, so that both are "
+                        "whole multiples of the step."
                     )
 
     # Functions of clocks
@@ -122,7 +122,7 @@ class ClockedInstance(Instance):
     def _call_clock(self, verb: str, clock: Ticks, *more: Any) -> None:
         self._library.call(f"fmi3{verb}", self._component, (ctypes.c_uint * 1)(clock.reference), 1, *more)
 
-    def _tell(self, clock: Ticks, interval: Fraction) -> None:
+    def _set_interval(self, clock: Ticks, interval: Fraction) -> None:
         resolution = clock.clock.resolution
         if resolution:
             counter = int(interval * resolution)
@@ -133,9 +133,9 @@ class ClockedInstance(Instance):
             self._call_clock("SetIntervalDecimal", clock, (ctypes.c_double * 1)(float(interval)))
 
     def _interval(self, clock: Ticks) -> tuple[int, Fraction]:
-        """Return what the FMU says of a clock's interval, and the interval; 0 where it is not known."""
+        """Return the qualifier of a clock's interval, and the interval (0 if not known)."""
         qualifier = (ctypes.c_int * 1)()
-        value = self._asked_for(clock, "Interval", qualifier)
+        value = self._get_seconds(clock, "Interval", qualifier)
         if clock.clock.is_periodic or qualifier[0] == CHANGED:
             interval = self._checked(clock, "interval", value, least=clock.clock.is_periodic)
         else:
@@ -143,9 +143,9 @@ class ClockedInstance(Instance):
         return qualifier[0], interval
 
     def _shift(self, clock: Ticks) -> Fraction:
-        return self._checked(clock, "shift", self._asked_for(clock, "Shift"), least=False)
+        return self._checked(clock, "shift", self._get_seconds(clock, "Shift"), least=False)
 
-    def _asked_for(self, clock: Ticks, what: str, *more: Any) -> tuple[float, int]:
+    def _get_seconds(self, clock: Ticks, what: str, *more: Any) -> tuple[float, int]:
         if clock.clock.fractions:
             counter, resolution = (ctypes.c_uint64 * 1)(), (ctypes.c_uint64 * 1)()
             self._call_clock(f"Get{what}Fraction", clock, counter, resolution, *more)
@@ -158,7 +158,7 @@ class ClockedInstance(Instance):
         number, parts = value
         if not (math.isfinite(number) and parts and (number > 0 or (number == 0 and not least))):
             shown = number if parts == 1 else f"{number}/{parts}"
-            raise StopError(f"its clock {clock.name!r} has the {what} {shown} s, which is none")
+            raise StopError(f"its clock {clock.name!r} has the {what} {shown} s, which is not valid")
         return Fraction(number) / parts
 
     # Steps
@@ -170,7 +170,7 @@ class ClockedInstance(Instance):
 
     @property
     def update_address(self) -> int:
-        """Address of a callback of `update`; 0 where all is done in the output function."""
+        """Address of a callback of `update`; 0 if the output function does everything."""
         return self._callbacks_of_engine[1].address if self._timing == "plant" else 0
 
     @cached_property
@@ -200,24 +200,24 @@ class ClockedInstance(Instance):
 
     def _give_held(self, outputs: Floats) -> None:
         for group in self._clocked[1]:
-            outputs[group.mine] = self._held[group.mine]
+            outputs[group.span] = self._held[group.span]
 
     def _due(self, now: float) -> list[Ticks]:
-        """Return the clocks to tick; those that are due when the step ends wait for the inputs of then."""
+        """Return the clocks to tick. Those that are due at the end of the step wait for the inputs of that instant."""
         return [c for c in self._clocks if c.due <= now + self._slack and c.due < self._last]
 
     def _settle(self, now: float) -> int:
         try:
             return super()._settle(now)
         except (CallError, StopError) as error:
-            said = str(error)
-            self._reason = f"{said[0].upper()}{said[1:]}."
+            message = str(error)
+            self._reason = f"{message[0].upper()}{message[1:]}."
             return CLOCK
         finally:
             self._note_due()
 
     def _note_due(self) -> None:
-        """Let compiled code know when the next clock ticks."""
+        """Store the time of the next tick for compiled code."""
         self._scratch.view(np.float64)[DUE] = min((c.due for c in self._clocks), default=math.inf)
 
     def _tick(self, now: float) -> None:
@@ -227,11 +227,13 @@ class ClockedInstance(Instance):
         for group in self._clocked[0]:
             if active.intersection(group.clocks):
                 self._ports.put(self._component, group, self._inputs)
-        if self._asked:
-            count = len(self._asked)
+        if self._output_clocks:
+            count = len(self._output_clocks)
             values = (ctypes.c_bool * count)()
-            self._library.call("fmi3GetClock", self._component, (ctypes.c_uint * count)(*self._asked), count, values)
-            active.update(r for r, value in zip(self._asked, values, strict=True) if value)
+            self._library.call(
+                "fmi3GetClock", self._component, (ctypes.c_uint * count)(*self._output_clocks), count, values
+            )
+            active.update(r for r, value in zip(self._output_clocks, values, strict=True) if value)
         for group in self._clocked[1]:
             if active.intersection(group.clocks):
                 self._ports.take(self._component, group, self._held)
@@ -258,7 +260,7 @@ class ClockedInstance(Instance):
                     clock.change(now, clock.interval)
         return bool(self._due(now))
 
-    # What others ask
+    # Saved states, end and errors
 
     def _beside(self) -> tuple[Any, ...]:
         return (*super()._beside(), tuple(c.state for c in self._clocks), tuple(self._held.tolist()))
@@ -273,7 +275,7 @@ class ClockedInstance(Instance):
     def close(self) -> None:
         """See `Instance.close`."""
         super().close()
-        self._callbacks_of_engine = []  # which hold the instance
+        self._callbacks_of_engine = []  # they hold a reference to the instance
 
     def explain(self, status: int) -> str:
         """See `Instance.explain`."""

@@ -1,4 +1,4 @@
-"""A running instance of an FMU: made, initialized, explained and freed."""
+"""A running instance of an FMU: instantiation, initialization, error messages, and end."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Instance(StepFunctions):
     Raises
     ------
     FMUError
-        If the FMU refuses to be instantiated or initialized.
+        If the FMU's instantiation or initialization fails.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Instance(StepFunctions):
         major, addresses = library.description.fmi_major, library.step_addresses()
         inputs = list(beginning.inputs)
         self._ports = PortValues(library, inputs, outputs, events=addresses.enter_event_mode != 0)
-        into, out = self._arranged(self._ports.groups)
+        input_groups, output_groups = self._arranged(self._ports.groups)
         try:
             self._start(beginning)
             self.own_inputs = own_inputs(library, self._component, beginning.inputs)
@@ -85,7 +85,7 @@ class Instance(StepFunctions):
             self._healthy = False
             self.close()
             raise
-        super().__init__(major, addresses, self._component, into, out, step, timing, self._cut())
+        super().__init__(major, addresses, self._component, input_groups, output_groups, step, timing, self._cut())
         self.rounding = self._ports.rounding
         if addresses.enter_event_mode:
             self._first_events()
@@ -115,10 +115,10 @@ class Instance(StepFunctions):
         return sides
 
     def _initializing(self) -> None:
-        """Do what is to be done while the FMU is in initialization mode."""
+        """Do further work in initialization mode (for subclasses)."""
 
     def _cut(self) -> float:
-        """Return into parts of which size a step may be cut; see `StepFunctions`."""
+        """Return the size of the parts into which a step may be cut; see `StepFunctions`."""
         return _fixed_size(self._library) if self.can_resize else inf
 
     def _first_events(self) -> None:
@@ -132,9 +132,9 @@ class Instance(StepFunctions):
             )
 
     def _settle(self, now: float) -> int:
-        """Update the discrete states in event mode until they stay, and go back to step mode.
+        """Update the discrete states in event mode until they no longer change, then return to step mode.
 
-        Steps have it done by compiled code (`kernels.settle3`), which calls this where there are clocks.
+        Within steps, compiled code does this (`kernels.settle3`); it calls this function for FMUs with clocks.
         """
         scratch, a = self._scratch, self._addresses
         update, leave = _UPDATE(a.update_discrete), _MODE(a.enter_step_mode)
@@ -151,14 +151,14 @@ class Instance(StepFunctions):
         return ENDLESS
 
     def _tick(self, now: float) -> None:
-        """Let the clocks tick that are due."""
+        """Activate the clocks that are due."""
 
     def _still_ticks(self, now: float) -> bool:
         """Return whether more clocks are due."""
         return False
 
     def _read(self, outputs: Floats) -> None:
-        """Read the outputs by way of guarded memory."""
+        """Read the outputs through guarded memory."""
         for group in self._groups[1]:
             self._ports.take(self._component, group, outputs)
 
@@ -169,14 +169,14 @@ class Instance(StepFunctions):
 
     @property
     def can_resize(self) -> bool:
-        """Whether its steps may be of any size."""
+        """Whether steps may have any size."""
         return bool(self._library.description.capabilities.get("canHandleVariableCommunicationStepSize"))
 
     @property
     def state_functions(self) -> tuple[int, int, int, int] | None:
-        """Address of the instance and of FMI's functions that save, restore and free a state, for compiled code.
+        """Addresses of the instance and of FMI's functions that save, restore and free a state, for compiled code.
 
-        None where more has to be done than to call them.
+        None if calling these functions is not enough.
         """
         if self._addresses.enter_event_mode or not self.can_save:
             return None
@@ -194,16 +194,16 @@ class Instance(StepFunctions):
         """See `bayesftc.cosim.block.External.restore`."""
         if self._fatal:
             raise FMUError(
-                f"The FMU {self._library.description.name!r} ({self._name!r}) has returned Fatal, or Pending, after which FMI "
-                "allows no call of it any more; begin anew with reset()."
+                f"The FMU {self._library.description.name!r} ({self._name!r}) has returned Fatal, or Pending. After that FMI "
+                "allows no further calls. Start a new run with reset()."
             )
         self.expect_return()
         self._states.restore(saved)
         self._put_beside(cast("SavedState", saved).beside)
-        self._healthy = True  # an FMU that has failed may be put back to where it had not
+        self._healthy = True  # the restored state precedes the failure
 
     def _beside(self) -> tuple[Any, ...]:
-        """Return what is to be remembered beside the FMU's own state: when it wants its next event."""
+        """Return what is saved beside the FMU's own state: the time of its next event."""
         return (float(self._scratch.view(np.float64)[NEXT_TIME]) if self._scratch[NEXT_DEFINED] else inf,)
 
     def _put_beside(self, values: tuple[Any, ...]) -> None:
@@ -216,21 +216,21 @@ class Instance(StepFunctions):
         self._states.forget(saved)
 
     def explain(self, status: int) -> str:
-        """Return what a status means in FMI's words, with the instance's last messages."""
+        """Return the meaning of a status in FMI's terms, with the instance's last messages."""
         where, code = decoded(status)
-        self._healthy = 0 <= code <= DISCARD  # after an error it may not be asked to terminate
+        self._healthy = 0 <= code <= DISCARD  # after an error FMI forbids to terminate it
         self.has_ended = status == TERMINATED
         if self.has_ended:
             return f"{ENDS} (terminateSimulation). {self._messages.quoted()}"
-        said = self._messages.quoted()
+        log = self._messages.quoted()
         reached = self._scratch.view(np.float64)[REACHED]
         if status == EARLY:
             return (
-                f"The FMU returned early from fmi3DoStep, at t = {reached:g} s, before the end of the step, and comes no "
-                f"further; a smaller step may do. {said}"
+                f"The FMU returned early from fmi3DoStep, at t = {reached:g} s, before the end of the step, and does not "
+                f"continue. Try a smaller step. {log}"
             )
         if status == ENDLESS:
-            return f"The FMU did not come to the end of the step, or of an event, in {TRIES} calls. {said}"
+            return f"The FMU did not complete the step, or an event, in {TRIES} calls. {log}"
         if status in {UNFIT_INPUT, UNFIT_OUTPUT}:
             return f"{self._ports.misfit(int(self._scratch[UNFIT]), is_input=status == UNFIT_INPUT)}."
         names = {
@@ -243,18 +243,18 @@ class Instance(StepFunctions):
         self._fatal = code in {FATAL, PENDING}
         more = ""
         if code == PENDING:
-            more = "Steps that go on by themselves are not waited for: export the FMU so that it makes them at once."
+            more = "Asynchronous steps are not supported. Export the FMU so that a step ends before the call returns."
         if code == DISCARD:
             if where != STEP:
-                more = "It does not take such a value."
+                more = "It does not accept this value."
             else:
-                more, self.has_ended = self._library.last_words(self._component)
+                more, self.has_ended = self._library.discard_details(self._component)
             if self.has_ended:
-                return f"{more} {said}"
-        return " ".join(s for s in (f"{function} returned {status_word(code)}.", more, said) if s)
+                return f"{more} {log}"
+        return " ".join(s for s in (f"{function} returned {status_word(code)}.", more, log) if s)
 
     def _called(self, side: int) -> str:
-        """Return which function has failed to read or set values, and whose."""
+        """Return which function has failed, and for which variables."""
         if self._plain:
             return self._groups[side][0].name if self._groups[side] else "An FMI function"
         return self._ports.function_of(int(self._scratch[UNFIT]), is_input=side == 0)
@@ -273,18 +273,18 @@ class Instance(StepFunctions):
 
 
 def _fixed_size(library: Library) -> float:
-    """Return the size of which all steps must be multiples; 0 where there is none."""
+    """Return the fixed internal step size, of which steps must be multiples; 0 if there is none."""
     try:
         size = float(library.description.capabilities.get("fixedInternalStepSize") or 0.0)
-    except ValueError:  # of a description that nobody has validated
+    except ValueError:  # the description is not validated
         return 0.0
-    return size if isfinite(size) and size > 1e-300 else 0.0  # of which a step may be a multiple
+    return size if isfinite(size) and size > 1e-300 else 0.0
 
 
 def _check_step(library: Library, name: str, step: Fraction) -> None:
     size = _fixed_size(library)
     if size and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size:
         raise StepSizeError(
-            f"The FMU {library.description.name!r} makes steps of {size:g} s only (fixedInternalStepSize), but {name!r} is to "
-            f"make steps of {show(step)} s: choose dt, or every=, so that its step is a whole multiple of {size:g} s."
+            f"The FMU {library.description.name!r} makes steps of {size:g} s only (fixedInternalStepSize), but {name!r} has "
+            f"steps of {show(step)} s. Choose dt, or every=, so that its step is a whole multiple of {size:g} s."
         )

@@ -1,9 +1,9 @@
 """The step of an FMU as compiled functions with the engine's signature, shared by all instances.
 
-At the address ``parameters`` they find the instance's table of 64-bit words: pointers to the instance and to the FMI
-functions, the value references, the step size. Status: 0, or a number of `GET`, `SET`, `STEP`, `EVENTS` plus FMI's own
-status, or another of the codes below. These are the functions where all ports are double-precision numbers that may be set at any
-communication point; `typed_kernels` has the others.
+The instance's table of 64-bit words is at the address ``parameters``: pointers to the instance and to the FMI functions, the
+value references, the step size. The status is 0, or one of `GET`, `SET`, `STEP`, `EVENTS` plus FMI's own status, or another of
+the codes below. These functions are for ports that are doubles and may be set at any communication point. `typed_kernels` has
+the functions for other ports.
 """
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
@@ -81,25 +81,25 @@ def _stored(kind, llvm):
 
 @intrinsic
 def word(typingctx, address, index):
-    """Load the 64-bit integer number `index` of those that begin at an address."""
+    """Load element `index` of the 64-bit integers at an address."""
     return _loaded(types.int64, _I64)
 
 
 @intrinsic
 def number(typingctx, address, index):
-    """Load the double number `index` of those that begin at an address."""
+    """Load element `index` of the doubles at an address."""
     return _loaded(types.float64, _DOUBLE)
 
 
 @intrinsic
 def put_word(typingctx, address, index, value):
-    """Store a 64-bit integer as number `index` of those that begin at an address."""
+    """Store a 64-bit integer as element `index` at an address."""
     return _stored(types.int64, _I64)
 
 
 @intrinsic
 def put_number(typingctx, address, index, value):
-    """Store a double as number `index` of those that begin at an address."""
+    """Store a double as element `index` at an address."""
     return _stored(types.float64, _DOUBLE)
 
 
@@ -110,7 +110,7 @@ def call(builder, function, arguments):
 
 
 def as_given(*arguments):
-    """Return what an intrinsic returns that calls a C function with integers and doubles as they come."""
+    """Return signature and code of an intrinsic that passes its integers and doubles on to a C function."""
 
     def codegen(context, builder, signature, args):
         return call(builder, args[0], args[1:])
@@ -132,7 +132,7 @@ def values3(typingctx, function, component, references, count, values, size):
 
 @intrinsic
 def step2(typingctx, function, component, t, h, no_return):
-    """int32 (*)(void *, double, double, int): fmi2DoStep, with the promise or not that nobody goes back."""
+    """int32 (*)(void *, double, double, int): fmi2DoStep; the last is noSetFMUStatePriorToCurrentPoint."""
 
     def codegen(context, builder, signature, args):
         return call(builder, args[0], [*args[1:4], builder.trunc(args[4], _I32)])
@@ -172,7 +172,7 @@ def mode3(typingctx, function, component):
 
 @intrinsic
 def update3(typingctx, function, component, place):
-    """int32 (*)(void *, bool * (5), double *): fmi3UpdateDiscreteStates, which writes to six words one after the other."""
+    """int32 (*)(void *, bool * (5), double *): fmi3UpdateDiscreteStates, which writes six consecutive words."""
 
     def codegen(context, builder, signature, args):
         return call(builder, args[0], [args[1], *(builder.add(args[2], ir.Constant(_I64, 8 * i)) for i in range(6))])
@@ -212,7 +212,7 @@ def _advance(major, parameters, inputs, t):
 
 @inlined
 def do_step2(parameters, t):
-    """Make a step of an FMI 2 instance, in parts if it is discarded and the instance can do that."""
+    """Make a step of an FMI 2 instance; if it is discarded, in parts where the instance supports that."""
     h = number(parameters, STEP_SIZE)
     no_return = word(word(parameters, SCRATCH), NO_RETURN)
     status = step2(word(parameters, DO_STEP), word(parameters, COMPONENT), t, h, no_return)
@@ -260,7 +260,7 @@ def _in_parts2(parameters, t, h):
 
 @inlined
 def do_step3(parameters, t):
-    """Make a step of an FMI 3 instance without event mode, to its end if it returns early or is discarded."""
+    """Make a step of an FMI 3 instance without event mode; continue it if it returns early or is discarded."""
     h = number(parameters, STEP_SIZE)
     scratch = word(parameters, SCRATCH)
     no_return = word(scratch, NO_RETURN)
@@ -288,14 +288,14 @@ def do_event_step3(parameters, t):
 
 @callee
 def _go_on3(parameters, t, h, size, status):
-    """Bring a step to its end, of which the first part, of this size, has returned this status."""
+    """Complete a step whose first part, of this size, has returned this status."""
     component, scratch = word(parameters, COMPONENT), word(parameters, SCRATCH)
     no_return = word(scratch, NO_RETURN)
     events = word(parameters, ENTER_EVENT_MODE) != 0
     now, end, most, slack = t, t + h, h, TOLERANCE * h
     for _ in range(TRIES):
         if status == DISCARD and number(parameters, GRID) == 0.0:
-            most = 0.5 * size  # the FMU has stayed where it was
+            most = 0.5 * size  # the FMU has made no progress
             if most < SMALLEST * h:
                 return STEP + DISCARD
         elif status != 0 and status != 1:
@@ -324,7 +324,7 @@ def _go_on3(parameters, t, h, size, status):
 
 @callee
 def _next_event3(scratch, last):
-    """Return when the instance wants the next time event: what fmi3UpdateDiscreteStates said last, or a clock before `last`."""
+    """Return the time of the next event: from the last fmi3UpdateDiscreteStates, or of a clock that ticks before `last`."""
     event = number(scratch, NEXT_TIME) if word(scratch, NEXT_DEFINED) != 0 else np.inf
     due = number(scratch, DUE)
     return min(event, due) if due < last else event
@@ -339,7 +339,7 @@ def clock_is_due3(parameters, t):
 
 @callee
 def _part3(parameters, now, size, slack, last):
-    """Return the size of the next part of a step: no more than to the next time event, where the step may be cut there."""
+    """Return the size of the next part of a step: up to the next time event, if the step may be cut there."""
     if word(parameters, ENTER_EVENT_MODE) == 0:
         return size
     event = _next_event3(word(parameters, SCRATCH), last)
@@ -354,9 +354,9 @@ def _part3(parameters, now, size, slack, last):
 
 @callee
 def settle3(parameters, now):
-    """Update the discrete states of an FMI 3 instance in event mode until they stay, and go back to step mode.
+    """Update the discrete states of an FMI 3 instance in event mode until they no longer change, then return to step mode.
 
-    With clocks, which are a matter of Python, it is called back: see `Instance._settle`.
+    For instances with clocks this is done in Python, by a callback: see `Instance._settle`.
     """
     if word(parameters, SETTLE) != 0:
         return call_block(word(parameters, SETTLE), 0, parameters, 0, 0, now, 0)

@@ -1,4 +1,4 @@
-"""Start values of inputs that an FMU alone knows: of arrays with another size than its description says."""
+"""Start values of inputs that only the binary has: those of arrays whose size differs from the description."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from bayesftc.cosim.types import Floats
 
 
 def own_inputs(library: Library, component: int, inputs: Mapping[FMUVariable, Value | None]) -> dict[str, Floats]:
-    """Return the values that an initialized instance has itself given to the inputs without a known one, by name.
+    """Return the start values, by name, of inputs for which the description has none of the right size.
 
-    These are arrays of another size than the description has start values for.
+    They are read from an initialized instance. These inputs are arrays resized by structural parameters.
     """
-    found = {}
+    result = {}
     for variable, value in inputs.items():
         if value is None:
             (group,) = groups([variable], library.description.fmi_major, "Get", library.function_address)
@@ -26,8 +26,8 @@ def own_inputs(library: Library, component: int, inputs: Mapping[FMUVariable, Va
             status, _ = group.take(component, values)
             if status not in (0, 1):
                 raise FMUError(
-                    f"The FMU {library.description.name!r} does not say which start value its input {variable.name!r} has with "
-                    "the sizes that it was given; give it one by parameters=."
+                    f"The FMU {library.description.name!r} does not give the start value of its input {variable.name!r} for the "
+                    "sizes set by structural parameters. Give it by parameters=."
                 )
-            found[variable.name] = values
-    return found
+            result[variable.name] = values
+    return result

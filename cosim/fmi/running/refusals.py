@@ -1,4 +1,4 @@
-"""What is said of ports whose values an FMU does not take or give."""
+"""Messages about port values that an FMU cannot set or read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _SHOWN = 3
 
 
 def function_of(groups: Sequence[Group], elements: Sequence[tuple[str, FMUVariable]], begin: int) -> str:
-    """Return which function has failed to read or set values, and whose.
+    """Return which function has failed, and for which variables.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ def function_of(groups: Sequence[Group], elements: Sequence[tuple[str, FMUVariab
     elements : sequence of (str, FMUVariable)
         Name and variable of each of their elements.
     begin : int
-        Where the elements of the group that has failed begin.
+        First element of the group that has failed.
     """
     group = next((g for g in groups if g.begin == begin), None)
     if group is None:
@@ -31,7 +31,7 @@ def function_of(groups: Sequence[Group], elements: Sequence[tuple[str, FMUVariab
 
 
 def misfit(elements: Sequence[tuple[str, FMUVariable]], place: int, major: int, *, is_input: bool) -> str:
-    """Return which input its type does not hold, or which output no double, and what to do.
+    """Return which input does not fit its type, or which output does not fit a double, and what to do.
 
     Parameters
     ----------
@@ -47,14 +47,15 @@ def misfit(elements: Sequence[tuple[str, FMUVariable]], place: int, major: int, 
     name, variable = elements[place]
     if not is_input:
         return (
-            f"The output {name!r} is a whole number that a double cannot hold exactly (2**53 or more), and something is "
-            "connected to it: connect another output, or export it as a Float64."
+            f"The output {name!r} is connected, but its value is a whole number of 2**53 or more, which a double cannot "
+            "represent exactly. Connect another output, or export it as a Float64."
         )
     low, high = type_range(variable, major)
-    wanted = (
+    required = (
         f"a number up to {high:g}" if variable.type == "Float32" else f"a whole number from {low:.0f} to {high:.0f}"
     )
     what = f"The input {name!r}" if variable.causality == "input" else f"The tunable parameter {name!r}"
     return (
-        f"{what} is {variable.type} and must be {wanted}, which it is not; put a block before it that rounds or limits."
+        f"{what} is of type {variable.type} and must be {required}, but its value is not. Put a block before it that rounds or "
+        "limits."
     )

@@ -1,7 +1,7 @@
-"""Saved states of FMU instances: places in the FMU's own memory, and bytes where it can make some of them.
+"""Saved states of FMU instances: addresses in the FMU's memory, or bytes if the FMU can serialise them.
 
-A place belongs to the instance that gave it. A saved state that outlives its instance, goes to another one of the same FMU or
-is pickled becomes bytes, which only an FMU with ``canSerializeFMUState`` can write and read.
+An address is valid only for its instance. A saved state becomes bytes if it outlives its instance, is restored in another
+instance of the same FMU, or is pickled. Only an FMU with ``canSerializeFMUState`` can write and read such bytes.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from bayesftc.cosim.fmi.binaries.library import CallError, Library
 
 
 class SavedState:
-    """The state of an FMU instance at one instant, made by `States.save`; it pickles where the FMU can serialise.
+    """The state of an FMU instance at one instant, made by `States.save`; it can be pickled if the FMU can serialise it.
 
     Attributes
     ----------
     model, token : str
-        Name of the model and what proves that a state belongs to a binary.
+        Name of the model, and the token that proves that a state belongs to a binary.
     beside : tuple
-        What whoever runs the instance remembers with it, of numbers and texts.
+        Numbers and texts that this package saves with the FMU's own state.
     """
 
     def __init__(self, states: States, place: int):
@@ -43,40 +43,40 @@ class SavedState:
             self._states.leave(self._place)
 
     def serialised(self) -> bytes:
-        """Return the state as the FMU serialises it.
+        """Return the state as bytes from the FMU.
 
         Raises
         ------
         FMUError
-            If the FMU cannot, or the instance was closed before.
+            If the FMU cannot serialise it, or the instance was closed before.
         """
         if not self._bytes:
             if self._states is None:
                 raise FMUError(
-                    f"A saved state of the FMU {self.model!r} is gone: it was forgotten, or its run is closed and the FMU cannot "
-                    "serialise states (canSerializeFMUState); restore a state before that."
+                    f"A saved state of the FMU {self.model!r} no longer exists: it was deleted, or its run is closed and the FMU "
+                    "cannot serialise states (canSerializeFMUState). Restore states before the run is closed."
                 )
             return self._states.serialise(self._place)
         return self._bytes
 
     def changed_to(self, content: bytes) -> SavedState:
-        """Return a state of the same FMU of which the bytes are these."""
+        """Return a state of the same FMU with these bytes."""
         other = object.__new__(SavedState)
         other.__setstate__(self._with(content))
         return other
 
     def _with(self, content: bytes) -> dict[str, Any]:
-        own = {"model": self.model, "token": self.token, "beside": self.beside}
-        return {**own, "_states": None, "_place": 0, "_bytes": content}
+        identity = {"model": self.model, "token": self.token, "beside": self.beside}
+        return {**identity, "_states": None, "_place": 0, "_bytes": content}
 
     def place_in(self, states: States) -> int:
-        """Return where in the memory of the FMU the state lies; 0 if it is none of that instance's."""
+        """Return the state's address in the memory of an instance; 0 if it belongs to another one."""
         return self._place if self._states is states else 0
 
     def detach(self, *, keep: bool) -> int:
-        """Return the place, which is no longer this object's; with `keep` the bytes stay, where the FMU can make them."""
+        """Give up the address and return it; with `keep`, keep the state as bytes if the FMU can serialise it."""
         if keep and self._states is not None and self._states.can_serialise:
-            with suppress(FMUError):  # whoever needs a state that is lost is told that its run is closed
+            with suppress(FMUError):  # restoring a lost state raises an error that names the reason
                 self._bytes = self._states.serialise(self._place)
         place, self._states, self._place = self._place, None, 0
         return place
@@ -92,7 +92,7 @@ class States:
     component : int
         The instance's address.
     name : str
-        What errors call the instance.
+        Name of the instance, for error messages.
     """
 
     def __init__(self, library: Library, component: int, name: str):
@@ -103,12 +103,12 @@ class States:
 
     @property
     def can_save(self) -> bool:
-        """Whether the FMU says that it can save and restore its state."""
+        """Whether the FMU declares that it can save and restore its state."""
         return bool(self._library.description.capabilities.get("canGetAndSetFMUstate"))
 
     @property
     def can_serialise(self) -> bool:
-        """Whether the FMU says that it can turn a saved state into bytes and back."""
+        """Whether the FMU declares that it can turn a saved state into bytes and back."""
         return self.can_save and bool(self._library.description.capabilities.get("canSerializeFMUstate"))
 
     def save(self) -> SavedState:
@@ -117,17 +117,17 @@ class States:
         Raises
         ------
         FMUError
-            If the FMU cannot save its state, or fails to.
+            If the FMU cannot save its state, or saving fails.
         """
         if not self.can_save:
             if self._library.description.fmi_major == 1:
                 raise FMUError(
-                    f"The FMU {self.model!r} ({self._name!r}) is of FMI 1.0, which has no saved states; export it as FMI 2.0 or "
+                    f"The FMU {self.model!r} ({self._name!r}) is of FMI 1.0, which has no saved states. Export it as FMI 2.0 or "
                     "3.0 with canGetAndSetFMUState."
                 )
             raise FMUError(
-                f"The FMU {self.model!r} ({self._name!r}) cannot save its state: it does not offer canGetAndSetFMUState; export "
-                "it with that capability."
+                f"The FMU {self.model!r} ({self._name!r}) cannot save its state, as it does not declare canGetAndSetFMUState. "
+                "Export it with that capability."
             )
         self._sweep()
         place = ctypes.c_void_p()
@@ -137,18 +137,18 @@ class States:
         return saved
 
     def restore(self, saved: object) -> None:
-        """Go back to a saved state, of this instance or, as bytes, of another one of the same FMU.
+        """Restore a saved state of this instance or, as bytes, of another instance of the same FMU.
 
         Raises
         ------
         FMUError
-            If it is no state of this FMU, or the FMU refuses it.
+            If it is no state of this FMU, or restoring fails.
         """
         if not isinstance(saved, SavedState) or saved.token != self.token:
             other = f" but one of {saved.model!r}" if isinstance(saved, SavedState) else ""
             raise FMUError(
-                f"What {self._name!r} was to be restored to is no saved state of the FMU {self.model!r}{other}; save it in a run "
-                "of the same FMU."
+                f"{self._name!r} cannot be restored: this is no saved state of the FMU {self.model!r}{other}. Give a state from "
+                "a run of the same FMU."
             )
         if not self.can_save:
             self.save()  # says why not
@@ -158,17 +158,17 @@ class States:
             return
         if not self.can_serialise:
             raise FMUError(
-                f"The saved state of the FMU {self.model!r} is of another run, and this FMU cannot serialise its states "
-                f"(canSerializeFMUState), so {self._name!r} cannot take it; restore states in the run that saved them."
+                f"{self._name!r} cannot be restored: the saved state is from another run, and the FMU {self.model!r} cannot "
+                "serialise its states (canSerializeFMUState). Restore states in the run that saved them."
             )
-        own = ctypes.c_void_p()
+        place_here = ctypes.c_void_p()
         content = saved.serialised()
         buffer = (self._library.byte * len(content)).from_buffer_copy(content)
-        self._serial(2, buffer, len(content), ctypes.byref(own))
+        self._serial(2, buffer, len(content), ctypes.byref(place_here))
         try:
-            self._call(1, own)
+            self._call(1, place_here)
         finally:
-            self._call(2, ctypes.byref(own))
+            self._call(2, ctypes.byref(place_here))
 
     def forget(self, saved: object) -> None:
         """Free a saved state."""
@@ -178,9 +178,9 @@ class States:
             self._sweep()
 
     def leave(self, place: int) -> None:
-        """Note a place that nobody needs any more; it is freed when the FMU is called next.
+        """Mark an address as unused; it is freed with the next call of the FMU.
 
-        Not at once: the garbage collector may come in a thread of its own while the FMU makes a step in another.
+        It is not freed at once: the garbage collector may run in one thread while the FMU makes a step in another.
         """
         self._left.append(place)
 
@@ -190,12 +190,12 @@ class States:
         Raises
         ------
         FMUError
-            If the FMU cannot.
+            If the FMU cannot serialise it.
         """
         if not self.can_serialise:
             raise FMUError(
-                f"A saved state of the FMU {self.model!r} cannot be pickled: the FMU does not offer canSerializeFMUState; export "
-                "it with that capability, or keep the state in this process."
+                f"A saved state of the FMU {self.model!r} cannot be pickled, as the FMU does not declare canSerializeFMUState. "
+                "Export it with that capability, or keep the state in this process."
             )
         size = ctypes.c_size_t()
         self._serial(0, ctypes.c_void_p(place), ctypes.byref(size))
@@ -204,7 +204,7 @@ class States:
         return bytes(memoryview(buffer))
 
     def close(self, *, free: bool) -> None:
-        """Give up all places before the instance goes; `free` is False where the FMU may not be called any more."""
+        """Give up all addresses before the instance is freed; `free` is False if the FMU may no longer be called."""
         for saved in tuple(self._alive):
             self._left.append(saved.detach(keep=free))
         if free:
@@ -225,5 +225,5 @@ class States:
             self._library.call(function, self._component, *arguments)
         except CallError as error:
             raise FMUError(
-                f"The FMU {self.model!r} ({self._name!r}) could not do what it says that it can: {error}."
+                f"The FMU {self.model!r} ({self._name!r}) failed at a capability that it declares: {error}."
             ) from None

@@ -1,4 +1,4 @@
-"""The step of an FMU: what its compiled functions are to know, and where they are."""
+"""The step of an FMU: the table for its compiled functions, and their addresses."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ class StepFunctions(ByAddress):
     Parameters
     ----------
     major : int
-        1, 2 or 3: the version of FMI, which says how the functions are called.
+        1, 2 or 3: the version of FMI, which determines how the functions are called.
     addresses : Addresses
-        Of the functions of a step.
+        Addresses of the functions of a step.
     component : int
         The instance's address.
     inputs, outputs : sequence of Group
-        What is set and read.
+        Groups to set and to read.
     step : Fraction
         Step size in seconds.
     timing : {"plant", "sampled"}
         Whether the outputs are read before the step, or after it.
     grid : float
-        Of FMI 3, into parts of which size a step may be cut: 0 for any, infinity for none, else multiples of this.
+        Size of the parts into which a step of FMI 3 may be cut: 0 for any, infinity for none, else multiples of this.
     """
 
     def __init__(
@@ -69,9 +69,9 @@ class StepFunctions(ByAddress):
         self._plain = not addresses.enter_event_mode and all(
             len(s) <= 1 and all(g.kind.plain for g in s) for s in sides
         )
-        into = out = 0, 0, 0, 0
+        ins = outs = 0, 0, 0, 0
         if self._plain:
-            into, out = (side[0].place() if side else (0, 0, 0, 0) for side in sides)
+            ins, outs = (side[0].place() if side else (0, 0, 0, 0) for side in sides)
             counts = 0, 0, 0, 0
         else:
             self._rows = [np.array([g.words() for g in side], dtype=np.int64) for side in sides]
@@ -80,19 +80,19 @@ class StepFunctions(ByAddress):
         size, parts = np.array([float(step), grid]).view(np.int64)
         self.table = np.array(
             [
-                component, out[0], into[0], a.do_step, into[1], into[2], out[1], out[2], size, self._scratch.ctypes.data,
-                into[3], out[3], a.real_status, a.boolean_status, a.enter_event_mode, a.update_discrete, a.enter_step_mode,
+                component, outs[0], ins[0], a.do_step, ins[1], ins[2], outs[1], outs[2], size, self._scratch.ctypes.data,
+                ins[3], outs[3], a.real_status, a.boolean_status, a.enter_event_mode, a.update_discrete, a.enter_step_mode,
                 *counts, parts, 0,
             ],
             dtype=np.int64,
         )  # fmt: skip
 
     def expect_return(self) -> None:
-        """Promise no more, with each step, that no state before it will be restored (noSetFMUStatePriorToCurrentPoint)."""
-        if self._major != 1:  # there the word says that the step is a new one
+        """Stop promising at each step that no earlier state will be restored (noSetFMUStatePriorToCurrentPoint)."""
+        if self._major != 1:  # in FMI 1 this word is newStep
             self._scratch[NO_RETURN] = 0
 
-    #: The word of the table that holds the step size, of which compiled code finds a copy in memory.
+    #: The word of the table that holds the step size.
     step_word = 8
 
     @property
@@ -102,5 +102,5 @@ class StepFunctions(ByAddress):
 
     @property
     def update_address(self) -> int:
-        """Address of the compiled update function; 0 where all is done in the output function."""
+        """Address of the compiled update function; 0 if the output function does everything."""
         return int(_compiled(self._major, "advance", self._plain).address) if self._timing == "plant" else 0

@@ -1,8 +1,8 @@
 """The step of an FMU with ports of several types, or with inputs that may only change at events, as compiled functions.
 
-All ports are float64 arrays to the engine. Here they lie in groups, each of one type, which are converted exactly: a value
-that the type does not hold is an error, never rounded or cut, except that a Float32 is the nearest one. A group is a row of
-64-bit words: the FMI function, its value references, where its values begin among the inputs or outputs, and a buffer.
+In the engine all ports are float64 arrays. Here they are in groups, each of one type, and are converted exactly. A value that
+does not fit its type is an error; it is never rounded or cut (only a Float32 is the nearest one). A group is a row of 64-bit
+words: the FMI function, its value references, the index of its first value among the inputs or outputs, and a buffer.
 """
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
@@ -52,7 +52,7 @@ from bayesftc.cosim.stepping.numba_called import callee
 FUNCTION, CODE, REFERENCES, COUNT, BEGIN, SIZE, BUFFER, LOW, LIMIT, DISCRETE, READ, NEGATED, ROUNDING = range(13)
 GROUP_WORDS = 13
 
-# Codes of types: what lies in a buffer. Booleans and enumerations are integers of their size and range.
+# Codes of the types of buffers. Booleans and enumerations are integers of their size and range.
 FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64 = range(10)
 
 _BITS = {INT8: 8, UINT8: 8, INT16: 16, UINT16: 16, INT32: 32, UINT32: 32, INT64: 64, UINT64: 64}
@@ -61,7 +61,7 @@ _DOUBLE = ir.DoubleType()
 
 
 def _cases(builder, code):
-    """Yield code and type with the builder in the branch of each; leave it behind them all."""
+    """Yield code and type with the builder in the branch of each; in the end, the builder is after all branches."""
     end = builder.append_basic_block()
     switch = builder.switch(code, end)
     for case in (FLOAT32, *_BITS):
@@ -132,7 +132,7 @@ def _call(major, component, group, buffer):
 
 @callee
 def _noted(note, group, status):
-    """Remember whose call has failed."""
+    """Store which group's call has failed."""
     if status != 0:
         put_word(note, 0, word(group, BEGIN))
     return status
@@ -140,7 +140,7 @@ def _noted(note, group, status):
 
 @callee
 def put(major, component, note, inputs, group):
-    """Set a group of inputs; return 0, `SET` plus FMI's status, or `UNFIT_INPUT`: the word at `note` has the group or element."""
+    """Set a group of inputs; return 0, `SET` plus FMI's status, or `UNFIT_INPUT`. `note` receives the failed group or element."""
     begin = inputs + 8 * word(group, BEGIN)
     code, negated, buffer = word(group, CODE), word(group, NEGATED) != 0, begin
     if code != FLOAT64 or negated:
@@ -159,7 +159,7 @@ def put(major, component, note, inputs, group):
 
 @callee
 def take(major, component, note, outputs, group):
-    """Read a group of outputs; return 0, `GET` plus FMI's status, or `UNFIT_OUTPUT`, with the word at `note` as in `put`."""
+    """Read a group of outputs; return 0, `GET` plus FMI's status, or `UNFIT_OUTPUT`, with `note` as in `put`."""
     begin = outputs + 8 * word(group, BEGIN)
     code, negated = word(group, CODE), word(group, NEGATED) != 0
     if code == FLOAT64:
@@ -185,9 +185,9 @@ def take(major, component, note, outputs, group):
 
 @callee
 def _changed(parameters, inputs, group):
-    """Return 1 if a group of discrete inputs is another than the instance has, 0 if it is not, else a status.
+    """Return 1 if a group of discrete inputs differs from the instance's values, 0 if it does not, else a status.
 
-    The instance is asked, for nobody else knows what it has once a saved state was restored.
+    The values are read from the instance, because a restored state may have changed them.
     """
     component, buffer, size = word(parameters, COMPONENT), word(group, BUFFER), word(group, SIZE)
     references, count = word(group, REFERENCES), word(group, COUNT)
@@ -196,17 +196,17 @@ def _changed(parameters, inputs, group):
         return status
     begin, code = inputs + 8 * word(group, BEGIN), word(group, CODE)
     for i in range(size):
-        has = number(buffer, i) if code == FLOAT64 else load(buffer, i, code)
-        if number(begin, i) != has:
+        current = number(buffer, i) if code == FLOAT64 else load(buffer, i, code)
+        if number(begin, i) != current:
             return 1
     return 0
 
 
 @callee
 def _set_all(major, parameters, inputs, t):
-    """Set the inputs, all of them in event mode if one has changed that may only change at events.
+    """Set the inputs; if a discrete input has changed, set all of them in event mode.
 
-    What the instance has is asked before anything is set: afterwards FMI allows no reading before the step.
+    The instance's values are read before anything is set: afterwards FMI allows no reading before the step.
     """
     events = major == 3 and word(parameters, ENTER_EVENT_MODE) != 0
     changed = events and clock_is_due3(parameters, t)
@@ -216,10 +216,10 @@ def _set_all(major, parameters, inputs, t):
         for i in range(count):
             group = first + 8 * GROUP_WORDS * i
             if word(group, DISCRETE) != 0 and not changed:
-                found = _changed(parameters, inputs, group)
-                if found > 1:
-                    return found
-                changed = found == 1
+                difference = _changed(parameters, inputs, group)
+                if difference > 1:
+                    return difference
+                changed = difference == 1
     status = 0
     if changed:
         status = failed(EVENTS, mode3(word(parameters, ENTER_EVENT_MODE), component))

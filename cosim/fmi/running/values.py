@@ -1,4 +1,4 @@
-"""Start values and parameters of an FMU: of every type and shape, with units, checked before anything is loaded."""
+"""Start values and parameters of an FMU, of every type and shape, with units: checked before the binary is loaded."""
 
 from __future__ import annotations
 
@@ -25,73 +25,73 @@ _LARGEST = sys.float_info.max
 def start_values(
     archive: Archive, description: FMUDescription, values: Mapping[str, Any], *, validate: bool = True
 ) -> dict[str, Value]:
-    """Check start values by name, causality, type, shape and unit and, with `validate`, by the bounds that the FMU declares.
+    """Check names, causality, types, shapes and units of start values and, with `validate`, the declared bounds.
 
     Returns
     -------
     dict
-        Plain Python numbers and texts in the variables' own units; of arrays, tuples of tuples.
+        Plain Python numbers and strings in the variables' units; of arrays, tuples of tuples.
     """
     if not isinstance(values, Mapping):
         raise ModelError(f"FMU has parameters={values!r}; give values by name, as {{'m': 100.0}}.")
-    known = {v.name: v for v in description.variables}
+    variables = {v.name: v for v in description.variables}
     for name in values:
-        if name not in known:
-            settable = [v.name for v in known.values() if v.settable]
+        if name not in variables:
+            settable = [v.name for v in variables.values() if v.settable]
             raise UnknownNameError(
                 f"The FMU {archive.path.name} has no variable {name!r}; {did_you_mean(name, settable)}"
             )
-        variable = known[name]
+        variable = variables[name]
         if not variable.settable:
             raise FMUError(
                 f"{name!r} of the FMU {archive.path.name} cannot be set: it is {_a(variable.causality)} that the FMU computes "
-                f"({variable.variability}); set what it depends on."
+                f"({variable.variability}). Set the variables that it depends on."
             )
         if variable.type in {"Binary", "Clock"}:
             raise FMUError(
                 f"{name!r} of the FMU {archive.path.name} is {_a(variable.causality)} of type {variable.type}, which cannot be "
-                "set from here; leave it at its start value."
+                "set here; leave it at its start value."
             )
-    first = {n: v for n, v in values.items() if known[n].causality == "structuralParameter"}
-    checked = {n: _converted(archive, description, known[n], v) for n, v in first.items()}
-    sized = resolved(archive, description, checked)  # how large the others are
-    found = {
-        name: checked[name] if name in checked else _converted(archive, description, sized[name], value)
+    structural = {n: v for n, v in values.items() if variables[n].causality == "structuralParameter"}
+    checked = {n: _converted(archive, description, variables[n], v) for n, v in structural.items()}
+    resized = resolved(archive, description, checked)  # structural parameters set the sizes of arrays
+    result = {
+        name: checked[name] if name in checked else _converted(archive, description, resized[name], value)
         for name, value in values.items()
     }
-    for name, value in found.items() if validate else ():
-        _check_bounds(archive, known[name], value)
-    return found
+    for name, value in result.items() if validate else ():
+        _check_bounds(archive, variables[name], value)
+    return result
 
 
 def _check_bounds(archive: Archive, variable: FMUVariable, value: Value) -> None:
     low, high = variable.bounds
     for x in flattened(value):
         if not isinstance(x, str) and not low <= x <= high:
-            allowed = f"at least {low:g}" if high == math.inf else f"at most {high:g}" if low == -math.inf else ""
+            allowed = f"from {low:g} up" if high == math.inf else f"up to {high:g}" if low == -math.inf else ""
             raise FMUError(
-                f"{variable.name!r} of the FMU {archive.path.name} is to be {x!r}, but by its own account must be "
-                f"{allowed or f'from {low:g} to {high:g}'}{f' {variable.unit}' if variable.unit else ''}; give such a value, or "
+                f"{variable.name!r} of the FMU {archive.path.name} is set to {x!r}, but its declaration allows only values "
+                f"{allowed or f'from {low:g} to {high:g}'}{f' {variable.unit}' if variable.unit else ''}. Give such a value, or "
                 "try it all the same with validate=False."
             )
 
 
 def resolved(archive: Archive, description: FMUDescription, values: Mapping[str, Value]) -> dict[str, FMUVariable]:
-    """Return the variables by name, arrays as large as structural parameters say.
+    """Return the variables by name, with the array sizes that structural parameters set.
 
     Parameters
     ----------
     archive : Archive
         The FMU.
     description : FMUDescription
-        What it says of itself.
+        Its model description.
     values : mapping of str to value
-        Start values that are not those of the description; structural parameters among them.
+        Start values that replace those of the description, including structural parameters.
 
     Raises
     ------
     FMUError
-        If an array would be too large for any machine.
+        If an array would be too large.
     """
     if not any(v.dimensions for v in description.variables):
         return {v.name: v for v in description.variables}
@@ -113,16 +113,16 @@ def resolved(archive: Archive, description: FMUDescription, values: Mapping[str,
 def _size(archive: Archive, variable: FMUVariable, dimension: int | str, structure: Mapping[str, Any]) -> int:
     size = dimension if isinstance(dimension, int) else structure.get(dimension)
     if not isinstance(size, int) or isinstance(size, bool) or size < 0:
-        given = f"{dimension!r}, which is {size}" if isinstance(dimension, str) else str(size)
+        text = f"{dimension!r}, which is {size}" if isinstance(dimension, str) else str(size)
         raise FMUError(
-            f"The array {variable.name!r} of the FMU {archive.path.name} is as large as {given}: that is no size; export the FMU "
-            "again."
+            f"The array {variable.name!r} of the FMU {archive.path.name} has the size {text}, which is not valid; export the "
+            "FMU again."
         )
     return size
 
 
 def value_of(variable: FMUVariable, values: Mapping[str, Value]) -> Value:
-    """Return the value that a variable has before initialization: given, its own, or zero."""
+    """Return the value of a variable before initialization: the given value, else its start value, else zero."""
     value = values.get(variable.name, variable.start)
     if value is None or (variable.shape and not isinstance(value, tuple)):
         zero: Value = 0.0 if variable.type in _FLOATS else variable.type != "Boolean" and 0
@@ -133,7 +133,7 @@ def value_of(variable: FMUVariable, values: Mapping[str, Value]) -> Value:
 
 
 def as_floats(value: Value) -> float | tuple[Any, ...]:
-    """Return a value as float64 ports have it."""
+    """Return a value as floats, for float64 ports."""
     return tuple(as_floats(row) for row in value) if isinstance(value, tuple) else float(value)
 
 
@@ -142,25 +142,25 @@ def _a(word: str) -> str:
 
 
 def _converted(archive: Archive, description: FMUDescription, variable: FMUVariable, value: Any) -> Value:
-    given, gain, offset = value, 1.0, 0.0
+    number, gain, offset = value, 1.0, 0.0
     if variable.type in _FLOATS:
         pair = split(value) if isinstance(value, str) else _pair(value)
         if pair is not None:
-            given, unit = pair
-            gain, offset = _conversion(archive, description, variable, f"{given} {unit}", unit)
+            number, unit = pair
+            gain, offset = _conversion(archive, description, variable, f"{number} {unit}", unit)
     if not variable.shape:
-        return _element(archive, variable, given, value, gain, offset)
-    flat = _flat(given, variable.shape)
+        return _element(archive, variable, number, value, gain, offset)
+    flat = _flat(number, variable.shape)
     if flat is None:
         raise FMUError(
-            f"{variable.name!r} of the FMU {archive.path.name} is an array of shape {variable.shape} and must be given as one, "
-            f"row by row, not as {brief(value)}."
+            f"{variable.name!r} of the FMU {archive.path.name} is an array of shape {variable.shape}, but is given as "
+            f"{brief(value)}. Give it row by row."
         )
     return shaped(tuple(_element(archive, variable, x, x, gain, offset) for x in flat), variable.shape)
 
 
 def _pair(value: Any) -> tuple[Any, str] | None:
-    """Return value and unit, where they are given as a pair."""
+    """Return value and unit if they are given as a pair, else None."""
     if (
         isinstance(value, tuple | list)
         and len(value) == 2
@@ -188,14 +188,14 @@ def _conversion(
 ) -> tuple[float, float]:
     where = f"{variable.name!r} of the FMU {archive.path.name}"
     if variable.unit is None:
-        raise FMUError(f"{where} has no unit, and {given!r} has one; give a plain number.")
-    found = conversion(unit, variable.unit, description.units)
-    if isinstance(found, str):
+        raise FMUError(f"{where} has no unit, but {given!r} has one; give a plain number.")
+    factors = conversion(unit, variable.unit, description.units)
+    if isinstance(factors, str):
         raise FMUError(
-            f"{where} is in {variable.unit}, and {given!r} cannot be brought to that: {found}. Give it in a unit that fits, or "
-            f"as a plain number in {variable.unit}."
+            f"{where} is in {variable.unit}, and {given!r} cannot be converted to that: {factors}. Give it in a compatible "
+            f"unit, or as a plain number in {variable.unit}."
         )
-    gain, offset = found
+    gain, offset = factors
     return gain, 0.0 if variable.relative else offset
 
 
@@ -207,33 +207,33 @@ def _element(archive: Archive, variable: FMUVariable, value: Any, shown: Any, ga
             converted = gain * float(value) + offset if (gain, offset) != (1.0, 0.0) else float(value)
             if math.isfinite(converted):
                 return converted
-        wanted = "a finite number"
+        required = "a finite number"
     elif kind == "Boolean":
         if isinstance(value, bool | np.bool_):
             return bool(value)
-        wanted = "True or False"
+        required = "True or False"
     elif kind == "String":
         if isinstance(value, str) and "\0" not in value and not any("\ud800" <= c <= "\udfff" for c in value):
             return value
-        wanted = "a text without NUL or halves of characters" if isinstance(value, str) else "a text"
+        required = "a string without NUL characters or surrogates" if isinstance(value, str) else "a string"
     elif variable.items:
         if isinstance(value, str) and value in dict(variable.items):
             return dict(variable.items)[value]
         if is_number and isinstance(value, Integral) and int(value) in dict(variable.items).values():
             return int(value)
         names = [f"{name!r} ({number})" for name, number in variable.items[:12]]
-        wanted = "one of " + ", ".join([*names, "..."] if len(variable.items) > 12 else names)
+        required = "one of " + ", ".join([*names, "..."] if len(variable.items) > 12 else names)
     else:
         low, high = _range(variable)
         if is_number and isinstance(value, Integral) and low <= int(value) <= high:
             return int(value)
-        wanted = f"a whole number from {low} to {high}"
+        required = f"a whole number from {low} to {high}"
     raise FMUError(
-        f"{variable.name!r} of the FMU {archive.path.name} is {kind}, so it must be {wanted}, not {brief(shown)}."
+        f"{variable.name!r} of the FMU {archive.path.name} is of type {kind} and must be {required}, not {brief(shown)}."
     )
 
 
 def _range(variable: FMUVariable) -> tuple[int, int]:
     low, high = type_range(variable, 2 if variable.type in {"Integer", "Enumeration"} else 3)
-    exact = np.iinfo(variable.type.lower()) if "64" in variable.type else None  # which a double cannot hold
+    exact = np.iinfo(variable.type.lower()) if "64" in variable.type else None  # beyond the exact range of doubles
     return (int(low), int(high)) if exact is None else (int(exact.min), int(exact.max))

@@ -169,7 +169,7 @@ def test_several_instances_of_one_name_and_each_ones_messages(slave, isolate):
 @pytest.mark.parametrize(
     ("lie", "sentence"),
     [
-        (2, r"fmiDoStep returned Discard\. It could compute the step up to t = 0\.3 s; a smaller step may do\."),
+        (2, r"fmiDoStep returned Discard\. It computed the step up to t = 0\.3 s\. Try a smaller step\."),
         (3, r"fmiDoStep returned Error\. Its log says: p: the belt is off at t = 0\.3"),
         (77, r"fmiDoStep returned 77, which is no status of FMI\."),
     ],
@@ -184,9 +184,7 @@ def test_a_refusal_to_begin_says_why_and_kills_nobody(slave):
     # fmpy takes the status for the address of a text, and reads it.
     with pytest.raises(FMUError, match=r"fmiInitializeSlave returned Error.* Its log says: p: no way to begin"):
         driven(slave(), parameters={"lie": 1.0}).simulate(1)
-    with pytest.raises(
-        FMUError, match=r"refused to be instantiated as 'p'.* Its log says: the guid is wrong, not mine"
-    ):
+    with pytest.raises(FMUError, match=r"could not be instantiated as 'p'.* Its log says: the guid is wrong, not mine"):
         driven(slave(('guid="{slave}"', 'guid="wrong"'))).simulate(1)
 
 
@@ -194,7 +192,7 @@ def test_what_fmi_1_cannot_do_is_said(slave):
     with (
         cosim.Session(driven(slave())) as session,
         pytest.raises(
-            FMUError, match=r"FMI 1\.0, which has no saved states; export it as FMI 2\.0 or 3\.0 with canGet"
+            FMUError, match=r"FMI 1\.0, which has no saved states. Export it as FMI 2\.0 or 3\.0 with canGet"
         ),
     ):
         session.save_state()
@@ -249,7 +247,7 @@ kind = "FixedPrecision"
     "version", ["3.0-beta.2", "3.0-alpha.5", "3.0-rc.1", "2.0-rc", "2.0RC1", "2.0_Beta4", "2.0 Beta"]
 )
 def test_drafts_of_the_standard_are_refused_by_name(slave, version):
-    said = rf"is an FMU of FMI {re.escape(version)}, a draft .*only FMI 1\.0, 2\.0 and 3\.0 .*: export .* as FMI 2\.0 or 3\.0"
+    said = rf"is an FMU of FMI {re.escape(version)}, a draft .*only FMI 1\.0, 2\.0 and 3\.0 .*Export .* as FMI 2\.0 or 3\.0"
     with pytest.raises(FMUVersionError, match=said):
         cosim.FMU(slave(('fmiVersion="1.0"', f'fmiVersion="{version}"')))
 

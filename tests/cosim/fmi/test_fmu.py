@@ -449,7 +449,7 @@ def failing(request, tmp_path_factory, c_compiler):
         (1003.0, r"DoStep returned Error\. It logged nothing\."),
         (1004.0, r"DoStep returned Fatal\."),
         (1005.0, r"DoStep returned Pending\. Steps that go on by themselves are not waited for"),
-        (1011.0, r"returned early from fmi3DoStep, at t = 0\.1 s, before the end of the step, and comes no further"),
+        (1011.0, r"returned early from fmi3DoStep, at t = 0\.1 s, before the end of the step, and does not continue"),
     ],
 )
 def test_steps_that_fail_stop_the_run_and_keep_the_result(failing, engine, mode, sentence):
@@ -461,7 +461,7 @@ def test_steps_that_fail_stop_the_run_and_keep_the_result(failing, engine, mode,
         diagram.simulate(1.0, engine=engine)
     assert "at t = 0.1 s (step 5): block 'car' reported status" in str(caught.value)
     if mode == 1002 and describe(failing).fmi_major == 2:
-        assert "up to t = 0.1 s; a smaller step may do." in str(caught.value)
+        assert "up to t = 0.1 s. Try a smaller step." in str(caught.value)
     expected = recursion([100.0] * 5, [0.0] * 5, b=mode)
     assert np.allclose(caught.value.result["car.v"], expected, rtol=1e-12)
 

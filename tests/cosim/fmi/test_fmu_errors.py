@@ -147,7 +147,7 @@ def test_kinds(tmp_path):
     refused(lambda: FMU(path, kind="co-simulation"), "cannot be used for co-simulation, only for model exchange")
     assert FMU(path).kind == "model exchange"
     assert describe(path).kinds == ("modelExchange",)
-    refused(lambda: FMU(SHIPPED["2.0"], kind="model exchange"), "only for co-simulation: leave kind= out")
+    refused(lambda: FMU(SHIPPED["2.0"], kind="model exchange"), "only for co-simulation. Leave kind= out")
     refused(lambda: FMU(SHIPPED["2.0"], kind="ME"), "'co-simulation' or 'model exchange'", error=ModelError)
     refused(lambda: FMU(SHIPPED["2.0"], atol=1e-4), "atol=0.0001", "brings its own solver", error=ModelError)
     refused(lambda: FMU(SHIPPED["2.0"], rtol=-1e-4), "rtol=-0.0001", "positive number", error=ModelError)
@@ -196,7 +196,7 @@ def test_a_binary_of_another_name(tmp_path, fmi, caplog, bayesftc_):
     path = renamed(f"car{suffix}")
     diagram = cosim.Diagram(dt=0.02)
     diagram.add(FMU(path, parameters={"v0": 3.0}), "car")
-    said = f"is called car{suffix}, and not CruiseControl{suffix} as its modelIdentifier says; it is the only one"
+    said = f"is named car{suffix} instead of CruiseControl{suffix} (modelIdentifier), but is the only one"
     assert diagram.simulate(0.1, engine="interpreted")["car.v"][0] == 3.0
     assert f"The binary of the FMU renamed1.fmu for {here} {said}, and is used." in caplog.text
     assert said in " ".join(bayesftc_("inspect", path, "--json").output.split())
@@ -218,7 +218,7 @@ def test_invalid_descriptions(tmp_path):
     broken = replaced("2.0", tmp_path / "broken.fmu", "</ModelStructure>", "")
     refused(lambda: FMU(broken), "modelDescription.xml", "is damaged (mismatched tag")
     typo = replaced("2.0", tmp_path / "start.fmu", 'start="5.0"', 'start="five"')
-    refused(lambda: FMU(typo, validate=False), "'b'", "the start value 'five', which is no Real")
+    refused(lambda: FMU(typo, validate=False), "'b'", "the start value 'five', which is not of type Real")
 
 
 HARMLESS = {
@@ -281,7 +281,7 @@ def test_refused_instantiation_and_initialization(tmp_path, fmi):
     path = replaced(fmi, tmp_path / "token.fmu", token, "{00000000-0000-0000-0000-000000000000}")
     refused(
         lambda: FMU(path).instantiate(STEP, "car"),
-        "The FMU 'CruiseControl' refused to be instantiated as 'car'. If it needs a tool or a licence, check that it is there. "
+        "The FMU 'CruiseControl' could not be instantiated as 'car'. If it needs a tool or a licence, check that it is available. "
         "Its log says: Instantiation: the token",
     )
     needy = edited(path, tmp_path / "needy.fmu", lambda text: text.replace("<CoSimulation ", NEEDY))
@@ -326,15 +326,15 @@ def test_names_and_types(tmp_path, fmi):
     )
     refused(lambda: FMU(path, parameters={"pi": 3.0}), "cannot be set: it is a local", "(constant)")
     for name, value, wanted in (
-        ("m", "heavy", "so it must be a finite number, not 'heavy'"),
+        ("m", "heavy", "must be a finite number, not 'heavy'"),
         ("m", True, "a finite number, not True"),
         ("m", float("nan"), "a finite number, not nan"),
         ("n", 2.5, "a whole number from "),
         ("n", 2**40, "a whole number from "),
         ("on", 1, "True or False, not 1"),
         ("file", 3, "a text, not 3"),
-        ("file", "a\0b", "a text without NUL or halves of characters, not 'a"),
-        ("file", "\ud800", "a text without NUL or halves of characters, not "),
+        ("file", "a\0b", "a string without NUL characters or surrogates, not 'a"),
+        ("file", "\ud800", "a string without NUL characters or surrogates, not "),
     ):
         refused(lambda n=name, v=value: FMU(path, parameters={n: v}), f"{name!r} of the FMU", wanted)
     refused(lambda: FMU(path, inputs=["frce"]), "has no input 'frce'; did you mean 'force'", error=UnknownNameError)
@@ -409,7 +409,7 @@ def test_a_file_that_changes_under_a_block(tmp_path):
     block = FMU(path, parameters={"v0": 1.0})
     replaced("2.0", path, 'name="v0"', 'name="start_speed"')
     os.utime(path, ns=(1, 1))
-    refused(lambda: block.instantiate(STEP, "car"), "was changed since it was read and has no 'v0' any more")
+    refused(lambda: block.instantiate(STEP, "car"), "has changed since it was read and no longer has 'v0'")
 
 
 def test_unpacking_happens_once_and_mends_itself(tmp_path, monkeypatch):

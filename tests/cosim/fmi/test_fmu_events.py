@@ -205,7 +205,7 @@ def test_a_discarded_step_is_tried_in_smaller_parts(clocked, run_both, flags):
 @pytest.mark.parametrize("flags", ["", VARIES, EVENTS])
 def test_steps_that_are_always_discarded_end_in_a_sentence(clocked, engine, flags):
     diagram = alone(FMU(clocked(flags), parameters={"most": 1e-9}), 0.1)
-    words = r"fmi3DoStep returned Discard. It has stayed where it was; a smaller step may do. It logged nothing."
+    words = r"fmi3DoStep returned Discard. It has made no progress. Try a smaller step. It logged nothing."
     with pytest.raises(SimulationError, match=words):
         diagram.simulate(1, engine=engine)
     diagram = alone(FMU(clocked(flags), parameters={"refuse": 0.5}), 0.1, u=cosim.Step(time=0.3, before=0.0, after=1.0))

@@ -78,7 +78,7 @@ def test_outputs_that_are_no_numbers(lying, way, word, isolate):
 def test_outputs_that_are_never_written(lying, fmi, isolate):
     path, ways = lying(fmi)
     error = stopped(path, ways["WRITES_NOTHING"], isolate, error=FMUError)
-    assert "says OK, but has not written 'v' of 'car'" in str(error)
+    assert "returns OK, but has not written 'v' of 'car'" in str(error)
 
 
 @EVERYWHERE
@@ -86,7 +86,7 @@ def test_what_is_written_beyond_the_outputs(lying, fmi, isolate):
     """It would be another block's value, or break the heap."""
     path, ways = lying(fmi)
     error = stopped(path, ways["WRITES_TOO_MUCH"], isolate, error=FMUError)
-    assert "The FMU 'CruiseControl' writes beyond the memory that it is given for 'v' of 'car'" in str(error)
+    assert "The FMU 'CruiseControl' writes beyond the memory for 'v' of 'car'" in str(error)
     assert str(error).endswith("Export it again.")
 
 
@@ -168,7 +168,7 @@ def test_ten_megabytes_of_log_in_a_million_messages(lying, isolate, caplog):
     texts = [r.getMessage() for r in caplog.records]
     assert len(texts) == _fmi_messages.FORWARDED + 1
     assert set(texts[:-1]) == {"car: ten bytes."}
-    assert texts[-1] == "car: This FMU has logged 10000 messages; later ones are not forwarded any more."
+    assert texts[-1] == "car: This FMU has logged 10000 messages; later ones are not forwarded."
 
 
 # --- what is none of their business -------------------------------------------------------------------------------------------
@@ -287,7 +287,8 @@ def test_values_beyond_the_bounds_that_an_fmu_declares(tmp_path):
     assert cosim.FMU(path, parameters={"m": 500}).start_value("m") == 500.0
     for value in (0.5, 501):
         with pytest.raises(
-            FMUError, match=r"'m' of the FMU m\.fmu is to be .* but by its own account must be from 1 to 500 kg"
+            FMUError,
+            match=r"'m' of the FMU m\.fmu is set to .* but its declaration allows only values from 1 to 500 kg",
         ):
             cosim.FMU(path, parameters={"m": value})
         assert cosim.FMU(path, parameters={"m": value}, validate=False).start_value("m") == value
@@ -301,7 +302,7 @@ def test_a_size_of_steps_that_is_none(tmp_path):
 def test_value_references_that_two_variables_share(tmp_path):
     two = ('valueReference="1"', 'valueReference="0"')
     with pytest.raises(
-        FMUError, match=r"gives 'force' and 'disturbance' one value reference, 0, so that to set one would"
+        FMUError, match=r"gives 'force' and 'disturbance' one value reference, 0, so that setting one would"
     ) as e:
         cosim.FMU(rewritten("2.0", tmp_path / "two.fmu", two))
     assert str(e.value).endswith("try it all the same with validate=False (bayesftc inspect: --no-validate).")

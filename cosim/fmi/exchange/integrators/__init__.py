@@ -1,1 +1,1 @@
-"""Integrators with events that make blocks of model exchange FMUs."""
+"""Integrators with events, which run model exchange FMUs as blocks."""

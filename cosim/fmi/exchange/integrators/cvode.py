@@ -1,4 +1,4 @@
-"""CVODE, as fmpy ships it, for one model exchange FMU: set up here, called and calling in compiled code."""
+"""CVODE, as fmpy ships it, for one model exchange FMU: set up here, used in compiled code."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _OTHERWISE = "update fmpy, or give the FMU another solver, as 'rk45'"
 
 @cache
 def _sundials() -> Callable[..., Any]:
-    """Return a function that calls a function of SUNDIALS by name, its arguments plain numbers and addresses.
+    """Return a function that calls functions of SUNDIALS by name; arguments are plain numbers and addresses.
 
     Raises
     ------
     FMUError
-        If fmpy brings another version.
+        If fmpy contains another version.
     """
     try:
         from fmpy.sundials import libraries
@@ -44,19 +44,19 @@ def _sundials() -> Callable[..., Any]:
             getattr(libraries, f"sundials_{n}")
             for n in ("cvode", "nvecserial", "sunmatrixdense", "sunlinsoldense", "core")
         ]
-    except Exception:  # noqa: BLE001 - fmpy raises plain Exception where the version is another
+    except Exception:  # noqa: BLE001 - fmpy raises plain Exception for another version
         raise FMUError(
-            f"CVODE cannot be loaded: this needs an fmpy that brings SUNDIALS 7 for this platform; {_OTHERWISE}."
+            f"CVODE cannot be loaded: fmpy must contain SUNDIALS 7 for this platform; {_OTHERWISE}."
         ) from None
 
     @cache
     def function(name: str, result: Any) -> Any:
         for library in shared:
             if hasattr(library, name):
-                bound = library[name]  # an object of our own: fmpy sets its own types on the attribute
+                bound = library[name]  # a separate object: fmpy sets other types on the attribute
                 bound.restype = result
                 return bound
-        raise FMUError(f"The SUNDIALS that fmpy brings has no {name}; {_OTHERWISE}.")
+        raise FMUError(f"The SUNDIALS in fmpy has no {name}; {_OTHERWISE}.")
 
     def call(name: str, *arguments: Any, result: Any = ctypes.c_int) -> Any:
         return function(name, result)(*arguments)
@@ -64,7 +64,7 @@ def _sundials() -> Callable[..., Any]:
     major, more, label = ctypes.c_int(), ctypes.c_int(), ctypes.create_string_buffer(8)
     call("SUNDIALSGetVersionNumber", *(ctypes.byref(n) for n in (major, more, more)), label, ctypes.c_int(len(label)))
     if major.value != 7:
-        raise FMUError(f"fmpy brings SUNDIALS {major.value}, but version 7 is needed; {_OTHERWISE}.")
+        raise FMUError(f"fmpy contains SUNDIALS {major.value}, but version 7 is needed; {_OTHERWISE}.")
     return call
 
 
@@ -79,25 +79,25 @@ def _callbacks() -> tuple[Any, Any]:
 
 
 class CVode:
-    """CVODE (variable-order BDF) with the root functions of one FMU; its words in the FMU's table are filled.
+    """CVODE (variable-order BDF) with the root functions of one FMU; it fills its words in the FMU's table.
 
     Parameters
     ----------
     model : ExchangeModel
         The instance.
     tolerances : ndarray
-        Where the absolute tolerances are, once they are set.
+        Array of the absolute tolerances, which are set later.
 
     Raises
     ------
     FMUError
-        If CVODE is not there.
+        If CVODE is not available.
     """
 
     def __init__(self, model: ExchangeModel, tolerances: np.ndarray[Any, np.dtype[np.float64]]):
         self._call = _sundials()
-        self.said = ""
-        self._things: list[tuple[str, Any]] = []  # how each is freed, and where it is
+        self.message = ""
+        self._things: list[tuple[str, Any]] = []  # function that frees each object, and its address
         try:
             self._build(model, tolerances)
         except BaseException:
@@ -109,14 +109,14 @@ class CVode:
         context = place()
         self._check("SUNContext_Create", ctypes.c_int(0), ctypes.byref(context))
         self._things.append(("SUNContext_Free", context))
-        call("SUNContext_ClearErrHandlers", context)  # the one that is there prints to the terminal
-        self._handler = _HANDLER(self._hear)
+        call("SUNContext_ClearErrHandlers", context)  # the default handler prints to the terminal
+        self._handler = _HANDLER(self._receive)
         call("SUNContext_PushErrHandler", context, self._handler, None)
 
         def make(name: str, free: str, *arguments: Any) -> Any:
             thing = place(call(name, *arguments, context, result=place))
             if not thing.value:
-                raise FMUError(f"CVODE has no memory for {size.value} states ({name}).")
+                raise FMUError(f"CVODE cannot allocate memory for {size.value} states ({name}).")
             self._things.append((free, thing))
             return thing
 
@@ -131,7 +131,7 @@ class CVode:
             self._check("CVodeRootInit", memory, ctypes.c_int(model.nz), place(roots.address))
             self._check("CVodeSetNoInactiveRootWarn", memory)
         tolerances[:] = 1.0
-        self._check("CVodeSVtolerances", memory, ctypes.c_double(1.0), absolute)  # until they are set
+        self._check("CVodeSVtolerances", memory, ctypes.c_double(1.0), absolute)  # replaced by `_set_tolerances`
         matrix = make("SUNDenseMatrix", "SUNMatDestroy", size, size)
         solver = make("SUNLinSol_Dense", "SUNLinSolFree", y, matrix)
         self._check("CVodeSetLinearSolver", memory, solver, matrix)
@@ -158,12 +158,12 @@ class CVode:
     def _check(self, name: str, *arguments: Any) -> None:
         flag = self._call(name, *arguments)
         if flag != 0:
-            raise FMUError(f"CVODE cannot be set up: {name} returned {flag} ({self.said or 'it says nothing'}).")
+            raise FMUError(f"CVODE cannot be set up: {name} returned {flag} ({self.message or 'no message'}).")
 
-    def _hear(
+    def _receive(
         self, line: int, where: bytes, file: bytes, text: bytes | None, code: int, data: Any, context: Any
     ) -> None:
-        self.said = " ".join((text or b"").decode("utf-8", errors="replace").split())
+        self.message = " ".join((text or b"").decode("utf-8", errors="replace").split())
 
     def close(self) -> None:
         """Free everything."""

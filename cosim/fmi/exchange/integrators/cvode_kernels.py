@@ -1,4 +1,4 @@
-"""What integrates by CVODE in compiled code: from where the FMU is to a time, or to an event before it."""
+"""Integration by CVODE in compiled code: from the FMU's present point to a time, or to an event before it."""
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc, arg-type"
@@ -47,8 +47,7 @@ def cvode_slope(t, y, values, table):
 def cvode_roots(t, y, values, table):
     """CVRootFn.
 
-    To FMI a zero is on the side of what is negative. CVODE would leave an indicator that begins at zero out, so that it never
-    saw it rise.
+    In FMI, zero counts as negative. CVODE ignores an indicator that begins at zero and would miss its crossing.
     """
     status = indicators(table, t, word(word(y, 0), 2), values)
     for i in range(word(table, INDICATORS)):
@@ -59,7 +58,7 @@ def cvode_roots(t, y, values, table):
 
 @inlined
 def _cvode_from(table, t, stop):
-    """Begin anew at the present states, to go as far as `stop`; return CVODE's flag."""
+    """Restart at the present states, with `stop` as stop time; return CVODE's flag."""
     memory = word(table, MEMORY)
     flag = restart(word(table, RESTART), memory, t, word(table, VECTOR))
     return at_time(word(table, SET_STOP), memory, stop) if flag == 0 else flag
@@ -73,20 +72,20 @@ def _copy(source, target, count):
 
 @callee
 def cvode(table, t, end):
-    """Do what `runge_kutta` does, by CVODE."""
+    """Integrate as `runge_kutta`, but by CVODE."""
     memory, y, x, size = word(table, MEMORY), word(table, VECTOR), word(table, X), word(table, STATES)
-    wants = word(table, WANTS_STEPS) != 0
+    needs_steps = word(table, WANTS_STEPS) != 0
     put_number(table, REACHED, t)
     good, copy, stop = t, word(table, WORK), end
     _copy(x, copy, size)
     flag = _cvode_from(table, t, end)
     for steps in range(word(table, LIMIT)):
         if flag == 0:
-            task = _ONE_STEP if wants else _NORMAL
+            task = _ONE_STEP if needs_steps else _NORMAL
             flag = integrate(word(table, INTEGRATE), memory, stop, y, table + 8 * REACHED, task)
         put_word(table, STEPS, steps + 1)
         if flag == _ROOTS_FAILED and _may_do_with_less(table):
-            # The step went where the event indicators cannot be had: a part of it, from where they could.
+            # The event indicators cannot be computed at this point: repeat from the last good point with a smaller step.
             half = good + 0.5 * (number(table, WHEN) - good)
             if half - good > PRECISION * max(abs(good), abs(end)):
                 stop = half
@@ -102,14 +101,14 @@ def cvode(table, t, end):
         if place(table, now, word(table, X)) != 0:
             put_word(table, REASON, CALL)
             return -1
-        asks = step_is_completed(table, now) if wants else 0
-        if asks < 0:
+        event = step_is_completed(table, now) if needs_steps else 0
+        if event < 0:
             return -1
-        if flag == _ROOT or asks > 0:
+        if flag == _ROOT or event > 0:
             return 1
         good = now
         _copy(x, copy, size)
-        if flag != 0 or not wants:
+        if flag != 0 or not needs_steps:
             if stop == end:
                 return 0
             stop = end

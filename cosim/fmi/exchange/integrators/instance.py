@@ -1,8 +1,7 @@
-"""Running model exchange FMUs: what the engines call, one communication step of an integrator with all its events.
+"""Running model exchange FMUs: one communication step of an integrator with all its events, for the engines.
 
-The inputs are held from t_k to t_k+1. Where they change, the FMU goes through event mode, and the integrator begins anew at
-each t_k and after each event: a step depends on the FMU's state and the inputs alone, so that a run which was saved and restored
-gives the bits of one that was not.
+The inputs are held from t_k to t_k+1; a change of inputs is an event. The integrator restarts at each t_k and after each event.
+So a step depends only on the FMU's state and the inputs, and a restored run gives the same bits as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class ExchangeInstance(ByAddress):
         Absolute tolerance; None for rtol times nominal values.
     """
 
-    #: The word of the table that holds the step size, which may be any.
+    #: The word of the table that holds the step size.
     step_word = words.STEP_WORD
     can_resize = True
 
@@ -84,7 +83,7 @@ class ExchangeInstance(ByAddress):
             from bayesftc.cosim.fmi.exchange.integrators.cvode import CVode
 
             self._cvode = CVode(model, self._tolerances)
-            self._work = np.zeros(model.nx)  # the states of the last step that was good
+            self._work = np.zeros(model.nx)  # the states after the last successful step
             table[words.WORK] = self._work.ctypes.data
         elif solver.startswith("scipy:"):
             from bayesftc.cosim.fmi.exchange.integrators.scipy_methods import ScipySolver
@@ -108,17 +107,17 @@ class ExchangeInstance(ByAddress):
 
     @property
     def update_address(self) -> int:
-        """Address of the compiled update function; 0 where all is done in the output function."""
+        """Address of the compiled update function; 0 if the output function does everything."""
         return 0 if self._timing == "sampled" else int(_compiled("update").address)
 
     def explain(self, status: int) -> str:
-        """Return why it stopped, with the last messages of the instance."""
+        """Return why the instance stopped, with its last messages."""
         return f"{self._why()}. {self._model.messages.quoted()}"
 
     def _why(self) -> str:
         error = self._scipy.error if self._scipy else None
         if error is None or self._model.table[words.REASON] != words.RAISED:
-            return reason(self._model, self._name, self._cvode.said if self._cvode else "")
+            return reason(self._model, self._name, self._cvode.message if self._cvode else "")
         if isinstance(error, StopError | CallError):
             return str(error)
         raise error
@@ -158,7 +157,7 @@ class ExchangeInstance(ByAddress):
                 raise StopError(self._why())
 
     def _retune(self, what: str) -> None:
-        """Set the tolerances as the nominal values are now; raise FMUError where it does not give them."""
+        """Set the tolerances from the present nominal values; raise FMUError if that fails."""
         try:
             self._set_tolerances()
         except (CallError, StopError) as error:
@@ -170,18 +169,18 @@ class ExchangeInstance(ByAddress):
 
     @property
     def states(self) -> dict[str, float]:
-        """The continuous states by name, as they are now."""
+        """The present continuous states by name."""
         return dict(zip(self._model.state_names, self._model.x.tolist(), strict=True))
 
     def set_states(self, values: Mapping[str, float]) -> None:
-        """Set continuous states by name; events that belong to them happen at once.
+        """Set continuous states by name, and handle the events that this triggers.
 
         Raises
         ------
         UnknownNameError
             If there is no such state.
         FMUError
-            If the FMU refuses them.
+            If the FMU does not accept them.
         """
         model = self._model
         names = model.state_names
@@ -193,8 +192,8 @@ class ExchangeInstance(ByAddress):
             model.write_states()
             model.event()
         except (CallError, StopError) as error:
-            raise FMUError(f"{model.name!r} refuses these states: {error}. {model.messages.quoted()}") from None
-        self._retune("refuses these states")
+            raise FMUError(f"{model.name!r} does not accept these states: {error}. {model.messages.quoted()}") from None
+        self._retune("does not accept these states")
 
     def close(self) -> None:
         """Free the instance and its integrator; the binary stays loaded."""
@@ -226,14 +225,14 @@ def exchange_instance(
     beginning, outputs
         See `ExchangeModel`.
     solver : str
-        Name of the integrator, whose relative tolerance `beginning` has.
+        Name of the integrator; its relative tolerance is in `beginning`.
     atol : float or None
         Its absolute tolerance; None for the relative one times nominal values.
 
     Raises
     ------
     FMUError
-        If the FMU refuses to be instantiated or initialized, or the integrator cannot be had.
+        If the FMU's instantiation or initialization fails, or the integrator is not available.
     """
     model = ExchangeModel(library, name, beginning, outputs)
     try:

@@ -1,8 +1,7 @@
 """A communication step of a model exchange FMU, with all its events, as compiled functions with the engine's signature.
 
-At the address ``parameters`` they find the address of the table of `bayesftc.cosim.fmi.exchange.words`, and the step size.
-Nothing here returns to Python, so that a right-hand side costs what the FMU's own functions cost.
-`bayesftc.cosim.fmi.exchange.integrators.instance` does the same in Python, for integrators of scipy.
+The address of the table of `bayesftc.cosim.fmi.exchange.words` and the step size are at the address ``parameters``. The compiled
+integrators never call Python, so a right-hand side costs no more than the FMU's own functions.
 """
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
@@ -92,7 +91,7 @@ def _called(table, role, status):
 
 @inlined
 def _mode(table, role):
-    """Go into another mode, where the FMU's version of FMI has any."""
+    """Enter another mode, if the FMU's version of FMI has modes."""
     if word(table, role) == 0:
         return 0
     return _called(table, role, mode3(word(table, role), word(table, COMPONENT)))
@@ -100,7 +99,7 @@ def _mode(table, role):
 
 @callee
 def _set_tolerances(table):
-    """Take absolute tolerances from the nominal values, as they are now."""
+    """Set absolute tolerances from the present nominal values."""
     count, tolerances = word(table, STATES), word(table, TOLERANCES)
     rtol, atol = number(table, RTOL), number(table, ATOL)
     if count > 0:
@@ -125,7 +124,7 @@ def _set_tolerances(table):
 
 @callee
 def _settle(table):
-    """Iterate the discrete states until they stay, and go on to continuous-time mode."""
+    """Update the discrete states until they no longer change, then enter continuous-time mode."""
     component, info, nominals = word(table, COMPONENT), table + 8 * INFO, False
     for turn in range(ITERATIONS + 1):
         if turn == ITERATIONS:
@@ -174,7 +173,7 @@ def _settle(table):
 
 @callee
 def _take(table, inputs):
-    """Let the inputs jump to what they are now, which is an event."""
+    """Set the inputs; if they have changed, this is an event."""
     size, held = word(table, IN_SIZE), word(table, INPUTS)
     changed = False
     for i in range(size):
@@ -207,7 +206,7 @@ def _read(table, outputs):
 
 @callee
 def _refused(table, role, code):
-    """Note why inputs could not be set or outputs read."""
+    """Record why inputs could not be set or outputs read."""
     if code in (UNFIT_IN, UNFIT_OUT):
         put_word(table, REASON, UNFIT_INPUT if code == UNFIT_IN else UNFIT_OUTPUT)
         return STOPPED
@@ -216,7 +215,7 @@ def _refused(table, role, code):
 
 @callee
 def _stretch(table, target):
-    """Go to a time, or to an event before it; return 1 for an event, 0 for none, else less: the reason is in the table."""
+    """Integrate to a time, or to an event before it; return 1 for an event, 0 for none, less if the reason is in the table."""
     t, which = number(table, TIME), word(table, INTEGRATOR)
     if which == NONE:
         put_number(table, TIME, target)
@@ -236,13 +235,13 @@ def _stretch(table, target):
 
 @callee
 def _advance(parameters, inputs, t, k):
-    """Take the FMU to the next communication point, from event to event."""
+    """Advance the FMU to the next communication point, from event to event."""
     table, h = word(parameters, 0), number(parameters, STEP_WORD)
     if _take(table, inputs) != 0:
         return STOPPED
     end, point = t + h, (k + 1) * word(table, NUMERATOR) / word(table, DENOMINATOR)
     if abs(end - point) <= SAME * h:
-        end = point  # as the engine counts time; a part of a step ends in between
+        end = point  # the engine's time; a part of a step ends in between
     near = NEAR * max(abs(end), h)
     quiet, before = 0, number(table, TIME)
     for _ in range(MOST_EVENTS):
@@ -281,7 +280,7 @@ def read(state, parameters, inputs, outputs, t, k):
 
 
 def read_direct(state, parameters, inputs, outputs, t, k):
-    """Set the inputs, which is an event where they have changed, and read the outputs."""
+    """Set the inputs (an event if they have changed) and read the outputs."""
     table = word(parameters, 0)
     if _take(table, inputs) != 0:
         return STOPPED
@@ -289,12 +288,12 @@ def read_direct(state, parameters, inputs, outputs, t, k):
 
 
 def advance(state, parameters, inputs, outputs, t, k):
-    """Set the inputs and go to the next communication point."""
+    """Set the inputs and advance to the next communication point."""
     return _advance(parameters, inputs, t, k)
 
 
 def sampled(state, parameters, inputs, outputs, t, k):
-    """Set the inputs, go to the next communication point, and read the outputs there."""
+    """Set the inputs, advance to the next communication point, and read the outputs there."""
     status = _advance(parameters, inputs, t, k)
     if status != 0:
         return status
@@ -302,7 +301,7 @@ def sampled(state, parameters, inputs, outputs, t, k):
 
 
 def tolerances(state, parameters, inputs, outputs, t, k):
-    """Set the integrator's tolerances anew."""
+    """Set the integrator's tolerances again."""
     return _set_tolerances(word(parameters, 0))
 
 

@@ -1,7 +1,7 @@
 """Runge-Kutta of order 5(4) by Dormand and Prince (1980), compiled, with roots found on its interpolant of order 4.
 
-It begins anew at full order at every communication point and after every event, where a multi-step method has to begin with
-order one. Tableau, error norm, first step and interpolant (Shampine 1986) are those of ``scipy.integrate.RK45``.
+It restarts with full order at every communication point and after every event; multi-step methods restart with order one.
+Tableau, error norm, first step and interpolant (Shampine 1986) are those of ``scipy.integrate.RK45``.
 """
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
@@ -53,11 +53,11 @@ BETWEEN = (
     (0.0, -282668133 / 205662961, 2019193451 / 616988883, -1453857185 / 822651844),
     (0.0, 40617522 / 29380423, -110615467 / 29380423, 69997945 / 29380423),
 )
-# The functions below take the lengths of the tuples, too: by the tuples' values the cache of compiled code knows an edit.
+# The functions below also use the lengths of the tuples, so that the cache of compiled code depends on the tuples' values.
 _STAGES, _ERRORS, _BETWEEN = np.array(STAGES), np.array(ERRORS), np.array(BETWEEN)
 
 VECTORS = 11
-"""Vectors of states in the memory to work in: seven slopes, the states of a stage, at the beginning, at the end, in between."""
+"""Vectors in the scratch memory: seven slopes; the states of a stage, of the step's end, and in between; the error scale."""
 
 
 @callee
@@ -70,7 +70,7 @@ def _norm(values, scale):
 
 @callee
 def _first_step(table, t, span, x, k, stage, scale, direct):
-    """Return a first step size by Hairer, Norsett and Wanner (1993), II.4; `direct` has the places of `stage` and of k[1]."""
+    """Return a first step size by Hairer, Norsett and Wanner (1993), II.4; `direct` has the addresses of `stage` and k[1]."""
     n = len(x)
     d0, d1 = _norm(x, scale), _norm(k[0], scale)
     h = 1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1
@@ -172,7 +172,7 @@ def runge_kutta(table, t, end):
             code = indicators(table, now, at_new, at_after)
             if code < 0:
                 return _stop(table, CALL, -1)
-        if code > 0 or not error < 1.0:  # outside of where the equations hold, or too large a step
+        if code > 0 or not error < 1.0:  # the equations do not hold there, or the step is too large
             if code > 0 and h <= 100.0 * EPS * max(abs(t), abs(end)):
                 return _stop(table, CALL, -1)
             h *= 0.2 if code > 0 or not error < np.inf else max(0.2, 0.9 * error**-0.2)
@@ -201,10 +201,10 @@ def runge_kutta(table, t, end):
             x[i] = new[i]
         put_number(table, REACHED, now)
         if word(table, WANTS_STEPS) != 0:
-            wants = step_is_completed(table, now)
-            if wants < 0:
+            request = step_is_completed(table, now)
+            if request < 0:
                 return -1
-            event = event or wants > 0
+            event = event or request > 0
         if event:
             return 1
         if last:

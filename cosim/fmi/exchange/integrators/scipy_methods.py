@@ -1,4 +1,4 @@
-"""Integrators of scipy for one model exchange FMU: restarted at each stretch, roots found by bisection; called back."""
+"""Integrators of scipy for one model exchange FMU: a Python callback, with restarts at events and roots by bisection."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class ScipySolver:
     method : str
         Name of the method.
     tolerances : ndarray
-        Where the absolute tolerances are.
+        The absolute tolerances.
 
     Attributes
     ----------
     error : BaseException or None
-        What was raised in it last.
+        The last exception.
     """
 
     def __init__(self, model: ExchangeModel, method: str, tolerances: Floats):
@@ -53,7 +53,7 @@ class ScipySolver:
         model = self._model
         try:
             event = self.integrate(model.time, end)
-        except BaseException as error:  # noqa: BLE001 - C code has no way for it; who explains the status raises it
+        except BaseException as error:  # noqa: BLE001 - it cannot pass through C code; `explain` raises it
             self.error = error
             model.table[words.REASON] = words.ENDS_AFTER_STEP if isinstance(error, EndError) else words.RAISED
             return -1 if isinstance(error, StopError | CallError) else -2
@@ -61,7 +61,7 @@ class ScipySolver:
         return int(event)
 
     def integrate(self, t: float, end: float) -> bool:
-        """Integrate from time `t` to `end`, or to an event before it, and bring the FMU there; return whether there is one.
+        """Integrate from time `t` to `end`, or to an event before it, and set the FMU to that point; return if it is an event.
 
         Raises
         ------
@@ -77,9 +77,9 @@ class ScipySolver:
             self._derivatives, t, start, end, rtol=float(model.reals[words.RTOL]), atol=self._absolute
         )
         for _ in range(INTERNAL_STEPS):
-            said = solver.step()
+            message = solver.step()
             if solver.status == "failed":
-                raise StopError(f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: {said}; {REMEDY}")
+                raise StopError(f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: {message}; {REMEDY}")
             now, x = float(solver.t), solver.y
             root = model.nz > 0 and not np.array_equal(self._signs(now, x), signs)
             if root:
@@ -87,12 +87,12 @@ class ScipySolver:
             self._place(now, x)
             if model.nx:
                 model.x[:] = x
-            wants = self._completed_step() if model.info.needs_completed_step else False
-            if root or wants or solver.status == "finished":
-                return bool(root or wants)
+            event_requested = self._completed_step() if model.info.needs_completed_step else False
+            if root or event_requested or solver.status == "finished":
+                return bool(root or event_requested)
         raise StopError(
-            f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: it needed more than {INTERNAL_STEPS} steps of its "
-            f"own; {REMEDY}"
+            f"{self._method.__name__} of scipy gives up at t = {solver.t:g} s: it needed more than {INTERNAL_STEPS} internal "
+            f"steps; {REMEDY}"
         )
 
     def _locate(self, solver: Any, signs: Floats) -> tuple[float, Floats]:
@@ -104,11 +104,11 @@ class ScipySolver:
             middle = 0.5 * (low + high)
             if not low < middle < high:
                 break
-            there = between(middle)
-            if np.array_equal(self._signs(middle, there), signs):
+            x_middle = between(middle)
+            if np.array_equal(self._signs(middle, x_middle), signs):
                 low = middle
             else:
-                high, x = middle, there
+                high, x = middle, x_middle
         return high, x
 
     def _place(self, t: float, x: Floats) -> None:

@@ -29,8 +29,8 @@ def test_arrays_are_vector_and_matrix_ports_as_large_as_structural_parameters_sa
     assert pickle.loads(pickle.dumps(three)) == three
     assert dataclasses.replace(three, name="again").port("u").shape == (3,)
     for values, words in (
-        ({"n": 3, "x0": [1, 2]}, "'x0' of the FMU 3.fmu is an array of shape (3,) and must be given as one"),
-        ({"K": [[1, 2], [3]]}, "shape (2, 2) and must be given as one, row by row"),
+        ({"n": 3, "x0": [1, 2]}, "'x0' of the FMU 3.fmu is an array of shape (3,), but is given as"),
+        ({"K": [[1, 2], [3]]}, "shape (2, 2), but is given as [[1, 2], [3]]. Give it row by row"),
         ({"K": [[1, 2], [3, "four"]]}, "must be a finite number, not 'four'"),
         ({"n": 10_000}, "would have the shape (10000, 10000): more than 10,000,000 numbers"),
         ({"n": -1}, "must be a whole number from 0 to"),
@@ -157,7 +157,7 @@ ARRAY = '<Float64 name="y" valueReference="5" causality="output"><Dimension valu
     ("lie", "words"),
     [
         (-1.0, "has not written 'steps', 'flag_out', 'mode_out' of 'b': its binary and its model description"),
-        (-2.0, "writes beyond the memory that it is given for 'count_out' of 'b'"),
+        (-2.0, "writes beyond the memory for 'count_out' of 'b'"),
     ],
 )
 def test_whole_numbers_that_are_not_written_are_no_zeros(breadth, alone, lie, words):
@@ -181,7 +181,7 @@ def test_whole_numbers_that_are_not_written_are_no_zeros(breadth, alone, lie, wo
         (
             ARRAY,
             ARRAY.replace('sion valueReference="1"', 'sion start="-5"'),
-            "'y' .* is as large as -5: that is no size",
+            "'y' .* has the negative size -5",
         ),
         (ARRAY, ARRAY.replace('sion valueReference="1"', 'sion start="99999999999"'), "more than 10,000,000 numbers"),
         (

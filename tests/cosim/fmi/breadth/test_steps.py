@@ -103,8 +103,8 @@ def test_in_a_process_of_its_own_it_gives_the_same_bits(breadth, alone, same_bit
 @pytest.mark.parametrize(
     ("stall", "words"),
     [
-        (0.4, "comes no further; a smaller step may do"),
-        (0.6, "did not come to the end of the step, or of an event, in 10000"),
+        (0.4, "does not continue. Try a smaller step"),
+        (0.6, "did not complete the step, or an event, in 10000"),
     ],
 )
 def test_steps_that_come_nowhere_end_in_a_sentence(breadth, alone, engine, stall, words):

@@ -297,7 +297,7 @@ def test_an_fmu_with_discrete_states_that_cannot_save(built):
 @pytest.mark.parametrize(
     ("model", "sentence", "kept"),
     [
-        ("endless", r"Its event iteration does not end: after 1000 turns at t = 0\.5 s", 5),
+        ("endless", r"Its event iteration does not end: after 1000 passes at t = 0\.5 s", 5),
         ("nan", r"(The derivative 'der\(x\)'|A derivative) came out NaN or infinite at t = 0\.3", 4),
         ("fails", r"(Derivatives|StateDerivatives) returned Error.* Its log says: the valve is stuck", 4),
         ("past", r"Its events do not end at t = 0\.2 s: the time that it gives for the next one.* t = 0\.2 s\. ", 2),
@@ -333,7 +333,7 @@ def test_a_solver_that_gives_up_says_so(built, monkeypatch):
         monkeypatch.setattr(module, "INTERNAL_STEPS", 3)
     for solver, called in (("cvode", "CVODE"), ("rk45", "Runge-Kutta"), ("scipy:RK23", "RK23 of scipy")):
         with pytest.raises(
-            cosim.SimulationError, match=rf"{called} gives up at t = .*more than .* steps of its own; give larger"
+            cosim.SimulationError, match=rf"{called} gives up at t = .*more than .* internal steps; give larger"
         ):
             alone(built("heater"), 5, solver=solver, rtol=1e-10).simulate(5, engine="interpreted")
 
