@@ -1,1 +1,1 @@
-"""FMUs in processes of their own."""
+"""FMUs in separate processes (crash isolation)."""

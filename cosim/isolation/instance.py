@@ -1,8 +1,8 @@
-"""An FMU in a process of its own: what it does to that process, it does not do to this one.
+"""Crash isolation: an FMU runs in a separate process, and a crash ends that process, not yours.
 
-The process (`worker`) makes the same instance that would run here and steps it with the same functions. It is started
-anew for each instance, as a program and not by a fork, which would copy the locks of this process's threads. It ends with the
-instance, and with this process, however that ends.
+The process (`worker`) creates the same instance as this process would, and steps it with the same functions. It is started for
+each instance, as a program: a fork would copy the locks of this process's threads. It ends with the instance, and with this
+process, however that ends.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from bayesftc.cosim.isolation.states import IsolatedState
 from bayesftc.cosim.types import Floats
 
 STARTING = 60.0
-"""Seconds that Python may take to start in the new process, or to load compiled code: no fault of the FMU."""
+"""Seconds for starting Python in the new process, or loading compiled code; they do not count for the FMU's time limit."""
 
 _WHERE = {
     protocol.STARTING: " while it was instantiated or initialized",
@@ -52,18 +52,18 @@ _WHAT = {
 
 
 def isolated(block: ExternalBlock, archive: Archive, step: Fraction, name: str, time_limit: float | None) -> Isolated:
-    """Return a running instance of an FMU in a process of its own; see `Isolated`."""
-    extract(archive, DESCRIPTION)  # here, where no time limit and no crash leaves half of it
+    """Return a running instance of an FMU in a separate process; see `Isolated`."""
+    extract(archive, DESCRIPTION)  # in this process, where neither a time limit nor a crash interrupts it
     return Isolated(block, step, name, DEFAULT_LIMIT if time_limit is None else float(time_limit))
 
 
 class Isolated(ByAddress):
-    """A running instance of an FMU in a process of its own; see `bayesftc.cosim.block.External`.
+    """A running instance of an FMU in a separate process; see `bayesftc.cosim.block.External`.
 
     Parameters
     ----------
     block : ExternalBlock
-        What to instantiate there; it is pickled.
+        The block to instantiate there; it is pickled.
     step : Fraction
         Seconds of a step.
     name : str
@@ -74,16 +74,16 @@ class Isolated(ByAddress):
     Attributes
     ----------
     crash : FMUCrashed or None
-        Why the process is gone, if it is.
+        Why the process has ended, if it has.
     shared : Shared
-        The memory that it shares with this one.
+        The memory that both processes share.
 
     Raises
     ------
     FMUCrashed
-        If the process dies, or has to be ended, before the instance is ready.
+        If the process crashes or exceeds the time limit before the instance is ready.
     FMUError
-        If the FMU refuses to be instantiated or initialized, or this system cannot isolate.
+        If the FMU's instantiation or initialization fails, or this system does not support isolation.
     """
 
     def __init__(self, block: ExternalBlock, step: Fraction, name: str, time_limit: float):
@@ -94,7 +94,7 @@ class Isolated(ByAddress):
         self._lines: deque[str] = deque(maxlen=KEPT)
         self._interrupt: BaseException | None = None
         self._states: weakref.WeakSet[IsolatedState] = weakref.WeakSet()
-        self._left: list[int] = []  # saved states that nobody needs any more
+        self._left: list[int] = []  # saved states that are no longer used
         self._tokens = 0
         self._is_ready, self._is_compiled, self._updates = False, False, block.timing != "sampled"
         inputs, outputs = (sum(port.size for port in ports) for ports in (block.inputs, block.outputs))
@@ -106,9 +106,9 @@ class Isolated(ByAddress):
         self._process = spare or WorkerProcess(inputs, outputs, min(protocol.ATTENTION, time_limit))
         shared = self.shared = self._process.shared
         shared.words[:] = 0
-        # From compiled code, for all that is not a plain answer; by a weak reference, so that no circle keeps the process.
-        myself = weakref.ref(self)
-        self._attend = ENTRY(lambda a, b, c, answered, t, k: _attend(myself, answered))
+        # Compiled code calls this for all but plain answers. A weak reference avoids a cycle that would keep the process.
+        weak_self = weakref.ref(self)
+        self._attend = ENTRY(lambda a, b, c, answered, t, k: _attend(weak_self, answered))
         self.table = np.array(
             [
                 *protocol.system_functions(), self._process.steps.fileno(), shared.words.ctypes.data, inputs, outputs,
@@ -132,7 +132,7 @@ class Isolated(ByAddress):
 
     @property
     def follows(self) -> bool:
-        """Whether the FMU's process keeps to the processor of the thread that steps it."""
+        """Whether the FMU's process follows the stepping thread to its processor."""
         return self._is_compiled
 
     @property
@@ -142,19 +142,19 @@ class Isolated(ByAddress):
 
     @property
     def update_address(self) -> int:
-        """Address of the compiled update function; 0 where all is done in the output function."""
+        """Address of the compiled update function; 0 if the output function does everything."""
         return self._address("update") if self._updates else 0
 
     def _address(self, role: str) -> int:
         if not self._is_compiled and self.crash is None:
-            with contextlib.suppress(FMUCrashed):  # the run will say so
+            with contextlib.suppress(FMUCrashed):  # the run will report it
                 self._ask("compile", limit=STARTING)
             self._is_compiled = True
         return _compiled(role)
 
     @property
     def rounding(self) -> Isolated:
-        """See `bayesftc.cosim.fmi.running.rounding.Roundable`: itself, for it asks the FMU's process."""
+        """See `bayesftc.cosim.fmi.running.rounding.Roundable`: this object, which calls the FMU's process."""
         return self
 
     @property
@@ -167,10 +167,10 @@ class Isolated(ByAddress):
         self._ask("let_round", tuple(names))
 
     def rounded_outputs(self) -> tuple[str, ...]:
-        """See `bayesftc.cosim.fmi.running.rounding.Roundable.rounded_outputs`; nothing is known of a process that has crashed."""
-        over = self.crash is not None or self._is_closed or self._process.is_over
-        found: tuple[str, ...] = () if over else self._ask("rounded")
-        return found
+        """See `bayesftc.cosim.fmi.running.rounding.Roundable.rounded_outputs`; empty after a crash."""
+        is_over = self.crash is not None or self._is_closed or self._process.is_over
+        names: tuple[str, ...] = () if is_over else self._ask("rounded")
+        return names
 
     #: See `bayesftc.cosim.block.VariableStep`.
     step_word = 8
@@ -181,18 +181,18 @@ class Isolated(ByAddress):
 
     def _order(self, command: int) -> None:
         self.shared.words[protocol.COMMAND] = command
-        with contextlib.suppress(OSError):  # it has died, as whoever waits for the answer will see
+        with contextlib.suppress(OSError):  # the process has died; waiting for the answer detects it
             self._process.steps.send(command.to_bytes(protocol.MESSAGE, sys.byteorder))
 
     def attend(self, answered: int) -> int:
-        """Wait for the answer to a command unless it came, with an eye on all else; return its status."""
+        """Wait for the answer to a command unless it has come, watch the process and its log, and return the status."""
         words = self.shared.words
         try:
             if answered != protocol.MESSAGE:
                 self._await_answer()
             if words[protocol.PHASE] != protocol.IDLE:
                 self._process.kill()
-                self._note_crash("was ended, for it has written into the connections that its process answers through.")
+                self._note_crash("was ended because it has written into the connections between the processes.")
                 self._die()
             if words[protocol.LOGGED]:
                 words[protocol.LOGGED] = 0
@@ -200,11 +200,11 @@ class Isolated(ByAddress):
                     self._note()
         except FMUCrashed:
             if words[protocol.COMMAND] == protocol.STEP and words[protocol.PHASE] == protocol.READING:
-                # The step was made; it is the outputs at its end that cannot be had, as they are asked for.
+                # The step itself was completed; the error belongs to reading the outputs at its end.
                 words[protocol.AHEAD], words[protocol.READ_STATUS] = 1, protocol.CRASHED
                 return 0
             return protocol.CRASHED
-        except BaseException as error:  # noqa: BLE001 - it would be lost in compiled code: `explain` raises it
+        except BaseException as error:  # noqa: BLE001 - compiled code cannot pass it on: `explain` raises it
             self._interrupt = error
             return protocol.INTERRUPTED
         return int(words[protocol.STATUS])
@@ -225,10 +225,10 @@ class Isolated(ByAddress):
             elif not ready:
                 self._overdue(self._limit)
 
-    # --- all else -------------------------------------------------------------------------------------------------------------
+    # --- errors, states and end -----------------------------------------------------------------------------------------------
 
     def explain(self, status: int) -> str:
-        """Return what a status means, with the instance's last messages."""
+        """Return the meaning of a status, with the instance's last messages."""
         if status == protocol.INTERRUPTED and self._interrupt is None:
             self._interrupt = KeyboardInterrupt()
         self._raise_interrupt()
@@ -265,11 +265,11 @@ class Isolated(ByAddress):
             self._sweep()
 
     def pickled(self, token: int) -> bytes:
-        """Return a saved state as it pickles in the FMU's process."""
+        """Return a saved state, pickled in the FMU's process."""
         return bytes(self._ask("pickle", token))
 
     def leave(self, token: int) -> None:
-        """Note a saved state that nobody needs any more; it is forgotten when the FMU is called next."""
+        """Mark a saved state as unused; it is freed with the next call of the FMU."""
         self._left.append(token)
 
     def _sweep(self) -> None:
@@ -277,7 +277,7 @@ class Isolated(ByAddress):
             self._ask("forget", self._left.pop())
 
     def close(self) -> None:
-        """Free the instance and end its process, or leave it to the next one."""
+        """Free the instance and end its process, or leave the process to the next instance."""
         if self._is_closed or self._process.is_over:
             return
         is_sound = False
@@ -290,29 +290,29 @@ class Isolated(ByAddress):
         except FMUCrashed as crash:
             logging.getLogger("bayesftc.fmu").warning("%s: while it was freed: %s", self._name, str(crash))
         except FMUError:
-            pass  # it is over either way, and the results stand
+            pass  # the instance ends either way, and the results are complete
         finally:
             self._is_closed = True
             if not (is_sound and give(self._kind, self._process)):
                 self._process.end()
 
     def _ask(self, *request: Any, limit: float | None = None) -> Any:
-        """Have something done in the other process, and return what it returns."""
+        """Send a request to the other process, and return its result."""
         if self.crash is not None:
             self._die()
         if self._is_closed or self._process.is_over:
             raise FMUError(f"The instance {self._name!r} is closed.")
         try:
-            if self._is_ready:  # before, it waits for requests alone
+            if self._is_ready:  # before, the process waits for requests only
                 self._order(protocol.TALK)
-            with contextlib.suppress(OSError):  # it has died, as is seen at once
+            with contextlib.suppress(OSError):  # the process has died; `_reply` detects it
                 self._process.talk.send(request)
             return self._reply(self._limit if limit is None else limit)
         except errors.BayesFTCError:
             raise
-        except BaseException:  # the next request would take the answer to this one for its own
+        except BaseException:  # the next request would receive the answer to this one
             self._process.kill()
-            self._note_crash("was ended, for Ctrl-C came while it was asked for something.")
+            self._note_crash("was ended because Ctrl-C interrupted a request to it.")
             raise
 
     def _reply(self, limit: float) -> Any:
@@ -328,16 +328,16 @@ class Isolated(ByAddress):
                 return message[1]
             if not ready:
                 self._overdue(limit)
-            self._bury()  # nothing but its end comes over the other socket now
+            self._bury()  # the other socket now reports only the end of the process
 
     def _note(self) -> tuple[Any, ...] | None:
-        """Take one message from the other process; return it, unless it was of something logged, which is logged here."""
+        """Receive one message from the other process; log it here if it is a log record, else return it."""
         try:
             message: tuple[Any, ...] = self._process.talk.recv()
             if message[0] != "log":
                 return message
             _, logger, level, text, line = message
-        except Exception:  # noqa: BLE001 - it is closed, or the FMU has written into it: that may be anything
+        except Exception:  # noqa: BLE001 - the connection is closed, or contains anything that the FMU has written
             self._bury()
         if line is not None:
             self._lines.append(line)
@@ -345,12 +345,12 @@ class Isolated(ByAddress):
         return None
 
     def _bury(self) -> NoReturn:
-        """Say what has become of a process that is gone."""
+        """Raise the error for a process that has ended."""
         if self._process.is_anothers:
-            self._note_crash("belongs to the process that this one was forked from; begin a new run here.")
+            self._note_crash("belongs to the process from which this one was forked; start a new run here.")
             self._die()
         with contextlib.suppress(Exception):
-            while self._process.talk.poll(0):  # its last words
+            while self._process.talk.poll(0):  # its last messages
                 message = self._process.talk.recv()
                 if message[0] == "log" and message[4] is not None:
                     self._lines.append(message[4])
@@ -361,7 +361,7 @@ class Isolated(ByAddress):
         self._process.kill()
         what = _WHAT.get(self._phase, "a call")
         self._note_crash(
-            f"was ended, for {what} took more than {limit:g} s; if it needs longer, give a larger time_limit."
+            f"was ended because {what} took more than {limit:g} s; if it needs longer, give a larger time_limit."
         )
         self._die()
 
@@ -370,7 +370,7 @@ class Isolated(ByAddress):
         self.crash = FMUCrashed(f"The FMU of {self._name!r}{self._file} {what} {quoted(lines)}", log=lines)
 
     def _die(self) -> NoReturn:
-        # Another one each time: the traceback of what is raised would keep this instance alive through its own attribute.
+        # Raise a new exception each time: the traceback of a stored one would keep this instance alive.
         assert self.crash is not None
         raise FMUCrashed(str(self.crash), log=self.crash.log)
 
@@ -381,8 +381,8 @@ class Isolated(ByAddress):
     def _raise_interrupt(self) -> None:
         error, self._interrupt = self._interrupt, None
         if error is not None:
-            self._process.kill()  # nobody waits for the answer any more
-            self._note_crash("was ended, for Ctrl-C came in the middle of its step.")
+            self._process.kill()  # the pending answer is no longer needed
+            self._note_crash("was ended because Ctrl-C interrupted its step.")
             raise error
 
 

@@ -1,7 +1,7 @@
-"""Both ends of the way to an isolated FMU, compiled: one round trip over a socket takes a step.
+"""Both ends of the connection to an isolated FMU, compiled: a step takes one round trip over a socket.
 
-The host's three functions have the engine's signature and find at the address ``parameters`` the words named below; the worker's
-one, `serve`, answers steps until something else is asked for.
+The host's functions have the engine's signature; the words named below are at the address ``parameters``. The worker's function,
+`serve`, answers steps until another command comes.
 """
 
 # The checker sees the intrinsics with the typing context that numba passes by itself.
@@ -32,7 +32,7 @@ PROCESSOR, INTERRUPTED = protocol.PROCESSOR, protocol.INTERRUPTED
 GONE, SIGNALLED, PAUSED, ELSEWHERE = protocol.GONE, protocol.SIGNALLED, protocol.PAUSED, protocol.ELSEWHERE
 PAUSE = protocol.PAUSE
 NO_SIGNAL = 0x4000
-"""MSG_NOSIGNAL of Linux: that the other process is gone is an answer, not a signal."""
+"""MSG_NOSIGNAL of Linux: if the other process has ended, `send` returns an error instead of raising a signal."""
 
 _I32, _I64 = ir.IntType(32), ir.IntType(64)
 
@@ -75,14 +75,14 @@ def _exchange(command, parameters, inputs, t, k):
     if transfer(word(parameters, SEND), socket, shared + 8 * COMMAND, MESSAGE, NO_SIGNAL) == MESSAGE:
         answered = transfer(word(parameters, RECEIVE), socket, shared + 8 * ANSWER, MESSAGE, 0)
     if answered != MESSAGE or word(shared, LOGGED) != 0 or word(shared, PHASE) != IDLE:
-        put_word(shared, RESULT, INTERRUPTED)  # stands if Ctrl-C comes before the callback can say anything
+        put_word(shared, RESULT, INTERRUPTED)  # stays if Ctrl-C comes before the callback sets a result
         call_block(word(parameters, ATTEND), 0, 0, 0, answered, t, k)
         return word(shared, RESULT)
     return word(shared, STATUS)
 
 
 def output(state, parameters, inputs, outputs, t, k):
-    """Copy the outputs that came with the step before; where none did, have them computed."""
+    """Copy the outputs that came with the previous step; if none did, request them."""
     shared = word(parameters, SHARED)
     if word(shared, AHEAD) != 0:
         status = word(shared, READ_STATUS)
@@ -95,24 +95,24 @@ def output(state, parameters, inputs, outputs, t, k):
 
 
 def update(state, parameters, inputs, outputs, t, k):
-    """Have a step made."""
+    """Request a step."""
     return _exchange(STEP, parameters, inputs, t, k)
 
 
 def serve(state, parameters, inputs, outputs, t, k):
-    """Do what the host says; return a command that is neither of these, or why it returns without one."""
+    """Answer reads and steps of the host; return any other command, or why there is none."""
     shared, socket, table = word(parameters, SHARED), word(parameters, SOCKET), word(parameters, TABLE)
     send, receive = word(parameters, SEND), word(parameters, RECEIVE)
     make_step, compute, ahead = word(parameters, UPDATE), word(parameters, OUTPUT), word(parameters, READS_AHEAD)
     numerator, denominator = word(parameters, NUMERATOR), word(parameters, DENOMINATOR)
-    own_size, step_word = numerator / denominator, word(parameters, STEP_WORD)
+    usual_size, step_word = numerator / denominator, word(parameters, STEP_WORD)
     where, follows = word(parameters, WHERE), word(parameters, FOLLOWS)
     u = shared + 8 * HEADER
     y = u + 8 * word(parameters, INPUT_COUNT)
     for _ in range(PAUSE):
-        got = transfer(receive, socket, shared + 8 * COMMAND, MESSAGE, 0)
-        if got != MESSAGE:
-            return GONE if got == 0 else SIGNALLED
+        received = transfer(receive, socket, shared + 8 * COMMAND, MESSAGE, 0)
+        if received != MESSAGE:
+            return GONE if received == 0 else SIGNALLED
         command = word(shared, COMMAND)
         instant, count = number(shared, TIME), word(shared, COUNT)
         if command == READ:
@@ -127,8 +127,8 @@ def serve(state, parameters, inputs, outputs, t, k):
             status = call_block(make_step, 0, table, u, y, instant, count)
             if status == 0 and ahead != 0:
                 put_word(shared, PHASE, READING)
-                if size == own_size and instant == count * numerator / denominator:
-                    instant = (count + 1) * numerator / denominator  # the engine's own next instant, to the last bit
+                if size == usual_size and instant == count * numerator / denominator:
+                    instant = (count + 1) * numerator / denominator  # the engine's next instant, to the last bit
                 else:
                     instant = instant + size
                 put_word(shared, READ_STATUS, call_block(compute, 0, table, u, y, instant, count + 1))

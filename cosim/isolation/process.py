@@ -1,4 +1,4 @@
-"""Starts, watches and ends the process of an isolated FMU."""
+"""Start, watch and end the process of an isolated FMU."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.isolation import protocol
 
 GLANCE = 0.5
-"""Seconds after which it is seen whether a process that does not answer is alive."""
+"""Seconds between checks whether a process that does not answer is alive."""
 
 SOON = 0.01
-"""Seconds within which most answers come."""
+"""Seconds in which most answers arrive."""
 
 LEAVING = 5.0
-"""Seconds for a process to end by itself, or to vanish once it was killed."""
+"""Seconds for a process to end by itself, or after it was killed."""
 
 
 class WorkerProcess:
-    """The process, the memory that is shared with it, and the two ways to talk to it.
+    """The process, its shared memory, and the two connections to it.
 
     Parameters
     ----------
     inputs, outputs : int
-        How many numbers are exchanged in a step.
+        Numbers of inputs and outputs, which are exchanged in each step.
     attention : float
-        Seconds after which the receipt of an answer comes back empty, for someone to look after the process.
+        Seconds after which waiting for an answer is interrupted to check the process.
 
     Raises
     ------
     FMUError
-        If this system cannot do it.
+        If this system does not support isolation.
     """
 
     def __init__(self, inputs: int, outputs: int, attention: float):
         if sys.platform != "linux" or not can_start():
             raise FMUError(
-                "isolate=True needs Linux and a Python that can be started as a program; leave it out, and the FMU runs in this "
+                "isolate=True needs Linux and a Python that can be started as a program. Leave it out to run the FMU in this "
                 "process."
             )
         with contextlib.ExitStack() as opened:
@@ -56,19 +56,19 @@ class WorkerProcess:
             self.shared = protocol.Shared(memory, inputs, outputs)
             self.steps, steps = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             opened.callback(steps.close)
-            seconds, part = divmod(max(round(attention * 1e6), 1), 1_000_000)
-            self.steps.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", seconds, part))
-            ours, talk = socket.socketpair()
-            for direction in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):  # once a message has begun, all of it comes
-                ours.setsockopt(socket.SOL_SOCKET, direction, struct.pack("ll", int(LEAVING), 0))
+            seconds, microseconds = divmod(max(round(attention * 1e6), 1), 1_000_000)
+            self.steps.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", seconds, microseconds))
+            host_socket, talk = socket.socketpair()
+            for direction in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):  # a message that has begun arrives completely
+                host_socket.setsockopt(socket.SOL_SOCKET, direction, struct.pack("ll", int(LEAVING), 0))
             opened.callback(talk.close)
-            self.talk = Connection(ours.detach())
-            theirs = memory, steps.fileno(), talk.fileno()
-            self._process, lifeline = start("bayesftc.cosim.isolation.worker:main", theirs)
-        # Where nobody closes it. In a forked process, which runs what is registered as well, it is let go of (`_forked`).
+            self.talk = Connection(host_socket.detach())
+            descriptors = memory, steps.fileno(), talk.fileno()
+            self._process, lifeline = start("bayesftc.cosim.isolation.worker:main", descriptors)
+        # Ends the process if it is not closed. A forked process would run this, too, and so detaches it (`_forked`).
         self._end = weakref.finalize(self, _end, self._process, self.talk, self.steps, lifeline)
         self.is_anothers = False
-        """Whether a fork has made this a copy, in a process that has not started it."""
+        """Whether this is a copy, made by a fork, in a process that has not started it."""
         _alive.add(self)
 
     @property
@@ -78,11 +78,11 @@ class WorkerProcess:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it runs, and is this process's own."""
+        """Whether it runs, and this process has started it."""
         return not self.is_over and not self._is_dead()
 
     def wait(self, end: float) -> Collection[object]:
-        """Return which of `talk` and `steps` can be read, as soon as one can; nothing if none can until `end`."""
+        """Wait until `talk` or `steps` can be read, at most until `end`; return those that can."""
         if self.is_anothers:
             return [self.steps]
         while True:
@@ -90,11 +90,11 @@ class WorkerProcess:
             ready = wait([self.talk, self.steps], min(left, GLANCE))
             if ready or left == 0.0:
                 return ready
-            if self._is_dead():  # and something that the FMU has started holds the other ends open
+            if self._is_dead():  # but a process that the FMU has started holds the other ends open
                 return [self.steps]
 
     def queued(self) -> float:
-        """Return for how many seconds in all the process could not run, for others had the processors; 0 if nobody says."""
+        """Return the total time in seconds in which the process waited for a processor; 0 if not known."""
         try:
             with open(f"/proc/{self._process.pid}/schedstat", encoding="ascii") as file:
                 return int(file.read().split()[1]) * 1e-9
@@ -102,19 +102,19 @@ class WorkerProcess:
             return 0.0
 
     def kill(self) -> None:
-        """Kill the process and all that it has started, if it is this process's own."""
+        """Kill the process and all processes that it has started, unless this is a forked copy."""
         if not self.is_anothers:
             kill_group(self._process)
 
     def obituary(self) -> str:
-        """Return how the process ended, in words; it has closed its connections."""
+        """Return how a process that has closed its connections ended, as text."""
         end = time.monotonic() + LEAVING
         while not self._is_dead():
             if time.monotonic() > end:
                 self.kill()
-                return "it closed its connections, or wrote what is no answer into them, and had to be ended"
+                return "it closed its connections, or wrote invalid data into them, and was ended"
             time.sleep(0.001)
-        kill_group(self._process)  # what it has started, while its number is still its own
+        kill_group(self._process)  # processes that it has started, before its number can be reused
         code = self._process.wait()
         if code == protocol.LOST:
             return "its connections to this process were closed"
@@ -123,42 +123,42 @@ class WorkerProcess:
         return f"its process {how_it_ended(code)}"
 
     def _is_dead(self) -> bool:
-        """Return whether the process has ended, which leaves it to be waited for."""
+        """Return whether the process has ended, without reaping it."""
         try:
             return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
         except ChildProcessError:
             return True
 
     def end(self) -> None:
-        """End the process at once, if it is not over, and give back all that it had."""
+        """End the process at once, if it runs, and free its resources."""
         self._end()
         _alive.discard(self)
 
     def let_go(self) -> None:
-        """Take away this process's copies after a fork: the FMU belongs to the process that started it.
+        """Replace this process's copies of the connections after a fork: the FMU belongs to the process that started it.
 
-        Compiled code knows the socket by its number and the memory by its address. Both stay taken, by a socket that nobody
-        hears and by memory of this process alone, so that what it does with them reaches neither that process nor a stranger.
+        Compiled code uses the socket by its number and the memory by its address. Both are replaced, by an unconnected socket
+        and by private memory, so that using them affects neither the FMU's process nor unrelated files.
         """
         self.is_anothers = True
         self._end.detach()
         self.talk.close()
         self.shared.part()
-        deaf, gone = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        gone.close()
-        os.dup2(deaf.fileno(), self.steps.fileno(), inheritable=False)
-        deaf.close()
+        unconnected, peer = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        peer.close()
+        os.dup2(unconnected.fileno(), self.steps.fileno(), inheritable=False)
+        unconnected.close()
 
 
 class Patience:
-    """Waits for a process as long as it may take: time in which it was not given a processor does not count.
+    """A time limit for answers of a process; time in which the process waits for a processor does not count.
 
     Parameters
     ----------
     process : WorkerProcess
-        Whose answer is awaited.
+        The process.
     limit : float
-        Seconds that it may take.
+        Time limit in seconds.
     """
 
     def __init__(self, process: WorkerProcess, limit: float):
@@ -166,19 +166,19 @@ class Patience:
         self._queued: float | None = None
 
     def wait(self) -> Collection[object]:
-        """Return what of the process can be read, see `WorkerProcess.wait`; nothing once its time is over."""
-        if self._queued is None:  # most answers come before it is worth while to look at this
+        """Wait for an answer, see `WorkerProcess.wait`; return nothing if the time limit is exceeded."""
+        if self._queued is None:  # most answers come so soon that reading this is not worth while
             ready = self._process.wait(min(self._end, time.monotonic() + SOON))
             if ready:
                 return ready
             self._queued = self._process.queued()
         while True:
             ready = self._process.wait(self._end)
-            more = self._process.queued() - self._queued
-            if ready or more <= 0.0:
+            newly_queued = self._process.queued() - self._queued
+            if ready or newly_queued <= 0.0:
                 return ready
-            self._end += more
-            self._queued += more
+            self._end += newly_queued
+            self._queued += newly_queued
 
 
 _alive: weakref.WeakSet[WorkerProcess] = weakref.WeakSet()

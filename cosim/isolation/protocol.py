@@ -1,9 +1,9 @@
-"""What an isolated FMU's process and its host agree on: the words of their shared memory, commands, and statuses.
+"""The protocol of an isolated FMU's process and its host: the words of their shared memory, commands, and statuses.
 
-The two share one block of memory: `WORDS` 64-bit words, then the inputs, then the outputs. A command is the first word of that
-memory, sent over a socket of whole messages; the answer is a message of the same size. Numbers never travel through the socket:
-they stand in the shared memory, which the messages put in order. All else (making the instance, saved states, explanations, the
-FMU's log) goes over a second connection, as Python objects.
+Both share one block of memory: `WORDS` 64-bit words, then the inputs, then the outputs. A command is the first word of that
+memory, sent over a message socket; the answer is a message of the same size. Numbers are exchanged in the shared memory only; the
+messages order the access to it. All else (instantiation, saved states, explanations, the FMU's log) uses a second connection, as
+Python objects.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from numpy.typing import NDArray
 COMMAND, ANSWER, STATUS, RESULT, AHEAD, READ_STATUS, LOGGED, PHASE, TIME, SIZE, COUNT, PROCESSOR = range(12)
 WORDS = 12
 
-# Commands: compute the outputs; make a step; look at the other connection.
+# Commands: compute the outputs; make a step; read the other connection.
 READ, STEP, TALK = 1, 2, 3
 MESSAGE = 8
 """Bytes of a message."""
 
-# Phases: what the FMU is doing, for the host to know where it died, and that an answer is one.
+# Phases: what the FMU is doing. They tell the host where the FMU crashed, and whether an answer is valid.
 IDLE, STEPPING, READING, STARTING, ASKED = range(5)
 
 GONE, SIGNALLED, PAUSED, ELSEWHERE = 0, -1, -2, -3
-"""Why the worker's compiled loop returns, if not for a command: the host has gone; a signal came; `PAUSE` commands were done; the
+"""Why the worker's compiled loop returns without a command: the host has ended; a signal came; `PAUSE` commands were done; the
 host runs on another processor."""
 
 PAUSE = 1000
 
 CRASHED, INTERRUPTED = 901, 902
-"""Statuses of a step beside those of an FMU in process, which stay below 900: its process has ended; a signal came while it was
-awaited."""
+"""Further statuses of a step (those of FMUs in process are below 900): the FMU's process has ended; a signal interrupted the
+wait."""
 
 LOST = 71
-"""Exit code of a process that finds its connections to the host closed: the host has gone, or the FMU has closed them."""
+"""Exit code of a process whose connections to the host are closed: the host has ended, or the FMU has closed them."""
 
 ATTENTION = 0.05
-"""Seconds that the host waits for an answer before it looks whether all is well."""
+"""Seconds that the host waits for an answer before it checks the process."""
 
 
 _FIXED = 0x10
-"""MAP_FIXED of Linux: the new memory takes the place of what is there."""
+"""MAP_FIXED of Linux: the new memory replaces what is at the address."""
 
 
 class Shared:
@@ -54,9 +54,9 @@ class Shared:
     Parameters
     ----------
     descriptor : int
-        Of a file in memory, which is gone with the last process that holds it.
+        Descriptor of a file in memory, which is freed with the last process that uses it.
     inputs, outputs : int
-        How many numbers.
+        Numbers of inputs and outputs.
     """
 
     def __init__(self, descriptor: int, inputs: int, outputs: int):
@@ -71,18 +71,18 @@ class Shared:
         self.outputs = numbers[WORDS + inputs : WORDS + inputs + outputs]
 
     def keep_from_children(self) -> None:
-        """Leave processes that this one forks without it, so that one which goes on as if it were this one comes to an end."""
+        """Do not pass it to forked processes, so that a fork which continues as this process ends."""
         if self._keep is not None:
             self._map.madvise(self._keep)
 
     def part(self) -> None:
-        """Put memory of this process alone in its place, at the same address and all zero."""
+        """Replace it by private memory, at the same address and all zero."""
         import mmap
 
         place, length = self.words.ctypes.data, len(self._map)
         protection, flags = mmap.PROT_READ | mmap.PROT_WRITE, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _FIXED
         if _map_function()(place, length, protection, flags, -1, 0) != place:
-            raise OSError("no memory to part from another process with")
+            raise OSError("the memory shared with another process cannot be replaced")
 
 
 def size(inputs: int, outputs: int) -> int:

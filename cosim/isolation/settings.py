@@ -1,4 +1,4 @@
-"""The settings of an isolated FMU, checked where a block is made; what runs it (`instance`) loads with the run."""
+"""The settings of an isolated FMU, checked when a block is made; `instance` is loaded only with a run."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.errors import ModelError
 
 DEFAULT_LIMIT = 10.0
-"""Seconds that a call of an isolated FMU may take unless said otherwise."""
+"""Default of `time_limit`: seconds that a call of an isolated FMU may take."""
 
 
 def check_isolation(isolate: object, time_limit: object) -> None:
@@ -15,7 +15,7 @@ def check_isolation(isolate: object, time_limit: object) -> None:
     Raises
     ------
     ModelError
-        If one is none, or a time limit is given for an FMU in process, which nothing can end.
+        If one is not valid, or a time limit is given for an FMU in process, whose calls cannot be ended.
     """
     if not isinstance(isolate, bool):
         raise ModelError(f"FMU has isolate={isolate!r}; it must be True or False.")
@@ -25,6 +25,6 @@ def check_isolation(isolate: object, time_limit: object) -> None:
         raise ModelError(f"FMU has time_limit={time_limit!r}; it must be a positive number of seconds, or None.")
     if not isolate:
         raise ModelError(
-            f"FMU has time_limit={time_limit!r}, but a call of an FMU in this process cannot be ended: give isolate=True as "
-            "well, or give the run the time limit, simulate(..., time_limit=...), which is looked at between steps."
+            f"FMU has time_limit={time_limit!r}, but a call of an FMU in this process cannot be ended. Give isolate=True as "
+            "well, or limit the run by simulate(..., time_limit=...), which is checked between steps."
         )

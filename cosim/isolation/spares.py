@@ -1,4 +1,4 @@
-"""Processes of isolated FMUs that are used again: to start one takes longer than many a run."""
+"""Reuse of processes of isolated FMUs: starting one takes longer than a short run."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ if TYPE_CHECKING:
 class Spares:
     """Processes whose instance was freed, for further instances of the same FMU with the same settings; `close` ends them.
 
-    Each still has one instance at a time. What a library keeps beyond its instances stays from one to the next, as it does for
-    an FMU in process.
+    Each has one instance at a time. Data that a library keeps beyond its instances stays, as for an FMU in process.
     """
 
     def __init__(self) -> None:
@@ -23,7 +22,7 @@ class Spares:
 
     @contextmanager
     def lent(self) -> Iterator[None]:
-        """Have instances that are closed here leave their processes, and those that are made here take them."""
+        """Reuse processes in this context: closed instances leave their processes, new instances take them."""
         token = _lending.set(self)
         try:
             yield
@@ -31,7 +30,7 @@ class Spares:
             _lending.reset(token)
 
     def close(self) -> None:
-        """End the processes that nobody has taken."""
+        """End the unused processes."""
         while self._idle:
             for process in self._idle.popitem()[1]:
                 process.end()
@@ -41,7 +40,7 @@ _lending: ContextVar[Spares | None] = ContextVar("_lending", default=None)
 
 
 def take(key: bytes) -> WorkerProcess | None:
-    """Return a living process for an instance of this kind, if there is one to spare."""
+    """Return a spare process for an instance of this kind, or None."""
     spares = _lending.get()
     idle = spares._idle.get(key, []) if spares else []
     while idle:
@@ -53,7 +52,7 @@ def take(key: bytes) -> WorkerProcess | None:
 
 
 def give(key: bytes, process: WorkerProcess) -> bool:
-    """Keep a process whose instance was freed; return False where nobody wants it."""
+    """Keep a process whose instance was freed; return False if processes are not reused."""
     spares = _lending.get()
     if spares is None:
         return False

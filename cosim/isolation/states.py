@@ -1,4 +1,4 @@
-"""Saved states of FMUs in processes of their own."""
+"""Saved states of isolated FMUs."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 class IsolatedState:
     """A saved state of an isolated FMU, which stays in the FMU's process.
 
-    Pickled, it becomes a saved state like that of an FMU in process, where the FMU can serialise.
+    Pickled, it becomes a saved state like that of an FMU in process, if the FMU can serialise states.
 
     Attributes
     ----------
     owner : Isolated or None
-        The instance that it is of, while that runs.
+        Its instance, while that runs.
     token : int
-        The owner's number for it.
+        The number of the state in the owner.
     """
 
     def __init__(self, owner: Isolated, token: int):
@@ -35,8 +35,8 @@ class IsolatedState:
             return pickle.loads, (self.owner.pickled(self.token),)
         if not self._content:
             raise FMUError(
-                "A saved state of an isolated FMU is gone: it was forgotten, or its run is closed and the FMU cannot serialise "
-                "states (canSerializeFMUState); restore a state before that."
+                "A saved state of an isolated FMU no longer exists: it was deleted, or its run is closed and the FMU cannot "
+                "serialise states (canSerializeFMUState). Restore states before the run is closed."
             )
         return pickle.loads, (self._content,)
 
@@ -45,8 +45,8 @@ class IsolatedState:
             self.owner.leave(self.token)
 
     def detach(self) -> None:
-        """Keep the bytes, where the FMU can make them, for when its process has gone."""
+        """Keep the state as bytes, if the FMU can serialise it, before its process ends."""
         if self.owner is not None:
-            with contextlib.suppress(FMUError):  # whoever needs a state that is lost is told so
+            with contextlib.suppress(FMUError):  # restoring a lost state raises an error
                 self._content = self.owner.pickled(self.token)
             self.owner = None

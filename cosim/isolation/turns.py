@@ -1,4 +1,4 @@
-"""Host and FMU take turns: while they do, they share one processor."""
+"""One processor for host and isolated FMU, which run alternately."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from bayesftc.cosim.block import External
 
 @contextmanager
 def one_processor(instances: Iterable[External]) -> Iterator[None]:
-    """Keep this thread where it is, if an FMU in another process follows it there.
+    """Keep this thread on its processor, if an FMU in another process follows it there.
 
-    Left alone, the system moves whoever waits to a processor that is idle, and to wake one that sleeps takes several times what a
-    step of most FMUs takes: on an idle machine with two processors a loop made a third of the steps per second. It holds for
-    one piece of a run, so that a thread whose processor gets busy leaves it soon.
+    Without this, the system moves a waiting process to an idle processor. Waking that takes several times as long as a step of
+    most FMUs: on an idle machine with two processors a loop made a third of the steps per second. It holds for one part of a run,
+    so that a thread soon leaves a processor that becomes busy.
     """
     if not any(getattr(instance, "follows", False) for instance in instances):
         yield
         return
-    everywhere = os.sched_getaffinity(0)
-    here = _here()
-    if here not in everywhere:
+    allowed = os.sched_getaffinity(0)
+    processor = _present_processor()
+    if processor not in allowed:
         yield
         return
-    os.sched_setaffinity(0, {here})
+    os.sched_setaffinity(0, {processor})
     try:
         yield
     finally:
-        os.sched_setaffinity(0, everywhere)
+        os.sched_setaffinity(0, allowed)
 
 
 @cache
@@ -41,6 +41,6 @@ def _library() -> Any:
     return ctypes.CDLL(None)
 
 
-def _here() -> int:
+def _present_processor() -> int:
     """Return the number of the processor that runs this thread."""
     return int(_library().sched_getcpu())

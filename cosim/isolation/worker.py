@@ -1,6 +1,6 @@
-"""The process of an isolated FMU: makes the instance that would run in the host, and steps it when told to.
+"""The process of an isolated FMU: creates the instance, and steps it on commands of the host.
 
-It dies with its host, whatever the FMU is doing then: the kernel kills it when the other end of a pipe is closed.
+It ends with its host, whatever the FMU is doing: the kernel kills it when the other end of a pipe is closed.
 """
 
 from __future__ import annotations
@@ -35,35 +35,35 @@ LINE_BUFFERED = 1
 """C's _IOLBF."""
 
 HEARING = 1.0
-"""Seconds for what an FMU has printed to be logged once it is freed; one that prints without an end is not waited for."""
+"""Most seconds to wait, after an FMU is freed, until its printed output is logged."""
 
 QUICK = 2e-4
-"""Seconds for a step and all that the host does in between, up to which the FMU's process keeps to the host's processor."""
+"""Most seconds of a step, with the host's work between steps, for which the FMU's process stays on the host's processor."""
 
 
 def main(*descriptors: str) -> None:
-    """Serve one FMU over the descriptors that the host has opened."""
+    """Run one FMU for the host, over the descriptors that the host has opened."""
     lifeline, memory, step_socket, connection = map(int, descriptors)
     begin(lifeline, memory, step_socket, connection)
     talk = Connection(connection)
     steps = socket.socket(fileno=step_socket)
     status = 0
     try:
-        import bayesftc.cosim.fmi.fmu  # noqa: F401 - what takes time is not the FMU's fault
+        import bayesftc.cosim.fmi.fmu  # noqa: F401 - imported before the FMU's time limit begins
 
         talk.send(("done", None))
         status = _Worker(memory, steps, talk, *talk.recv()).run()
-    except BaseException as error:  # noqa: BLE001 - the host is to know what went wrong here, whatever it is
+    except BaseException as error:  # noqa: BLE001 - every error is reported to the host
         if isinstance(error, EOFError) or (isinstance(error, OSError) and error.errno in _LOST):
             status = protocol.LOST
         else:
             traceback.print_exc()
             status = 70
-    os._exit(status)  # what the FMU's library does at a regular exit could hang
+    os._exit(status)  # the FMU's library could hang at a regular exit
 
 
 class _Forward(logging.Handler):
-    """Sends what is logged to the host."""
+    """Send log records to the host."""
 
     def __init__(self, talk: Connection, shared: protocol.Shared):
         super().__init__()
@@ -73,10 +73,10 @@ class _Forward(logging.Handler):
         is_line = record.name == messages.logger.name and isinstance(record.args, tuple) and len(record.args) == 2
         line = record.args[1] if is_line else None  # type: ignore[index]
         self.send(("log", record.name, record.levelno, record.getMessage(), line))
-        self._shared.words[protocol.LOGGED] = 1  # the host looks when the step is done
+        self._shared.words[protocol.LOGGED] = 1  # the host checks this after the step
 
     def send(self, message: tuple[Any, ...]) -> None:
-        """Send a message, whole: an FMU may log from threads of its own while an answer is on its way."""
+        """Send a whole message: an FMU may log from its own threads while an answer is sent."""
         self.acquire()
         try:
             self._talk.send(message)
@@ -85,19 +85,19 @@ class _Forward(logging.Handler):
 
 
 def _caught_output() -> int:
-    """Lead what is printed in this process, in whatever language, into a pipe; return its other end."""
+    """Redirect everything printed in this process, in any language, into a pipe; return its other end."""
     reading, writing = os.pipe()
     for descriptor in (1, 2):
         os.dup2(writing, descriptor)
     os.close(writing)
-    with suppress(OSError, ValueError):  # C would keep whole pages for a pipe, and lose them where the FMU crashes
-        here = ctypes.CDLL(None)
-        here.setvbuf(ctypes.c_void_p.in_dll(here, "stdout"), None, LINE_BUFFERED, 0)
+    with suppress(OSError, ValueError):  # C would buffer whole pages for a pipe, and lose them in a crash
+        library = ctypes.CDLL(None)
+        library.setvbuf(ctypes.c_void_p.in_dll(library, "stdout"), None, LINE_BUFFERED, 0)
     return reading
 
 
 class _Worker:
-    """One instance and the loop that steps it."""
+    """One instance, and the loop that steps it."""
 
     def __init__(
         self,
@@ -128,7 +128,7 @@ class _Worker:
 
     def _overhear(self) -> None:
         """Log what the FMU prints, line by line, until it closes its output."""
-        with suppress(OSError):  # an FMU may close what is not its own, and the host may go
+        with suppress(OSError):  # an FMU may close this process's descriptors, and the host may end
             while self._is_printed(wait=None):
                 with self._overhearing:
                     piece = os.read(self._printed, messages.LENGTH)
@@ -141,7 +141,7 @@ class _Worker:
                         self._log(line)
 
     def _hear_out(self) -> None:
-        """Wait until all that the FMU has printed is logged: the thread that does so may be late on a busy machine."""
+        """Wait until everything that the FMU has printed is logged: the logging thread may be late on a busy machine."""
         end = time.monotonic() + HEARING
         while self._listener.is_alive() and time.monotonic() < end:
             with self._overhearing:
@@ -149,7 +149,7 @@ class _Worker:
                     break
             time.sleep(0.001)
         with self._overhearing:
-            if self._rest:  # its last line, without an end: the next instance's lines are not to begin with it
+            if self._rest:  # an unfinished last line, which must not become part of the next instance's lines
                 self._log(self._rest)
             self._rest = b""
 
@@ -157,13 +157,13 @@ class _Worker:
         messages.logger.info("%s: %s", self._name, line.decode("utf-8", errors="replace").rstrip())
 
     def _is_printed(self, wait: float | None) -> bool:
-        with suppress(OSError, ValueError):  # an FMU may close what is not its own
+        with suppress(OSError, ValueError):  # an FMU may close this process's descriptors
             return bool(select.select([self._printed], [], [], wait)[0])
         return False
 
     def run(self) -> int:
-        """Answer until the host has gone, which ends this process when it needs it no more; return the exit code."""
-        everywhere = os.sched_getaffinity(0)
+        """Answer until the host has ended; return the exit code."""
+        allowed = os.sched_getaffinity(0)
         while True:
             self._answer(self._open)
             while self._instance is not None:
@@ -175,7 +175,7 @@ class _Worker:
                     return protocol.LOST
             self._block, self._step, self._name = self._talk.recv()  # the next instance, of the same FMU
             self._serve, self._saved = None, {}
-            os.sched_setaffinity(0, everywhere)
+            os.sched_setaffinity(0, allowed)
 
     def _answer(self, function: Any, *arguments: Any) -> None:
         message: tuple[Any, ...]
@@ -191,17 +191,17 @@ class _Worker:
         instance = self._instance = self._block.instantiate(self._step, self._name)
         words[protocol.PHASE] = protocol.IDLE
         can_resize = bool(getattr(instance, "can_resize", False)) and getattr(instance, "step_word", 0) > 0
-        own = getattr(instance, "own_inputs", {})
+        own_inputs = getattr(instance, "own_inputs", {})
         rounding = getattr(instance, "rounding", None)
         wide = rounding.wide_outputs if rounding is not None else ()
-        return {"can_save": instance.can_save, "can_resize": can_resize, "own_inputs": own, "wide": wide}
+        return {"can_save": instance.can_save, "can_resize": can_resize, "own_inputs": own_inputs, "wide": wide}
 
     def _await_talk(self) -> int:
-        """Return the command that comes before any step does: what is compiled is loaded first."""
+        """Return a command that comes before the first step, when compiled code is not yet loaded."""
         return int(self._shared.words[protocol.COMMAND]) if self._steps.recv(protocol.MESSAGE) else protocol.GONE
 
     def _do_compile(self) -> None:
-        """Make steps from now on."""
+        """Load the compiled loop, for steps."""
         self._serve = _CompiledLoop(self._running, self._shared, self._steps, self._step, self._reads_ahead)
 
     def _do_expect_return(self) -> None:
@@ -246,11 +246,10 @@ class _Worker:
 
 
 class _CompiledLoop:
-    """The compiled loop over commands, which keeps to the processor that the host runs on.
+    """The compiled loop over commands, which stays on the host's processor.
 
-    Host and FMU take turns, so that a second processor is of no use to them; and to wake a process on another one, which is
-    asleep by then, takes many times what a step of most FMUs takes. An FMU whose steps take longer is left where it is, for
-    it may have threads of its own.
+    Host and FMU run alternately, so a second processor has no benefit, and waking a process on an idle one takes many times as
+    long as a step of most FMUs. An FMU with longer steps may use all processors, as it may have its own threads.
     """
 
     def __init__(
@@ -270,7 +269,7 @@ class _CompiledLoop:
         self._shared, self._everywhere, self._paused = shared, os.sched_getaffinity(0), time.monotonic()
 
     def __call__(self) -> int:
-        """Work until something comes that is no step; return the command, or why there is none."""
+        """Answer steps until another command comes; return it, or why there is none."""
         while True:
             reason: int = self._entry(0, self._table.ctypes.data, 0, 0, 0.0, 0)
             if reason == protocol.ELSEWHERE:

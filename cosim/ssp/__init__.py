@@ -1,1 +1,1 @@
-"""Systems of FMUs in the SSP standard's form, read and written."""
+"""Reading and writing systems of FMUs in the format of the SSP standard."""

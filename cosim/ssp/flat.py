@@ -1,4 +1,4 @@
-"""A system structure without its nesting: what feeds each input of each component, and the values that are bound to it."""
+"""A flattened system structure: the source of each input of each component, and the values bound to its variables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SOURCES, _SINKS = {"output", "calculatedParameter"}, {"input", "parameter"}
 
 @dataclass(frozen=True)
 class Variable:
-    """What an FMU says of a variable: its causality and its unit."""
+    """Causality and unit of a variable of an FMU."""
 
     causality: str
     unit: str | None
@@ -29,7 +29,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Feed:
-    """What feeds an input: an output of a component, and the transformation between the two."""
+    """The source of an input: an output of a component, and the transformation between the two."""
 
     component: Path
     output: str
@@ -44,12 +44,12 @@ class _Edge:
 
 
 class Flat:
-    """A structure whose systems are resolved.
+    """A flattened system structure.
 
     Parameters
     ----------
     structure : Structure
-        What to resolve.
+        The structure to flatten.
     variables : mapping of path to mapping of name to Variable
         The variables of each component's FMU.
     where : str
@@ -58,7 +58,7 @@ class Flat:
     Raises
     ------
     SSPError
-        If a connection joins what cannot be joined, or units cannot be converted.
+        If a connection is not valid, or units cannot be converted.
     """
 
     def __init__(self, structure: Structure, variables: Mapping[Path, Mapping[str, Variable]], where: str):
@@ -71,18 +71,18 @@ class Flat:
         self._walk(structure.system, ())
 
     def feeds(self, path: Path) -> Iterator[tuple[str, Feed]]:
-        """Yield the inputs of a component that an output feeds, with what feeds them."""
+        """Yield the connected inputs of a component, with their sources."""
         for name, variable in self._variables[path].items():
             feed = self._feed((path, name)) if variable.causality == "input" else None
             if feed is not None:
                 yield name, feed
 
     def values(self, path: Path) -> dict[str, Parameter]:
-        """Return the values bound to a component's variables: its own, and over them those of the systems around it."""
-        found: dict[str, Parameter] = {}
+        """Return the values bound to a component's variables; bindings of enclosing systems override the component's."""
+        result: dict[str, Parameter] = {}
         for parameter in self.components[path].parameters:
             if parameter.name in self._variables[path]:
-                found[parameter.name] = parameter
+                result[parameter.name] = parameter
             else:
                 self._ignored(parameter, ".".join(path), self._variables[path])
         for depth in range(len(path) - 1, -1, -1):
@@ -90,12 +90,12 @@ class Flat:
                 for (owner, name), linear in self._targets_of(path[:depth], parameter.name):
                     if owner == path:
                         then = linear.after(parameter.then)
-                        plain = parameter.value, parameter.unit, parameter.meaning
-                        found[name] = Parameter(name, parameter.type, *plain, then, parameter.converts)
-        return found
+                        content = parameter.value, parameter.unit, parameter.meaning
+                        result[name] = Parameter(name, parameter.type, *content, then, parameter.converts)
+        return result
 
     def warn_of_unknown(self) -> None:
-        """Warn of values that are bound to systems, but are nothing's."""
+        """Warn of values that are bound to systems, but to no variable of theirs."""
         for path, system in systems(self._structure.system):
             for parameter in system.parameters:
                 if not list(self._targets_of(path, parameter.name)) and not self._is_connector(path, parameter.name):
@@ -103,14 +103,14 @@ class Flat:
                     self._ignored(parameter, ".".join(path) or "the system", [*names, *system.connectors])
 
     def convert(self, source: str | None, target: str | None, what: str, meaning: Unit | None = None) -> Linear:
-        """Return what brings a value from one unit to another; nothing where one of them is not given.
+        """Return the conversion from one unit to another; the identity if one of them is not given.
 
-        `meaning` is what the file that the value comes from says of its unit.
+        `meaning` is the definition of the source unit in the file of the value, if there is one.
 
         Raises
         ------
         SSPError
-            If there is no such conversion.
+            If the units cannot be converted.
         """
         if source is None or target is None or source == target:
             return Linear()
@@ -118,33 +118,33 @@ class Flat:
         if first is None or second is None:
             unknown = source if first is None else target
             raise SSPError(
-                f"{what} in {self._where} goes from {source} to {target}, but what {unknown!r} means is not known; define it "
-                "under Units of the .ssd, or say suppressUnitConversion."
+                f"{what} in {self._where} goes from {source} to {target}, but the unit {unknown!r} is not known. Define it under "
+                "Units of the .ssd, or set suppressUnitConversion."
             )
-        found = units.gain(first, second)
-        if isinstance(found, str):
-            raise SSPError(f"{what} in {self._where} goes from {source} to {target}: {found}.")
-        return Linear(*found)
+        factors = units.gain(first, second)
+        if isinstance(factors, str):
+            raise SSPError(f"{what} in {self._where} goes from {source} to {target}: {factors}.")
+        return Linear(*factors)
 
     def _check_connectors(self, path: Path, component: Component) -> None:
         for name, connector in component.connectors.items():
-            whose = f"The connector {'.'.join((*path, name))!r} of {self._where}"
+            label = f"The connector {'.'.join((*path, name))!r} of {self._where}"
             variable = self._variables[path].get(name)
             if variable is None:
                 raise SSPError(
-                    f"{whose} is no variable of {component.source}; {did_you_mean(name, self._variables[path])}"
+                    f"{label} is no variable of {component.source}; {did_you_mean(name, self._variables[path])}"
                 )
-            own = "parameter" if variable.causality == "structuralParameter" else variable.causality
-            if connector.kind != own:
+            kind = "parameter" if variable.causality == "structuralParameter" else variable.causality
+            if connector.kind != kind:
                 raise SSPError(
-                    f"{whose} is of kind {connector.kind}, but {component.source} says that its causality is "
-                    f"{variable.causality}."
+                    f"{label} is of kind {connector.kind}, but in {component.source} its causality is {variable.causality}. Give "
+                    "it that kind."
                 )
             if connector.unit and variable.unit:
-                linear = self.convert(connector.unit, variable.unit, whose)
+                linear = self.convert(connector.unit, variable.unit, label)
                 if linear != Linear():
                     raise SSPError(
-                        f"{whose} is in {connector.unit}, but in {component.source} it is in {variable.unit}; give it that unit."
+                        f"{label} is in {connector.unit}, but in {component.source} it is in {variable.unit}; give it that unit."
                     )
 
     def _walk(self, system: System, path: Path) -> None:
@@ -177,9 +177,9 @@ class Flat:
         place = ((*path, element), connector) if element is not None else (path, connector)
         if self._kind(place) is None:
             owner = system.elements[element] if element is not None else system
-            known = self._variables[place[0]] if isinstance(owner, Component) else owner.connectors
+            connectors = self._variables[place[0]] if isinstance(owner, Component) else owner.connectors
             raise SSPError(
-                f"{what} in {self._where} names a connector that does not exist; {did_you_mean(connector, known)}"
+                f"{what} in {self._where} names a connector that does not exist; {did_you_mean(connector, connectors)}"
             )
         return place
 
@@ -192,44 +192,46 @@ class Flat:
         return None if connector is None else connector.kind
 
     def _is_source(self, place: Place, path: Path, what: str) -> bool:
-        """Return whether a connector gives a value to the connections inside of the system at `path`."""
+        """Return whether a connector is a source for the connections inside the system at `path`."""
         kind = self._kind(place)
         if kind == "calculatedParameter" and place[0] != path:
             raise SSPError(
-                f"{what} in {self._where} passes on a parameter that is calculated at the start, which cannot be done here; "
-                "bind a value to it."
+                f"{what} in {self._where} passes on a parameter that is calculated at the start, which is not supported. Bind a "
+                "value to the target."
             )
         if kind not in _SOURCES | _SINKS:
             raise SSPError(f"{what} in {self._where} has an end of kind {kind}; join an output and an input.")
         return (kind in _SINKS) if place[0] == path else (kind in _SOURCES)
 
     def _feed(self, sink: Place) -> Feed | None:
-        """Go back from an input to the output that feeds it, through the connectors of systems between them."""
-        way: list[tuple[_Edge, Place]] = []
+        """Return the source of an input, found backwards through the connectors of the systems between them."""
+        edges: list[tuple[_Edge, Place]] = []
         place = sink
         while place not in self._outputs:
             edge = self._sources.get(place)
             if edge is None:
-                return None  # it ends at an input of the whole system, or nowhere: the start value holds
-            if (edge, place) in way:
-                raise SSPError(f"The connections of {self._name(place)} in {self._where} go in a circle; break it.")
-            way.append((edge, place))
+                return None  # unconnected, or an input of the whole system: the start value is used
+            if (edge, place) in edges:
+                raise SSPError(
+                    f"The connections of {self._name(place)} in {self._where} form a cycle; remove one of them."
+                )
+            edges.append((edge, place))
             place = edge.other
         unit, total = self._unit(place), Linear()
-        for edge, end in reversed(way):
+        for edge, end in reversed(edges):
             linear, unit = self._through(edge, unit, end)
             total = linear.after(total)
         return Feed(*place, total)
 
     def _through(self, edge: _Edge, unit: str | None, end: Place) -> tuple[Linear, str | None]:
-        """Return what a connection makes of a value in some unit, and the unit of what comes out."""
+        """Return the transformation of a connection for a value in a unit, and the unit of the result."""
         what = f"The connection from {self._name(edge.other)} to {self._name(end)}"
         to = self._unit(end)
         converted = self.convert(unit, to, what) if edge.connection.converts else Linear()
         return edge.connection.transformation.after(converted), to or (unit if edge.connection.converts else None)
 
     def _targets_of(self, path: Path, name: str) -> Iterator[tuple[Place, Linear]]:
-        """Yield the variables of components that a hierarchical name means, and what a value goes through on its way."""
+        """Yield the variables of components to which a hierarchical name refers, and the transformations of their values."""
         system = self._system(path)
         if name in system.connectors:
             yield from self._inward((path, name), Linear())
@@ -245,7 +247,7 @@ class Flat:
                 yield (below, rest), Linear()
 
     def _is_connector(self, path: Path, name: str) -> bool:
-        """Return whether a hierarchical name means a connector of a system; one that feeds nothing takes any value."""
+        """Return whether a hierarchical name refers to a connector of a system, which may be unconnected."""
         system = self._system(path)
         if name in system.connectors:
             return True
@@ -255,7 +257,7 @@ class Flat:
     def _inward(self, place: Place, linear: Linear) -> Iterator[tuple[Place, Linear]]:
         for edge in self._targets.get(place, ()):
             if len(edge.path) < len(place[0]):
-                continue  # a connection outside of the system whose connector this is
+                continue  # a connection outside of the connector's system
             then = edge.connection.transformation.after(linear)
             if edge.other[0] in self.components:
                 yield edge.other, then
@@ -290,15 +292,15 @@ class Flat:
     def _shown(self, path: Path, connection: Connection, side: str) -> str:
         return shown("".join(f"{p}." for p in path), getattr(connection, side))
 
-    def _ignored(self, parameter: Parameter, owner: str, known: Iterable[str]) -> None:
+    def _ignored(self, parameter: Parameter, owner: str, names: Iterable[str]) -> None:
         warn_user(
-            f"{self._where} binds a value to {parameter.name!r} of {owner!r}, which does not exist; it is ignored, as SSP "
-            f"demands: {did_you_mean(parameter.name, known)}"
+            f"{self._where} binds a value to {parameter.name!r} of {owner!r}, which does not exist; SSP requires to ignore it. "
+            f"Check the name: {did_you_mean(parameter.name, names)}"
         )
 
 
 def components(system: System, path: Path = ()) -> Iterator[tuple[Path, Component]]:
-    """Yield all components with their paths, in the order in which they stand in the file."""
+    """Yield all components with their paths, in the order of the file."""
     for name, element in system.elements.items():
         if isinstance(element, System):
             yield from components(element, (*path, name))

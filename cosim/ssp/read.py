@@ -1,6 +1,6 @@
-"""What an SSP says, as plain data: system structure, parameter values and mappings.
+"""The content of an SSP as plain data: system structure, parameter values and mappings.
 
-Files of SSP 1.0 are checked against its schemas. Of SSP 2.0 there are arrays and the types of FMI 3; what else it has is refused.
+Files of SSP 1.0 are checked against its schemas. Of SSP 2.0, arrays and the types of FMI 3 are supported.
 """
 
 from __future__ import annotations
@@ -44,19 +44,19 @@ class Linear:
     offset: float = 0.0
 
     def after(self, first: Linear) -> Linear:
-        """Return what this one makes of the result of `first`."""
+        """Return the composition: this transformation of the result of `first`."""
         return Linear(self.factor * first.factor, self.factor * first.offset + self.offset)
 
     def __call__(self, x: float) -> float:
-        """Return the number in the other unit."""
+        """Return the transformed number."""
         return self.offset + self.factor * x
 
 
 @dataclass(frozen=True)
 class Connector:
-    """A connector of an element: its kind, its type and the name of its unit, where it says so, and the sizes of an array.
+    """A connector of an element: its kind, its type and unit (if given), and the sizes of an array.
 
-    A size that depends on a structural parameter, or on nothing that is said, is None.
+    A size that depends on a structural parameter, or is not given, is None.
     """
 
     kind: str
@@ -69,7 +69,7 @@ class Connector:
 class Connection:
     """A connection of two connectors, each (element or None for the system itself, connector).
 
-    `converts` says whether units are converted before the transformation.
+    `converts` is whether units are converted before the transformation.
     """
 
     start: tuple[str | None, str]
@@ -80,11 +80,10 @@ class Connection:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value for a variable, called by its name as seen from the element that it is bound to.
+    """A value for a variable, with the variable's name relative to the element of the binding.
 
-    ``type`` is Real, Integer, Boolean, String or Enumeration (whose value is the item's name). Of a Real, ``unit`` is the unit
-    that the value is in, and ``then`` what the value goes through after it was converted to the variable's unit. The value of an
-    array is tuples of tuples.
+    ``type`` is Real, Integer, Boolean, String or Enumeration (with the item's name as value). For a Real, ``unit`` is the unit of
+    the value, and ``then`` is applied after the conversion to the variable's unit. The value of an array is tuples of tuples.
     """
 
     name: str
@@ -98,7 +97,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Component:
-    """An FMU in a system: where it lies, what it is used as, its connectors, the values bound to it, and its own step."""
+    """An FMU in a system: its file, its kind, its connectors, the values bound to it, and its step size."""
 
     source: str
     implementation: str
@@ -109,7 +108,7 @@ class Component:
 
 @dataclass(frozen=True)
 class System:
-    """A system: its own connectors, its elements by name, their connections, and the values bound to it."""
+    """A system: its connectors, its elements by name, their connections, and the values bound to it."""
 
     connectors: Mapping[str, Connector]
     elements: Mapping[str, Component | System]
@@ -119,14 +118,14 @@ class System:
 
 @dataclass(frozen=True)
 class Structure:
-    """A system structure: the system, the meaning of units, and what a tool has noted of its step."""
+    """A system structure: the system, the unit definitions, and its step sizes from tools' annotations."""
 
     system: System
     units: Mapping[str, Unit] = field(default_factory=lambda: MappingProxyType({}))
     steps: Steps = field(default_factory=Steps)
 
     def unit(self, name: str) -> Unit | None:
-        """Return what a unit means: as defined in the file, else to pint; some write it in brackets, ``[m3]``."""
+        """Return the definition of a unit: from the file, else from pint. Some tools write units in brackets, ``[m3]``."""
         return self.units.get(name) or units.parse(name) or units.parse(name.removeprefix("[").removesuffix("]"))
 
 
@@ -140,25 +139,25 @@ def read_structure(content: bytes, where: str, resource: Callable[[str], bytes],
     where : str
         Its name, for messages.
     resource : callable
-        Returns the (checked) text of a file that it refers to, by its relative path.
+        Returns the (checked) text of a referenced file, by its relative path.
     validate : bool
-        False to accept what breaks the schema.
+        False to accept files that break the schema.
 
     Raises
     ------
     SSPError
-        If it is none of SSP 1.0 or 2.0, breaks the schema, or has what cannot be a diagram.
+        If it is not of SSP 1.0 or 2.0, breaks the schema, or contains elements that a diagram cannot represent.
     """
     return _Reader(where, resource, validate).structure(content)
 
 
 def relative(source: str, where: str) -> str:
-    """Return the path that a URI names, relative to the .ssd.
+    """Return the path of a URI, relative to the .ssd.
 
     Raises
     ------
     SSPError
-        If it leads elsewhere.
+        If it is outside the .ssd's folder.
     """
     parts = urlsplit(source)
     path = unquote(parts.path).removeprefix("./")
@@ -173,7 +172,7 @@ def relative(source: str, where: str) -> str:
         or ".." in steps
     ):
         raise SSPError(
-            f"{where} refers to {source!r}; only files beside it or in folders below can be used, as 'resources/car.fmu'."
+            f"{where} refers to {source!r}, but only files beside it or in folders below can be used, as 'resources/car.fmu'."
         )
     if "\\" in path or not path.isprintable():
         raise SSPError(f"{where} refers to {source!r}, which is no path; write it with plain slashes.")
@@ -210,8 +209,8 @@ class _Reader:
                 )
             if problems:
                 warn_user(
-                    f"{where} breaks the rules of SSP, but its meaning is clear: {'; '.join(problems[:_SHOWN])}. It is read so; "
-                    "other tools may refuse it."
+                    f"{where} breaks the rules of SSP, but its meaning is clear: {'; '.join(problems[:_SHOWN])}. It is read "
+                    "nevertheless; other tools may refuse it."
                 )
         return root
 
@@ -242,8 +241,8 @@ class _Reader:
         source = element.get("source", "")
         if kind != FMU_TYPE or not source or source.startswith("#"):
             self.refuse(
-                f"has the component {path!r} of type {kind} with source {source!r}; only FMUs can be used: export what it refers "
-                "to as an FMU, or copy its system into this one"
+                f"has the component {path!r} of type {kind} with source {source!r}, but only FMUs can be used. Export the "
+                "component as an FMU, or copy its system into this one"
             )
         return Component(
             relative(source, f"The component {path!r} of {self.where}"),
@@ -254,16 +253,16 @@ class _Reader:
         )
 
     def connectors(self, element: Element) -> dict[str, Connector]:
-        found = {}
+        result = {}
         for connector in element.findall(f"{SSD}Connectors/{SSD}Connector"):
             type_ = next((e for e in connector if e.tag.startswith(SSC) and e.tag != _DIMENSION), None)
-            found[connector.get("name", "")] = Connector(
+            result[connector.get("name", "")] = Connector(
                 connector.get("kind", ""),
                 None if type_ is None else type_.tag.removeprefix(SSC),
                 None if type_ is None else type_.get("unit"),
                 tuple(None if d.get("size") is None else self.size(d) for d in connector.findall(_DIMENSION)),
             )
-        return found
+        return result
 
     def connection(self, element: Element, path: str) -> Connection:
         start, end = (
@@ -272,8 +271,8 @@ class _Reader:
         what = f"the connection from {shown(path, start)} to {shown(path, end)}"
         if element.get("startIndices") is not None or element.get("endIndices") is not None:
             self.refuse(
-                f"has indices in {what}: SSP does not say from where they count, so only whole arrays can be connected; connect "
-                "the array, or give the FMU a variable for the element"
+                f"has indices in {what}, but SSP does not define their first value, so only whole arrays can be connected. "
+                "Connect the array, or give the FMU a variable for the element"
             )
         converts = element.get("suppressUnitConversion", "false").strip() not in {"true", "1"}
         return Connection(start, end, self.transformation(element, what), converts)
@@ -287,88 +286,86 @@ class _Reader:
                 return Linear(factor, offset)
             if child.tag.endswith("MappingTransformation"):
                 self.refuse(
-                    f"has the transformation {child.tag.removeprefix(SSC)} in {what}; only linear transformations of real "
+                    f"has the transformation {child.tag.removeprefix(SSC)} in {what}, but only linear transformations of real "
                     "numbers can be used"
                 )
         return Linear()
 
     def bindings(self, element: Element, path: str) -> tuple[Parameter, ...]:
-        found: list[Parameter] = []
+        result: list[Parameter] = []
         for binding in element.findall(f"{SSD}ParameterBindings/{SSD}ParameterBinding"):
             what = f"A parameter binding of {path!r} in {self.where}"
             values = self.inner(binding, "ParameterValues", f"{SSV}ParameterSet", what)
             if values is None:
-                raise SSPError(f"{what} has neither values nor a source; give it one of them.")
+                raise SSPError(f"{what} has neither values nor a source; add one of them.")
             prefix = binding.get("prefix", "")
-            own = dict(self.unit_definitions(values))
+            local_units = dict(self.unit_definitions(values))
             parameters = [
-                self.parameter(p, prefix, own, what) for p in values.findall(f"{SSV}Parameters/{SSV}Parameter")
+                self.parameter(p, prefix, local_units, what) for p in values.findall(f"{SSV}Parameters/{SSV}Parameter")
             ]
             mapping = self.inner(binding, "ParameterMapping", f"{SSM}ParameterMapping", what)
-            found += parameters if mapping is None else self.mapped(parameters, mapping, what)
-        return tuple(found)
+            result += parameters if mapping is None else self.mapped(parameters, mapping, what)
+        return tuple(result)
 
     def inner(self, binding: Element, name: str, tag: str, what: str) -> Element | None:
-        """Return the parameter set (or mapping) of a binding: what it refers to, or what stands in it."""
+        """Return the parameter set (or mapping) of a binding, from the file that it refers to or from the binding itself."""
         holder = binding.find(f"{SSD}{name}")
         referring = binding if name == "ParameterValues" else holder
         source = None if referring is None else referring.get("source")
         if referring is not None and source:
             if referring.get("sourceBase") == "component":
-                raise SSPError(f"{what} refers to {source!r} inside of a component; put that file beside the .ssd.")
+                raise SSPError(f"{what} refers to {source!r} inside a component; put that file beside the .ssd.")
             path = relative(source, what)
             return self.parsed(self.resource(path), path, tag)
         return None if holder is None else holder.find(tag)
 
-    def parameter(self, element: Element, prefix: str, own: Mapping[str, Unit], what: str) -> Parameter:
+    def parameter(self, element: Element, prefix: str, local_units: Mapping[str, Unit], what: str) -> Parameter:
         name = prefix + element.get("name", "")
-        typed = next((e for e in element if e.tag.startswith(SSV)), None)
-        if typed is None:
-            raise SSPError(f"{what} gives {name!r} no value.")
-        kind, text = typed.tag.removeprefix(SSV), typed.get("value", "")
+        value_element = next((e for e in element if e.tag.startswith(SSV)), None)
+        if value_element is None:
+            raise SSPError(f"{what} gives {name!r} no value; add one.")
+        kind, text = value_element.tag.removeprefix(SSV), value_element.get("value", "")
         kind = _OF_FMI3.get(kind, kind)
-        unit = typed.get("unit")
-        read: dict[str, Callable[[str], Value]] = {
+        unit = value_element.get("unit")
+        parsers: dict[str, Callable[[str], Value]] = {
             "Real": float,
             "Integer": int,
             "Boolean": lambda t: t.strip() in {"true", "1"},
             "String": str,
             "Enumeration": str,
         }
-        if kind not in read:
-            raise SSPError(
-                f"{what} gives {name!r} a value of type {kind}, which cannot be set from here; leave it out."
-            )
+        if kind not in parsers:
+            raise SSPError(f"{what} gives {name!r} a value of type {kind}, which cannot be set here; leave it out.")
         shape = [self.size(d) for d in element.findall(_DIMENSION)]
         try:
-            value = _array(text.split(), shape, read[kind]) if shape else read[kind](text)
+            value = _array(text.split(), shape, parsers[kind]) if shape else parsers[kind](text)
         except ValueError:
-            sized = f" array of shape {tuple(shape)}" if shape else ""
-            raise SSPError(f"{what} gives {name!r} the value {text!r}, which is no {kind}{sized}.") from None
-        return Parameter(name, kind, value, unit, own.get(unit or ""))
+            sized = f" and shape {tuple(shape)}" if shape else ""
+            raise SSPError(f"{what} gives {name!r} the value {text!r}, which is not of type {kind}{sized}.") from None
+        return Parameter(name, kind, value, unit, local_units.get(unit or ""))
 
     def mapped(self, parameters: list[Parameter], mapping: Element, what: str) -> list[Parameter]:
-        """Apply a mapping; what it does not name keeps its own name."""
+        """Apply a mapping; parameters that it does not contain keep their names."""
         targets: dict[str, list[Element]] = {}
         for entry in mapping.findall(f"{SSM}MappingEntry"):
             targets.setdefault(entry.get("source", ""), []).append(entry)
-        found = []
+        result = []
         for parameter in parameters:
             for entry in targets.get(parameter.name, ()):
                 linear = self.transformation(entry, f"the mapping of {parameter.name!r}")
                 if linear != Linear() and parameter.type != "Real":
-                    raise SSPError(f"{what} scales {parameter.name!r}, which is no Real.")
+                    raise SSPError(f"{what} scales {parameter.name!r}, which is not of type Real.")
                 converts = entry.get("suppressUnitConversion", "false").strip() not in {"true", "1"}
                 names = entry.get("target", ""), parameter.type, parameter.value, parameter.unit, parameter.meaning
-                found.append(Parameter(*names, linear, converts))
+                result.append(Parameter(*names, linear, converts))
             if parameter.name not in targets:
-                found.append(parameter)
-        return found
+                result.append(parameter)
+        return result
 
     def size(self, dimension: Element) -> int:
         text = dimension.get("size", "")
         if not (text.strip().isdecimal() and text.isascii() and len(text) < _DIGITS):
-            self.refuse(f"has a Dimension of size {text!r}, which is no size")
+            self.refuse(f"has a Dimension of size {text!r}, which is no whole number")
         return int(text)
 
     def number(self, element: Element, name: str, default: float) -> float:
@@ -391,7 +388,7 @@ class _Reader:
 
 
 def _array(texts: list[str], shape: list[int], read: Callable[[str], Value]) -> tuple[Any, ...]:
-    """Return the values of an array, which stand row by row, as tuples of tuples."""
+    """Return the values of an array, given row by row, as tuples of tuples."""
     if len(texts) != prod(shape):
         raise ValueError(texts)
     if len(shape) == 1:
@@ -401,7 +398,7 @@ def _array(texts: list[str], shape: list[int], read: Callable[[str], Value]) -> 
 
 
 def shown(path: str, end: tuple[str | None, str]) -> str:
-    """Return the end of a connection as a message shows it."""
+    """Return the end of a connection as text for messages."""
     element, connector = end
     return f"{path}{element}.{connector}" if element is not None else f"{path}{connector}"
 

@@ -1,4 +1,4 @@
-"""What breaks the schemas of SSP 1.0."""
+"""Validation against the schemas of SSP 1.0."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _LISTS = {f"{SSD}{name}" for name in ("Connectors", "ParameterBindings", "Connec
 
 
 def problems_of(content: bytes, *, tidy: bool = False) -> Iterator[str]:
-    """Yield what breaks the schemas, in the file itself and in parameter sets and mappings that stand in it.
+    """Yield the schema violations of a file, and of parameter sets and mappings in it.
 
     Parameters
     ----------
     content : bytes
         The text of an .ssd, .ssv or .ssm, checked by `_zip.check_xml`.
     tidy : bool
-        Overlook what has one meaning only: parts of an element in another order, and empty lists, as OMSimulator has written
+        Ignore violations whose meaning is clear: parts of an element in another order, and empty lists, as OMSimulator writes
         them.
     """
     from lxml import etree
 
     try:
         root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
-    except etree.XMLSyntaxError as error:  # it is stricter than the parser before it
+    except etree.XMLSyntaxError as error:  # lxml is stricter than the first parser
         yield str(error.msg).removesuffix(".")
         return
     if tidy:
@@ -59,9 +59,9 @@ def _tidy(root: Any) -> None:
         element.getparent().remove(element)
     for element in root.iter(*_ORDER):
         order = [f"{SSD}{name}" for name in _ORDER[element.tag]]
-        known = [e for e in element if e.tag in order]
-        if len(known) == len(element):  # else it breaks the schema in any order, and its lines are to stay
-            element[:] = sorted(known, key=lambda e: order.index(e.tag))
+        parts = [e for e in element if e.tag in order]
+        if len(parts) == len(element):  # else no order is valid, and the line numbers must stay
+            element[:] = sorted(parts, key=lambda e: order.index(e.tag))
 
 
 @cache

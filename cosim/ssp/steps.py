@@ -1,4 +1,4 @@
-"""The steps that an SSP is to be run at, for which the standard has no word: what tools write into its annotations."""
+"""The step sizes of an SSP: the standard does not define them, but tools write them into annotations."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from bayesftc.cosim.errors import SSPError
 _FIXED = (
     ("FixedStepAlgorithm", "baseStepSize"),  # libcosim
     ("FixedStepMaster", "stepSize"),  # OMSimulator
-    ("SimulationInformation", "fixedStepSize"),  # its third version
+    ("SimulationInformation", "fixedStepSize"),  # OMSimulator 3
 )
 _VARIABLE = {"VariableStepMaster", "VariableStepSolver", "SimulationInformation"}
 
 
 @dataclass(frozen=True)
 class Steps:
-    """What annotations say of a system's step: the fixed one, and the longest of a solver with variable steps."""
+    """A system's step sizes from annotations: the fixed one, and the longest of a solver with variable steps."""
 
     fixed: Fraction | None = None
     longest: str | None = None
 
 
 def steps_of(root: Element, where: str) -> Steps:
-    """Read the step of the whole system: as this package writes it, the Open Simulation Platform, or OMSimulator.
+    """Read the step size of the whole system, as written by this package, the Open Simulation Platform or OMSimulator.
 
     Parameters
     ----------
@@ -39,50 +39,50 @@ def steps_of(root: Element, where: str) -> Steps:
     Raises
     ------
     SSPError
-        If a step is no positive number, or two tools' annotations differ in it.
+        If a step size is no positive number, or annotations give different ones.
     """
     system = next((e for e in root if _local(e) == "System"), None)
     experiment = (e for e in root if _local(e) == "DefaultExperiment")
-    known = [e for owner in (system, *experiment) if owner is not None for e in _annotated(owner)]
-    ours = next((text for e in known if _local(e) == "bayesftc" and (text := e.get("step"))), None)
-    if ours is not None:
-        return Steps(_step(ours, f"{where} says step={ours!r}", exact=True))
-    texts = [(tag, name, e.get(name)) for tag, name in _FIXED for e in known if _local(e) == tag]
-    found = {
-        _step(text, f"{where} says {name}={text!r}"): f"{name}={text} ({tag})"
+    annotations = [e for owner in (system, *experiment) if owner is not None for e in _annotated(owner)]
+    exact_step = next((text for e in annotations if _local(e) == "bayesftc" and (text := e.get("step"))), None)
+    if exact_step is not None:
+        return Steps(_step(exact_step, f"{where} has step={exact_step!r}", exact=True))
+    texts = [(tag, name, e.get(name)) for tag, name in _FIXED for e in annotations if _local(e) == tag]
+    labels = {
+        _step(text, f"{where} has {name}={text!r}"): f"{name}={text} ({tag})"
         for tag, name, text in texts
-        if text is not None and text != "None"  # as OMSimulator 3 writes a solver that has none
+        if text is not None and text != "None"  # OMSimulator 3 writes "None" for a solver without steps
     }
-    if len(found) > 1:
-        raise SSPError(f"{where} gives several steps: {', '.join(found.values())}; give dt=... in seconds.")
+    if len(labels) > 1:
+        raise SSPError(f"{where} gives several steps: {', '.join(labels.values())}; give dt=... in seconds.")
     longest = next(
-        (e.get("maximumStepSize") for e in known if _local(e) in _VARIABLE and e.get("maximumStepSize")), None
+        (e.get("maximumStepSize") for e in annotations if _local(e) in _VARIABLE and e.get("maximumStepSize")), None
     )
-    return Steps(next(iter(found), None), longest)
+    return Steps(next(iter(labels), None), longest)
 
 
 def step_hint(component: Element, what: str) -> Fraction | None:
-    """Return the step at which one component is to run, as the Open Simulation Platform writes it (StepSizeHint)."""
+    """Return the step size of one component, as written by the Open Simulation Platform (StepSizeHint)."""
     texts = (e.get("value", "") for e in _annotated(component) if _local(e) == "StepSizeHint")
     text = next(texts, None)
     return None if text is None else _step(text, f"{what} has a StepSizeHint of {text!r}")
 
 
 def every(hint: Fraction | None, base: Fraction) -> int:
-    """Return at which multiple of the base step a component runs: the whole steps in its hint, as libcosim counts them."""
+    """Return the multiple of the base step at which a component runs: its hint, rounded down as in libcosim."""
     return 1 if hint is None else max(1, hint // base)
 
 
 def _step(text: str, what: str, *, exact: bool = False) -> Fraction:
-    """Return a step; of a decimal number that no other tool can write exactly (a thirtieth) the one that is meant."""
+    """Return a step size. Decimals of other tools are approximate (a thirtieth): they become the nearby simple fraction."""
     try:
         return rational_step(text.strip() if exact else float(text))
-    except ValueError:  # of which a StepSizeError is one
-        raise SSPError(f"{what}, which is no step in seconds; correct it, or remove it and give dt=...") from None
+    except ValueError:  # a StepSizeError is a ValueError, too
+        raise SSPError(f"{what}, which is no step size in seconds. Correct it, or remove it and give dt=...") from None
 
 
 def _annotated(owner: Element) -> Iterator[Element]:
-    """Yield what stands in the annotations of an element, but not in those of its parts."""
+    """Yield the elements in the annotations of an element, but not in those of its parts."""
     for part in (e for e in owner if _local(e) == "Annotations"):
         yield from part.iter()
 

@@ -1,4 +1,4 @@
-"""System structures of SSP 1.0 and 2.0: FMUs that are wired together, opened as a diagram and saved for other tools."""
+"""System structures of SSP 1.0 and 2.0: connected FMUs, opened as a diagram and saved for other tools."""
 
 from __future__ import annotations
 
@@ -45,47 +45,46 @@ def open_ssp(
 ) -> Diagram:
     """Return the diagram that an .ssp or .ssd describes: its FMUs, with their parameters, connected.
 
-    Systems inside of systems are resolved: the FMU ``b`` of the system ``a`` is the block ``a.b``. Arrays (of SSP 2.0) are vector
-    and matrix ports. Where units differ or a
-    connection has a linear transformation, a `Gain` stands between the two FMUs. What reaches the system from outside stays open:
-    such inputs keep their start values, and can be connected.
+    Nested systems are flattened: the FMU ``b`` of the system ``a`` becomes the block ``a.b``. Arrays (of SSP 2.0) become vector
+    and matrix ports. If units differ or a connection has a linear transformation, a `Gain` is added between the two FMUs. Inputs
+    of the whole system stay unconnected: they keep their start values, and can be connected.
 
-    SSP leaves the algorithm to the tool. All FMUs are plants (their outputs at t_k are read before the step), so that
-    ``build("jacobi")`` gives what other tools compute that step all FMUs side by side; the default is Gauss-Seidel.
+    SSP does not define the algorithm. All FMUs are plants (their outputs at t_k are read before the step). So ``build("jacobi")``
+    gives the results of tools that step all FMUs in parallel; the default is Gauss-Seidel.
 
     Parameters
     ----------
     path : str or path
-        An ``.ssp`` file, or an ``.ssd`` with the files that it refers to beside it or in folders below.
+        An ``.ssp`` file, or an ``.ssd`` with its referenced files beside it or in folders below.
     dt : float, str or Fraction, optional
-        The base step in seconds, which SSP has no word for; by default what the annotations say: of this package, of the Open
+        The base step in seconds, which SSP does not define. By default it comes from annotations of this package, of the Open
         Simulation Platform (``FixedStepAlgorithm``) or of OMSimulator (``FixedStepMaster``). A component with a ``StepSizeHint``
         runs at that multiple of the base step.
     variant : str
-        Which ``.ssd`` of an ``.ssp`` to open; what it refers to is relative to it.
+        Which ``.ssd`` of an ``.ssp`` to open; its references are relative to it.
     isolate : bool
-        Run each FMU in a process of its own (see `FMU`).
+        Run each FMU in a separate process (see `FMU`).
     validate : bool
         False to accept files that break the schemas of SSP 1.0 and FMI, at your own risk.
 
     Returns
     -------
     Diagram
-        Not built yet: controllers, sensors and faults can be added. Of an ``.ssp``, its FMUs lie in this user's cache.
+        Not built yet: controllers, sensors and faults can be added. The FMUs of an ``.ssp`` are in this user's cache.
 
     Raises
     ------
     SSPError
-        If the file is missing, damaged or hostile, breaks the rules of SSP, says nothing of a step (where `dt` does not either),
-        or has what cannot be a diagram (signal dictionaries, components that are no FMUs, mappings that are not linear,
-        connections of some elements of arrays).
+        If the file is missing, damaged or hostile, or breaks the rules of SSP. If neither the file nor `dt` gives a step. If it
+        has elements that a diagram cannot represent: signal dictionaries, components that are no FMUs, nonlinear mappings,
+        connections of some elements of arrays.
     FMUError
         If one of its FMUs cannot be used.
 
     Warns
     -----
     UserWarning
-        If values are bound to names that do not exist: SSP demands to ignore them.
+        If values are bound to names that do not exist: SSP requires to ignore them.
 
     Examples
     --------
@@ -105,12 +104,14 @@ def open_ssp(
     structure = read_structure(resource(Path(where).name), where, resource, validate=validate)
     sources = {p: c.source for p, c in components(structure.system)}
     if not sources:
-        raise SSPError(f"{where} of {path} has no components; there is nothing to run.")
-    folder = place_files()  # not before all XML was read and checked
+        raise SSPError(f"{where} of {path} has no components; add FMUs to run.")
+    folder = place_files()  # after all XML was read and checked
     files = {p: folder / source for p, source in sources.items()}
     for place, file in files.items():
         if not file.is_file():
-            raise SSPError(f"The component {'.'.join(place)!r} of {where} refers to {file.name}, which is not there.")
+            raise SSPError(
+                f"The component {'.'.join(place)!r} of {where} refers to {file.name}, which does not exist; add it."
+            )
     descriptions = {file: describe(file, validate=validate) for file in dict.fromkeys(files.values())}
     variables = {place: _variables(descriptions[file]) for place, file in files.items()}
     flat = Flat(structure, variables, where)
@@ -120,8 +121,11 @@ def open_ssp(
     nodes = {}
     for place, component in flat.components.items():
         values = {p.name: _value(p, flat, variables[place][p.name], place) for p in flat.values(place).values()}
-        joined = [*feeds[place], *(f.output for fed in feeds.values() for f in fed.values() if f.component == place)]
-        block = _fmu(files[place], component, values, joined, isolate, validate)
+        connected = [
+            *feeds[place],
+            *(f.output for inputs in feeds.values() for f in inputs.values() if f.component == place),
+        ]
+        block = _fmu(files[place], component, values, connected, isolate, validate)
         nodes[place] = diagram.add(block, "_".join(".".join(place).split()), every(component.step, diagram.step))
         _check_sizes(block, component, nodes[place].name, where)
     for place, node in nodes.items():
@@ -131,20 +135,20 @@ def open_ssp(
 
 
 def _located(path: Path, variant: str) -> tuple[str, Callable[[], Path], Callable[[str], bytes]]:
-    """Return the name of the .ssd, what returns its folder, and what reads XML in it: SSP resolves sources against the .ssd."""
+    """Return the name of the .ssd, a function that returns its folder, and one that reads XML relative to it."""
     if path.suffix.lower() == ".ssd":
         return path.name, lambda: path.parent, lambda name: _beside(path, name)
     archive = open_archive(path, SSP_FILE)
     if variant not in archive.names:
-        known = [name for name in archive.names if name.endswith(".ssd")]
-        raise SSPError(f"{path} has no {variant!r}; {did_you_mean(variant, known)}")
+        variants = [name for name in archive.names if name.endswith(".ssd")]
+        raise SSPError(f"{path} has no {variant!r}; {did_you_mean(variant, variants)}")
 
     beside = PurePosixPath(variant).parent
 
     def resource(name: str) -> bytes:
         entry = str(beside / name)
         if entry not in archive.names:
-            raise SSPError(f"{variant} of {path} refers to {entry!r}, which is not in the file.")
+            raise SSPError(f"{variant} of {path} refers to {entry!r}, which is not in the file; add it.")
         return read_entry(archive, entry)
 
     return variant, lambda: extract(archive, variant) / beside, resource
@@ -157,7 +161,7 @@ def _beside(path: Path, name: str) -> bytes:
         if not S_ISREG(status.st_mode):
             raise SSPError(f"{file} is no file; check the path.")
         if status.st_size > LARGEST_XML:
-            raise SSPError(f"{file} is too large to be read.")
+            raise SSPError(f"{file} has more than {LARGEST_XML:,} bytes; split it, or check that it is the right file.")
         content = file.read_bytes()
     except OSError as error:
         raise SSPError(f"{file} cannot be read ({error.strerror}); check the path.") from None
@@ -169,21 +173,21 @@ def _variables(description: FMUDescription) -> dict[str, Variable]:
 
 
 def _base_step(structure: Structure, descriptions: Sequence[FMUDescription], where: str) -> Fraction:
-    """Return the step that the SSP gives; where it gives none, the caller has to, for all that runs depends on it."""
+    """Return the base step of the SSP; raise SSPError if it has none, as all results depend on it."""
     steps = structure.steps
     if steps.fixed is not None:
         return steps.fixed
-    told = {text for d in descriptions if (text := d.default_experiment.get("stepSize"))}
+    recommended = {text for d in descriptions if (text := d.default_experiment.get("stepSize"))}
     hints = {show(c.step) for _, c in components(structure.system) if c.step is not None}
     advice = [
-        f"its FMUs recommend {' and '.join(sorted(map(str, told)))} s" if told else "",
+        f"its FMUs recommend {' and '.join(sorted(map(str, recommended)))} s" if recommended else "",
         f"its components have steps of {' and '.join(sorted(hints))} s" if hints else "",
         f"its solver has variable steps of up to {steps.longest} s" if steps.longest else "",
     ]
-    known = "; ".join(part for part in advice if part)
+    hint = "; ".join(part for part in advice if part)
     raise SSPError(
-        f"{where} does not say at which step to run it{f' ({known})' if known else ''}; give dt=... in seconds, as in "
-        f"open_ssp(path, dt={next(iter(sorted(map(str, told))), '0.01')})."
+        f"{where} gives no step size{f' ({hint})' if hint else ''}. Give dt=... in seconds, as in "
+        f"open_ssp(path, dt={next(iter(sorted(map(str, recommended))), '0.01')})."
     )
 
 
@@ -191,41 +195,41 @@ def _fmu(
     file: Path,
     component: Component,
     values: dict[str, Value],
-    joined: Sequence[str],
+    connected: Sequence[str],
     isolate: bool,
     validate: bool,
 ) -> FMU:
-    """Return the block of a component; what is `joined` to others is a port, also where others of its type are none."""
+    """Return the block of a component; variables in `connected` become ports even if they are not by default."""
     block = FMU(file, parameters=values, validate=validate, kind=_KINDS[component.implementation])
     ports = {side: [p.name for p in getattr(block, side) if isinstance(p, Port)] for side in ("inputs", "outputs")}
     causality = {v.name: f"{v.causality}s" for v in block.description.variables}
-    for name in joined:
+    for name in connected:
         names = ports[causality[name]]
         if name not in names:
             names.append(name)
     timing = None if block.kind == "model exchange" else "plant"
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that it is a plant is said in the docstring
+        warnings.simplefilter("ignore")  # the docstring of open_ssp states that all FMUs are plants
         return replace(block, **ports, timing=timing, isolate=isolate)  # type: ignore[arg-type]
 
 
 def _check_sizes(block: FMU, component: Component, name: str, where: str) -> None:
-    """Compare the sizes that connectors declare with those of the FMU, by its structural parameters."""
+    """Compare the declared sizes of connectors with those of the FMU's arrays."""
     shapes = {p.name: p.shape for side in (block.inputs, block.outputs) for p in side or () if isinstance(p, Port)}
     for port, connector in component.connectors.items():
-        own, declared = shapes.get(port), connector.dimensions
-        if own is None or not declared:
+        shape, declared = shapes.get(port), connector.dimensions
+        if shape is None or not declared:
             continue
-        if len(own) != len(declared) or any(d not in {None, n} for d, n in zip(declared, own, strict=True)):
+        if len(shape) != len(declared) or any(d not in {None, n} for d, n in zip(declared, shape, strict=True)):
             sizes = " x ".join("?" if d is None else str(d) for d in declared)
             raise SSPError(
-                f"{where} declares {name}.{port} as an array of {sizes}, but in {component.source} its shape is {own}; set the "
-                "structural parameter that says so."
+                f"{where} declares {name}.{port} as an array of {sizes}, but in {component.source} its shape is {shape}. Set the "
+                "structural parameter for its size."
             )
 
 
 def _value(parameter: Parameter, flat: Flat, variable: Variable, place: Place) -> Value:
-    """Return a bound value in the variable's own unit."""
+    """Return a bound value in the variable's unit."""
     value = parameter.value
     if parameter.type != "Real" or isinstance(value, str):
         return value
@@ -240,8 +244,8 @@ def _connect(diagram: Diagram, source: Node, feed: Feed, target: Node, name: str
     output, input_ = source[feed.output], target[name]
     if output.port.shape != input_.port.shape:
         raise SSPError(
-            f"{where} connects {output.name}, of shape {output.port.shape}, to {input_.name}, of shape {input_.port.shape}; "
-            "connect what has the same shape, and set structural parameters alike."
+            f"{where} connects {output.name}, of shape {output.port.shape}, to {input_.name}, of shape {input_.port.shape}. "
+            "Connect ports of the same shape; check the structural parameters."
         )
     between = (output.port.unit, input_.port.unit)
     differ = None not in between and units.difference(*between) is not None  # type: ignore[arg-type]
@@ -250,9 +254,11 @@ def _connect(diagram: Diagram, source: Node, feed: Feed, target: Node, name: str
         return
     factor, offset = feed.transformation.factor, feed.transformation.offset
     if not (isfinite(factor) and isfinite(offset)):
-        raise SSPError(f"{where} transforms {output.name} on its way to {input_.name} by what is not finite.")
+        raise SSPError(
+            f"{where} transforms {output.name} on the way to {input_.name} by numbers that are not finite; correct them."
+        )
     if len(output) > 1:
-        raise SSPError(f"{where} transforms {output.name}, an array, on its way to {input_.name}; do so in the FMU.")
+        raise SSPError(f"{where} transforms the array {output.name} on the way to {input_.name}; do this in the FMU.")
     gain = diagram.add(Gain(factor, offset=offset), f"{target.name}.{name}.transformation")
     diagram.connect(output, gain["u"])
     diagram.connect(gain["y"], input_)

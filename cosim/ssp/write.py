@@ -1,4 +1,4 @@
-"""Writing a diagram of FMUs as an SSP: byte for byte the same whenever it is written."""
+"""Write a diagram of FMUs as an SSP: the same diagram always gives the same bytes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _IMPLEMENTATIONS = {"co-simulation": "CoSimulation", "model exchange": "ModelExc
 
 @dataclass(frozen=True)
 class _Feed:
-    """What an input of an FMU comes from: an output of another, or nothing (a constant: `transformation` of 0)."""
+    """The source of an input of an FMU: an output of another FMU, or a constant (no node, `transformation` of 0)."""
 
     node: Node | None
     output: str
@@ -46,18 +46,18 @@ class _Feed:
 def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
     """Save a diagram of FMUs as an .ssp, so that other tools can run it.
 
-    FMUs become components, with what was set of their parameters and start values. Scalar `Gain` blocks between them become
-    linear transformations of connections (of several in a row the product); `Constant` blocks become start values of the inputs
-    that they feed. The file is of SSP 1.0, or of 2.0 where there are arrays. The step is noted in annotations that `open_ssp`
-    and the Open Simulation Platform (libcosim) know; other tools need it from you. A tool that steps all FMUs side by side gives
-    the result of ``build("jacobi")``.
+    FMUs become components, with the parameters and start values that were set. Scalar `Gain` blocks between them become linear
+    transformations of connections; several in a row are combined. `Constant` blocks become start values of inputs. The file is of
+    SSP 1.0, or of 2.0 if there are arrays. The step is stored in annotations that `open_ssp` and the Open Simulation Platform
+    (libcosim) read; set it yourself in other tools. A tool that steps all FMUs in parallel gives the result of
+    ``build("jacobi")``.
 
     Parameters
     ----------
     diagram : Diagram
-        FMUs, all run at the base step, gains between them, and constants.
+        FMUs, all at the base step, gains between them, and constants.
     path : str or path
-        The ``.ssp`` to write; it appears under its name only when it is whole. The same diagram gives the same bytes.
+        The ``.ssp`` to write; it appears under its name only when it is complete.
 
     Returns
     -------
@@ -67,17 +67,17 @@ def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
     Raises
     ------
     SSPError
-        If the diagram has what SSP cannot express (any other block, a sum of signals, elements of arrays, FMUs at several rates,
-        an FMU placed with ``timing="sampled"``), or the file cannot be written.
+        If SSP cannot represent the diagram (any other block, a sum of signals, elements of arrays, FMUs at several rates, an FMU
+        with ``timing="sampled"``), or the file cannot be written.
     """
     path = absolute(path, "save_ssp", "the .ssp file to write", SSPError)
     if not isinstance(diagram, Diagram):
         raise SSPError(f"save_ssp has diagram={diagram!r}; it must be a Diagram of FMUs.")
     if path.suffix.lower() != SSP_FILE.suffix:
-        raise SSPError(f"{path.name} is no name for an SSP; let it end in {SSP_FILE.suffix}.")
+        raise SSPError(f"{path.name} is no name for an SSP; it must end in {SSP_FILE.suffix}.")
     nodes = [node for node in diagram.nodes if isinstance(node.block, FMU)]
     if not nodes:
-        raise SSPError("The diagram has no FMU; an SSP is made of FMUs.")
+        raise SSPError("The diagram has no FMU, but an SSP consists of FMUs; add one.")
     _check_blocks(diagram)
     resources = _resources(nodes)
     structure = _structure(diagram, nodes, resources, path.stem)
@@ -94,7 +94,7 @@ def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
             f"The SSP cannot be written to {path}: {error.strerror or error}; choose another folder."
         ) from None
     finally:
-        with suppress(OSError):  # it is there only where the write has failed
+        with suppress(OSError):  # it exists only if writing has failed
             temporary.unlink(missing_ok=True)
     return path
 
@@ -108,24 +108,24 @@ def _entry(name: str) -> zipfile.ZipInfo:
 def _check_blocks(diagram: Diagram) -> None:
     used = {reference.node.name for reference, _ in _sources(diagram)}
     for node in diagram.nodes:
-        block, whose = node.block, f"The block {node.name!r}"
+        block, label = node.block, f"The block {node.name!r}"
         if not isinstance(block, FMU | Gain | Constant):
             _refuse(
-                f"{whose} ({type(block).__name__}) is nothing that SSP has: only FMUs, gains between them and constants; "
-                "export it as an FMU and put that in its place"
+                f"{label} ({type(block).__name__}) has no equivalent in SSP, which has only FMUs, gains between them and "
+                "constants. Replace it by an FMU that you export from it"
             )
         if node.every != 1:
             _refuse(
-                f"{whose} runs with every={node.every}, and SSP has no word for several rates; save a diagram where all "
-                "blocks run at one"
+                f"{label} runs with every={node.every}, but SSP does not support several rates. Save a diagram whose blocks all "
+                "run at one rate"
             )
         if isinstance(block, FMU) and block.timing == "sampled":
             _refuse(
-                f"{whose} makes its step before its outputs are used (timing='sampled'), which no SSP can ask of a tool; make it "
-                "a plant (timing='plant') and see whether the step of delay matters"
+                f"{label} makes its step before its outputs are used (timing='sampled'), which SSP cannot express. Make it a "
+                "plant (timing='plant') and check whether the delay of one step matters"
             )
         if isinstance(block, Gain) and node.name not in used:
-            _refuse(f"{whose} feeds no FMU, so it would be lost; leave it out")
+            _refuse(f"{label} feeds no FMU and would be lost; leave it out")
 
 
 def _refuse(what: str) -> NoReturn:
@@ -133,18 +133,18 @@ def _refuse(what: str) -> NoReturn:
 
 
 def _sources(diagram: Diagram) -> list[tuple[Any, int]]:
-    every = [
+    sources = [
         diagram.source_of(node, port, element)
         for node in diagram.nodes
         for port in node.block.inputs
         for element in range(port.size)
     ]
-    return [source for source in every if source is not None]
+    return [source for source in sources if source is not None]
 
 
 def _resources(nodes: list[Node]) -> dict[Path, str]:
-    """Return a name in the SSP for each FMU file; files of the same name and different content get a number."""
-    named: dict[Path, str] = {}
+    """Return a name in the SSP for each FMU file; files of the same name but different content get a number."""
+    names: dict[Path, str] = {}
     digests: dict[str, str] = {}
     for node in nodes:
         file = Path(_fmu(node).path)
@@ -153,8 +153,8 @@ def _resources(nodes: list[Node]) -> dict[Path, str]:
         while digests.setdefault(name, digest) != digest:
             number += 1
             name = f"resources/{file.stem}_{number}{file.suffix}"
-        named[file] = name
-    return named
+        names[file] = name
+    return names
 
 
 def _fmu(node: Node) -> FMU:
@@ -177,7 +177,7 @@ def _structure(diagram: Diagram, nodes: list[Node], resources: dict[Path, str], 
     SubElement(_annotation(system, "bayesftc"), "bayesftc", step=str(diagram.step))
     algorithm = SubElement(_annotation(SubElement(root, f"{SSD}DefaultExperiment"), _OSP_TYPE), f"{_OSP}Algorithm")
     SubElement(algorithm, f"{_OSP}FixedStepAlgorithm", baseStepSize=repr(float(diagram.step)))
-    if next(root.iter(f"{SSC}Dimension"), None) is not None:  # SSP 1.0, which more tools read, has no arrays
+    if next(root.iter(f"{SSC}Dimension"), None) is not None:  # more tools read SSP 1.0, but it has no arrays
         for versioned in (root, *root.iter(f"{SSV}ParameterSet")):
             versioned.set("version", "2.0")
     indent(root)
@@ -201,7 +201,7 @@ def _add_component(elements: Element, connections: Element, diagram: Diagram, no
             values[port.name] = feed.transformation.offset
         elif feed is not None and tunable:
             _refuse(
-                f"{node.name}.{port.name} is a parameter that a signal changes, which SSP does not have; leave it unconnected"
+                f"{node.name}.{port.name} is a connected parameter, which SSP does not support; leave it unconnected"
             )
         elif feed is not None:
             _add_connection(connections, feed, node.name, port.name)
@@ -223,9 +223,10 @@ def _add_connector(connectors: Element, node: Node, port: Port, kind: str) -> No
     type_ = next(v.type for v in _fmu(node).description.variables if v.name == port.name)
     if type_ == "Enumeration":
         _refuse(
-            f"{node.name}.{port.name} is an enumeration, which is no port of an SSP here; leave it out of the FMU's ports"
+            f"{node.name}.{port.name} is an enumeration, which is not supported as a port of an SSP; leave it out of the FMU's "
+            "ports"
         )
-    # The unit is the FMU's own, and so is not repeated here.
+    # The unit is in the FMU, so it is not repeated here.
     connector = SubElement(connectors, f"{SSD}Connector", name=port.name, kind=kind)
     SubElement(connector, f"{SSC}{_TYPES.get(type_, 'Integer')}")
     _add_dimensions(connector, port.shape)
@@ -237,7 +238,7 @@ def _add_dimensions(element: Element, shape: Sequence[int]) -> None:
 
 
 def _feed(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
-    """Go back from an input through gains to an FMU's output, or to a constant."""
+    """Return the source of an input: an FMU's output, found backwards through gains, or a constant."""
     target, element, total = node, 0, Linear()
     where = f"{node.name}.{port.name}"
     if port.shape:
@@ -247,31 +248,34 @@ def _feed(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
         if source is None:
             if target is node:
                 return None
-            _refuse(f"{target.name}.{port.name}, through which {where} is fed, has no source")
-        reference, taken = source
+            _refuse(f"{target.name}.{port.name}, which feeds {where}, has no source; connect it")
+        reference, source_element = source
         block = reference.node.block
         if isinstance(block, FMU):
             if reference.port.shape:
                 _refuse(
-                    f"{where} is fed by an element of {reference.name}, and an SSP can connect whole arrays only; give the FMU "
-                    "a variable for the element"
+                    f"{where} is fed by an element of {reference.name}, but an SSP connects whole arrays only. Give the FMU a "
+                    "variable for the element"
                 )
             return _Feed(reference.node, reference.port.name, total)
         if isinstance(block, Constant):
             return _Feed(None, "", Linear(0.0, total(block.value)))
         assert isinstance(block, Gain)
-        row = np.atleast_2d(np.asarray(block.gain, float))[taken]
-        fed = np.flatnonzero(row)
-        if len(fed) > 1:
-            _refuse(f"The block {reference.node.name!r} adds signals on their way to {where}, which SSP cannot express")
-        if not len(fed):
+        row = np.atleast_2d(np.asarray(block.gain, float))[source_element]
+        columns = np.flatnonzero(row)
+        if len(columns) > 1:
+            _refuse(
+                f"The block {reference.node.name!r} adds signals on the way to {where}, which SSP cannot express; do this in "
+                "an FMU"
+            )
+        if not len(columns):
             return _Feed(None, "", Linear(0.0, total(block.offset)))
-        total = total.after(Linear(float(row[fed[0]]), float(block.offset)))
-        target, port, element = reference.node, block.inputs[0], int(fed[0])
+        total = total.after(Linear(float(row[columns[0]]), float(block.offset)))
+        target, port, element = reference.node, block.inputs[0], int(columns[0])
 
 
 def _feed_of_array(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
-    """Return the output that feeds a whole array; nothing where its start value holds."""
+    """Return the output that feeds a whole array; None if the array is not connected."""
     sources = [diagram.source_of(node, port, i) for i in range(port.size)]
     first = sources[0]
     if all(source is None for source in sources):
@@ -282,8 +286,8 @@ def _feed_of_array(diagram: Diagram, node: Node, port: Port) -> _Feed | None:
         whole = all(s is not None and (s[0].node, s[0].port) == origin and s[1] == i for i, s in enumerate(sources))
     if first is None or not whole:
         _refuse(
-            f"{node.name}.{port.name} is an array, and only an array of an FMU with the same shape can be connected to it in an "
-            "SSP, as a whole; connect it so, or leave it unconnected"
+            f"{node.name}.{port.name} is an array, and an SSP can connect it only to a whole array of an FMU with the same "
+            "shape. Connect such an array, or leave it unconnected"
         )
     return _Feed(first[0].node, first[0].port.name, Linear())
 
@@ -294,7 +298,7 @@ def _add_connection(connections: Element, feed: _Feed, target: str, name: str) -
     if feed.transformation == Linear():
         SubElement(connections, f"{SSD}Connection", ends)
         return
-    # The gain is all that happens here, so no tool may convert units besides.
+    # The gain includes the conversion of units, so tools must not convert them again.
     connection = SubElement(connections, f"{SSD}Connection", {**ends, "suppressUnitConversion": "true"})
     numbers = {"factor": repr(feed.transformation.factor), "offset": repr(feed.transformation.offset)}
     SubElement(connection, f"{SSC}LinearTransformation", numbers)
@@ -304,22 +308,24 @@ def _add_values(component: Element, node: Node, values: dict[str, Any]) -> None:
     variables = {v.name: v for v in _fmu(node).description.variables}
     bindings = SubElement(component, f"{SSD}ParameterBindings")
     inline = SubElement(SubElement(bindings, f"{SSD}ParameterBinding"), f"{SSD}ParameterValues")
-    whole = SubElement(inline, f"{SSV}ParameterSet", version="1.0", name="initialValues")  # ecos finds them by it
-    parameters = SubElement(whole, f"{SSV}Parameters")
+    parameter_set = SubElement(
+        inline, f"{SSV}ParameterSet", version="1.0", name="initialValues"
+    )  # ecos needs this name
+    parameters = SubElement(parameter_set, f"{SSV}Parameters")
     for name, value in values.items():
         shape = np.shape(value)
-        written = [_written(f"{node.name}.{name}", variables[name], part) for part in np.asarray(value, object).flat]
-        if not written:
+        elements = [_written(f"{node.name}.{name}", variables[name], part) for part in np.asarray(value, object).flat]
+        if not elements:
             continue  # an empty array
-        if shape and written[0][0] in {"String", "Enumeration"}:
-            _refuse(f"{node.name}.{name} is an array of texts, which cannot be told apart in an SSP; leave it out")
+        if shape and elements[0][0] in {"String", "Enumeration"}:
+            _refuse(f"{node.name}.{name} is an array of strings, which an SSP cannot separate; leave it out")
         parameter = SubElement(parameters, f"{SSV}Parameter", name=name)
-        SubElement(parameter, f"{SSV}{written[0][0]}", value=" ".join(text for _, text in written))
+        SubElement(parameter, f"{SSV}{elements[0][0]}", value=" ".join(text for _, text in elements))
         _add_dimensions(parameter, shape)
 
 
 def _written(where: str, variable: FMUVariable, value: Any) -> tuple[str, str]:
-    """Return the type and the text of a value; a number from a constant block becomes what the variable is."""
+    """Return the type and the text of a value; a number from a constant block is converted to the variable's type."""
     if variable.type == "String":
         return "String", value
     kind = _TYPES.get(variable.type, "Integer")
@@ -328,7 +334,7 @@ def _written(where: str, variable: FMUVariable, value: Any) -> tuple[str, str]:
     if kind == "Boolean":
         return kind, "true" if value else "false"
     if value != int(value) or not -_LARGEST_INTEGER <= value < _LARGEST_INTEGER:
-        _refuse(f"{where} is {value}, and whole numbers of SSP have 32 bits")
+        _refuse(f"{where} is {value}, but integers in SSP have 32 bits; use a smaller whole number")
     items = {number: item for item, number in variable.items}
     return ("Enumeration", items[int(value)]) if items else (kind, str(int(value)))
 

@@ -80,7 +80,7 @@ print(set(campaign.run("kept").table["status"]))
         ),
         (
             lambda run: car(isolate=True).simulate(0.1),
-            r"isolate=True needs Linux .*leave it out, and the FMU runs in this",
+            r"isolate=True needs Linux .*Leave it out to run the FMU in this",
         ),
     ],
     ids=["processes", "cluster", "isolation"],

@@ -131,7 +131,7 @@ def test_saved_states_are_forgotten_and_refused(car):
     assert first.output(u, y, 0.0) == 0
     assert y[0] == 0.0
     first.forget(zero)
-    with pytest.raises(FMUError, match="is gone: it was forgotten"):
+    with pytest.raises(FMUError, match="no longer exists: it was deleted"):
         first.restore(zero)
     with pytest.raises(FMUError, match="is no saved state of the FMU 'CruiseControl'"):
         second.restore("nonsense")
@@ -155,7 +155,7 @@ def test_settings(car):
         ({"time_limit": 0}, "time_limit=0; it must be a positive number of seconds, or None"),
         ({"time_limit": math.nan}, "it must be a positive number"),
         ({"time_limit": "3"}, "it must be a positive number"),
-        ({"isolate": False, "time_limit": 3.0}, "cannot be ended: give isolate=True as well"),
+        ({"isolate": False, "time_limit": 3.0}, "cannot be ended. Give isolate=True as well"),
     ):
         with pytest.raises(ModelError, match=sentence):
             car(**options)

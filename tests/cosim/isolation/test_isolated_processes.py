@@ -122,7 +122,7 @@ def test_a_fork_that_uses_it_is_refused_and_does_not_end_it(engine, nothing_left
         os.close(write)
         said = os.read(read, 1000).decode()
         os.close(read)
-        assert "belongs to the process that this one was forked from; begin a new run here" in said
+        assert "belongs to the process from which this one was forked; start a new run here" in said
         assert session.advance(0.1)["car.v"].shape == (5,)
 
 
@@ -166,8 +166,8 @@ def test_parent_and_fork_go_on_at_once_and_know_nothing_of_each_other(engine, no
         process.join()
         same_bits(np.concatenate(pieces), whole, "the parent's run")
     assert len(said) == 3
-    assert "belongs to the process that this one was forked from; begin a new run here" in said[0]
-    assert all("forked from" in sentence or "reset" in sentence for sentence in said)
+    assert "belongs to the process from which this one was forked; start a new run here" in said[0]
+    assert all("was forked" in sentence or "reset" in sentence for sentence in said)
     same_bits(again, whole[:101], "the fork's run")
     same_bits(anew, whole[:101], "the fork's own")
 

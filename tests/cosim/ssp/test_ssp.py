@@ -242,7 +242,7 @@ def test_values_from_files_with_mappings_and_units(tmp_path):
         </ssd:ParameterBinding>"""
     text = ssd(system(component("a", bindings=binding)))
     path = packed(tmp_path, text, **files)
-    with pytest.warns(UserWarning, match="'other' of 'a', which does not exist; it is ignored, as SSP demands"):
+    with pytest.warns(UserWarning, match="'other' of 'a', which does not exist; SSP requires to ignore it"):
         diagram = cosim.open_ssp(path, dt=H)
     assert diagram["a"].block.parameters == {"m": 100.0, "force": 100.0, "v0": 1.0}
     inner = f"<ssd:ParameterMapping>{mapping}</ssd:ParameterMapping>"
@@ -392,7 +392,7 @@ REFUSED = {
             + component("b"),
             link("s.out", "s.in") + link("s.out", "b.force"),
         ),
-        "go in a circle",
+        "form a cycle",
     ),
     "a mapping": (
         system(
@@ -613,11 +613,11 @@ def not_saved(diagram, path, *parts):
 def test_what_cannot_be_saved(tmp_path):
     path = tmp_path / "x.ssp"
     not_saved(cosim.Diagram(dt=H), path, "The diagram has no FMU")
-    not_saved(two_cars(), tmp_path / "x.zip", "is no name for an SSP; let it end in .ssp")
+    not_saved(two_cars(), tmp_path / "x.zip", "is no name for an SSP; it must end in .ssp")
     not_saved(two_cars(), tmp_path / "none" / "x.ssp", "cannot be written", "choose another folder")
     diagram = two_cars()
     diagram.add(cosim.UnitDelay(), "delay")
-    not_saved(diagram, path, "'delay' (UnitDelay) is nothing that SSP has", "export it as an FMU")
+    not_saved(diagram, path, "'delay' (UnitDelay) has no equivalent in SSP", "Replace it by an FMU")
     diagram = two_cars()
     diagram.add(cosim.FMU(CAR["2.0"]), "slow", every=2)
     not_saved(diagram, path, "'slow' runs with every=2")

@@ -159,7 +159,7 @@ def test_the_step_in_annotations(tmp_path, tool):
 
 NO_STEP = {
     "nothing": (structure(CARS), "(its FMUs recommend 0.02 s); give dt=... in seconds, as in open_ssp(path, dt=0.02)."),
-    "results alone": (structure(CARS, experiment=RESULTS), "does not say at which step to run it"),
+    "results alone": (structure(CARS, experiment=RESULTS), "gives no step size"),
     "variable steps": (
         structure(
             CARS,
@@ -172,23 +172,26 @@ NO_STEP = {
         structure(
             f"<ssd:System name='inner'><ssd:Elements>{CARS}</ssd:Elements>{oms(MASTER.format('0.1'))}</ssd:System>", ""
         ),
-        "does not say at which step",
+        "gives no step size",
     ),
     "two": (
         structure(CARS, after=oms(MASTER.format("0.1")), experiment=osp("0.2")),
         "gives several steps: baseStepSize=0.2 (FixedStepAlgorithm), stepSize=0.1 (FixedStepMaster)",
     ),
     **{
-        f"step {text}": (structure(CARS, experiment=osp(text)), f"baseStepSize='{text}', which is no step in seconds")
+        f"step {text}": (
+            structure(CARS, experiment=osp(text)),
+            f"baseStepSize='{text}', which is no step size in seconds",
+        )
         for text in ("0", "-0.1", "NaN", "INF", "soon", "1e999999999", "1e-999999999", "1/0")
     },
     "ours, beyond all bounds": (
         structure(CARS, after=annotated("bayesftc", '<bayesftc step="1e999999999"/>')),
-        "says step='1e999999999', which is no step in seconds",
+        "has step='1e999999999', which is no step size in seconds",
     ),
     "a wrong hint": (
         structure(car("a", hint("-1")) + car("b"), experiment=osp("0.1")),
-        "'a' of SystemStructure.ssd has a StepSizeHint of '-1', which is no step",
+        "'a' of SystemStructure.ssd has a StepSizeHint of '-1', which is no step size",
     ),
 }
 

@@ -111,7 +111,7 @@ def test_ctrl_c_while_a_state_is_saved_or_restored(engine, step_error, what, mon
             patch.setattr(Isolated, "_ask", ask)
             with pytest.raises(KeyboardInterrupt):
                 session.advance(5)
-        with pytest.raises(cosim.FMUCrashed, match=r"'two' .* was ended, for Ctrl-C came while it was asked for"):
+        with pytest.raises(cosim.FMUCrashed, match=r"'two' .* was ended because Ctrl-C interrupted a request"):
             session.restore(state)
         session.reset()
         same_bits(session.advance(0.3)["one.x"], first)
