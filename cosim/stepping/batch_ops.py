@@ -1,7 +1,7 @@
-"""What stands for each function of :mod:`bayesftc.cosim.ops` while a step function works on many runs at once.
+"""Batch versions of the functions of :mod:`bayesftc.cosim.ops`, for step functions that work on many runs at once.
 
-Each element of its arrays is then itself an array with an entry for each run. Every operation rounds as its plain form does, but
-for `exp`, `log`, `sin` and `cos`, where NumPy may differ from the C library in the last bit.
+Each element of an array is then itself an array with an entry for each run. Every operation rounds as its scalar version does,
+except `exp`, `log`, `sin` and `cos`: there NumPy may differ from the C library in the last bit.
 """
 
 from collections.abc import Callable

@@ -20,7 +20,7 @@ def call_block(typingctx, address, state, parameters, inputs, outputs, t, k):
 
 @intrinsic
 def put_back(typingctx, function, instance, state):
-    """int32 (*)(void *, void *), given as integers: FMI's function that takes an instance back to a saved state."""
+    """int32 (*)(void *, void *), given as integers: FMI's function that restores a saved state of an instance."""
     signature = types.int32(types.int64, types.int64, types.int64)
 
     def codegen(context, builder, sig, args):

@@ -1,4 +1,4 @@
-"""How compiled code steps a block that is stepped in Python: it calls back."""
+"""Callbacks, by which compiled code steps a block in Python."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ _ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double
 
 
 class Callback:
-    """A function of the engine's own signature that calls a Python function.
+    """A C function with the engine's signature that calls a Python function.
 
     Parameters
     ----------
     function : callable
         Takes inputs, outputs and t; returns a status.
     sizes : (int, int)
-        How many inputs and outputs there are.
+        Numbers of inputs and outputs.
     resize : callable
-        Is told the size of the step before each call.
+        Called with the size of the step before each call.
     step_word : int
-        The word of the block's table that holds it.
+        The word of the block's table that holds the step size.
     raised : int
-        The status where the function has raised an error, which `taken` then returns.
+        The status if the function raises an error, which `taken` then returns.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class Callback:
             try:
                 resize(ctypes.c_double.from_address(parameters + 8 * step_word).value)
                 return function(view(inputs, sizes[0]), view(outputs, sizes[1]), t)
-            except BaseException as error:  # noqa: BLE001 - C code has no way for it; who explains the status raises it
+            except BaseException as error:  # noqa: BLE001 - it cannot pass through C code; the explanation of the status raises it
                 self._error = error
                 return raised
 

@@ -1,8 +1,8 @@
-"""Compiles the engine's own functions with numba, once per machine, and the step functions that C is not written for.
+"""Compile the engine's functions with numba, once per machine, and the step functions that cannot be translated to C.
 
-numba's own disk cache neither notices edits in other files nor hits for closures, so each function gets a small wrapper module
-in the user's cache directory whose *name* is a hash of everything its code depends on
-(:mod:`bayesftc.cosim.stepping.fingerprint`); numba then caches that module's compiled form beside it.
+numba's disk cache neither notices edits in other files nor works for closures. So each function gets a small wrapper module in
+the user's cache directory. Its *name* is a hash of everything its code depends on
+(:mod:`bayesftc.cosim.stepping.fingerprint`). numba then caches the module's compiled form beside it.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ from bayesftc.cosim.stepping.kept import STATISTICS, unwritable, write_whole
 from bayesftc.cosim.stepping.source.tree import NoText, Sections, parameters
 
 SIGNATURE = types.int32(types.int64, types.int64, types.int64, types.int64, types.float64, types.int64)
-"""(state, parameters, inputs, outputs, t, k) -> status; the four addresses travel as integers."""
+"""(state, parameters, inputs, outputs, t, k) -> status; the four addresses are passed as integers."""
 
-# Older versions of numba take the time stamp of a source file for its version; here the file's name says it all.
+# Older versions of numba use a source file's time stamp as its version; here the file's name is enough.
 _STAMP = 1_000_000_000.0
 
 _lock = threading.RLock()
@@ -68,7 +68,7 @@ def compile_by_numba(kernel: FunctionType, sections: Sections, why: KernelError)
     Raises
     ------
     KernelError
-        If numba cannot compile it: `why`, what C is not written for.
+        If numba cannot compile it: `why`, the reason against C.
     """
     body = _entry_text(kernel, sections)
     name = f"block_{kernel.__name__.strip('<>')[:40]}_{fingerprint(kernel, f'{environment()} {body}')}"
@@ -83,26 +83,26 @@ def compile_by_numba(kernel: FunctionType, sections: Sections, why: KernelError)
 
 
 def _twins(functions: list[FunctionType]) -> list[FunctionType]:
-    """Return copies of functions, callees first, that hold what the originals' globals and closures hold now.
+    """Return copies of functions, callees first, with the present values of the originals' globals and closures.
 
-    numba keeps the code of a function it has seen: after a change of a global it would compile the old value again, and that
-    code would be stored under the new one's fingerprint.
+    numba keeps the code of every function it has seen. After a change of a global it would compile the old value again, and store
+    that code under the new fingerprint.
     """
     twins: dict[FunctionType, FunctionType] = {}
     for function in functions:
-        now = {name: twins.get(value, value) if callable(value) else value for name, value in references(function)}
-        seen = [function.__code__, function.__defaults__, function.__kwdefaults__, *now.values()]
-        before, twin = _latest_twin.get(function, ([], function))
-        if len(before) == len(seen) and all(map(operator.is_, before, seen)):
-            twins[function] = twin  # another block calls it too: numba need not compile it again
+        values = {name: twins.get(value, value) if callable(value) else value for name, value in references(function)}
+        state = [function.__code__, function.__defaults__, function.__kwdefaults__, *values.values()]
+        previous, twin = _latest_twin.get(function, ([], function))
+        if len(previous) == len(state) and all(map(operator.is_, previous, state)):
+            twins[function] = twin  # called by another block, too: numba need not compile it again
             continue
-        closure = tuple(CellType(now[name]) for name in function.__code__.co_freevars)
-        # The name of a module that any process can import, which stored code refers to; a function made by exec has none.
-        namespace = {"__name__": __name__, "__builtins__": builtins, **now}
+        closure = tuple(CellType(values[name]) for name in function.__code__.co_freevars)
+        # Stored code refers to this module, which every process can import; a function made by exec has no such module.
+        namespace = {"__name__": __name__, "__builtins__": builtins, **values}
         twin = FunctionType(function.__code__, namespace, function.__name__, function.__defaults__, closure or None)
         twin.__kwdefaults__ = function.__kwdefaults__
         twins[function] = twin
-        _latest_twin[function] = seen, twin
+        _latest_twin[function] = state, twin
     return list(twins.values())
 
 
@@ -112,15 +112,15 @@ def compile_function(function: Any, signature: str, calls: Sequence[Any] = ()) -
     Parameters
     ----------
     function : function
-        What to compile; numba sees it as it stands.
+        The function to compile, unchanged.
     signature : str
-        The only signature it is called with, in numba's notation.
+        The only signature of its calls, in numba's notation.
     calls : sequence of functions
-        Plain functions that it calls, and that these call, such as those of `controllers._linalg`.
+        Plain functions that it calls, directly or not, such as those of `controllers._linalg`.
     """
     arguments = ", ".join(parameters(function))
-    # Without numba's reference counts (_nrt): such functions borrow their arrays and allocate none, and counting atomically
-    # around each call by address took 70 ns a step of the loop, five times what the rest of it takes.
+    # Without numba's reference counts (_nrt): such functions borrow their arrays and allocate none. Atomic counting around each
+    # call by address took 70 ns a step of the loop, five times as long as the rest of it.
     text = (
         f'from numba import njit\n\n@njit({signature!r}, error_model="numpy", nogil=True, cache=True, _nrt=False)\n'
         f"def entry({arguments}):\n    return kernel({arguments})\n"
@@ -129,17 +129,17 @@ def compile_function(function: Any, signature: str, calls: Sequence[Any] = ()) -
 
 
 def compile_raw(function: FunctionType) -> CFunc:
-    """Compile a service function with the engine's own signature, which gets the four addresses, or load it from the disk.
+    """Compile a service function with the engine's signature (four addresses), or load it from the disk.
 
     Parameters
     ----------
     function : function
-        Takes ``(state, parameters, inputs, outputs, t, k)`` and returns a status; numba sees it as it stands.
+        Takes ``(state, parameters, inputs, outputs, t, k)`` and returns a status; compiled unchanged.
 
     Returns
     -------
     numba CFunc
-        Its ``address`` is what the engine calls; keep it alive as long as the address is used.
+        The engine calls its ``address``; keep the object as long as the address is used.
     """
     arguments = ", ".join(parameters(function))
     text = (
@@ -156,14 +156,14 @@ def compile_callback(function: FunctionType, signature: str) -> CFunc:
     Parameters
     ----------
     function : function
-        What a C library calls back; numba sees it as it stands.
+        The callback of a C library; compiled unchanged.
     signature : str
         Its signature in numba's notation, as ``"int32(float64, int64)"``.
 
     Returns
     -------
     numba CFunc
-        Its ``address`` is what the library gets; keep it alive as long as that is used.
+        The library calls its ``address``; keep the object as long as the address is used.
     """
     arguments = ", ".join(parameters(function))
     text = (
@@ -203,17 +203,17 @@ def _load(name: str, text: str, namespace: dict[str, Any], functions: list[Funct
         if name not in _modules:
             _register(functions)
             path = cache_directory("compiled") / f"{name}.py"
-            _drop_what_others_left(path)
+            _remove_foreign_files(path)
             _write_once(path, text)
             try:
                 module = _execute(path, text, namespace)
             except OSError as error:
-                _forget(path)
+                _remove_numba_files(path)
                 raise unwritable(path, error) from None
             except Exception:
-                if not _forget(path):
+                if not _remove_numba_files(path):
                     raise
-                module = _execute(path, text, namespace)  # what another run has left in the cache may have been damaged
+                module = _execute(path, text, namespace)  # the cached files may have been damaged
             hits = _cache_hits(module.entry)
             STATISTICS["loaded" if hits else "compiled"] += 1
             _modules[name] = module
@@ -224,10 +224,10 @@ def _execute(path: Path, text: str, namespace: dict[str, Any]) -> ModuleType:
     module = ModuleType(f"bayesftc_compiled_{path.stem}")
     module.__file__ = str(path)
     module.__dict__.update(namespace)
-    sys.modules[module.__name__] = module  # numba looks the module up by name while it compiles
+    sys.modules[module.__name__] = module  # numba finds the module by name while it compiles
     try:
-        with _no_collection(), announced(not _of_numba(path)):
-            exec(compile(text, str(path), "exec"), module.__dict__)  # our own text, the same as in the file
+        with _no_collection(), announced(not _numba_files(path)):
+            exec(compile(text, str(path), "exec"), module.__dict__)  # generated here, the same text as in the file
     except BaseException:
         del sys.modules[module.__name__]
         raise
@@ -236,7 +236,7 @@ def _execute(path: Path, text: str, namespace: dict[str, Any]) -> ModuleType:
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """Let numba make its many objects without a look, again and again, at which are garbage: a seventh of its time."""
+    """Switch off garbage collection while numba creates many objects; it would take a seventh of the time."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -246,33 +246,33 @@ def _no_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _drop_what_others_left(path: Path) -> None:
-    """Remove the files of a module if one of them is not the user's own: the folder may have been open to others before."""
+def _remove_foreign_files(path: Path) -> None:
+    """Remove a module's files if one of them belongs to another user: the folder may have been writable for others before."""
     beside = path.parent / "__pycache__"
     if beside.exists() and not is_own(beside):
         raise BayesFTCError(
-            f"The folder {beside} belongs to another user, and what lies in it would be run here; remove it, or set "
-            "BAYESFTC_CACHE to another folder of your own."
+            f"The folder {beside} belongs to another user, but its content would be run here. Remove it, or set BAYESFTC_CACHE "
+            "to a folder of your own."
         )
-    if not all(is_own(file) for file in (path, *_of_numba(path)) if file.exists()):
-        _forget(path)
+    if not all(is_own(file) for file in (path, *_numba_files(path)) if file.exists()):
+        _remove_numba_files(path)
         path.unlink(missing_ok=True)
 
 
-def _of_numba(path: Path) -> list[Path]:
+def _numba_files(path: Path) -> list[Path]:
     return [*path.parent.glob(f"__pycache__/{path.stem}.*.nb[ic]")]
 
 
-def _forget(path: Path) -> bool:
+def _remove_numba_files(path: Path) -> bool:
     """Remove numba's files for a module; return whether there were any."""
-    files = _of_numba(path)
+    files = _numba_files(path)
     for file in files:
         file.unlink(missing_ok=True)
     return bool(files)
 
 
 def _refusal(kernel: FunctionType, error: NumbaError) -> KernelError:
-    """Return numba's reason as a sentence."""
+    """Return the error with numba's reason."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip() and not line.startswith("Failed in")]
     return KernelError(
         f"Step function {where(kernel)} cannot be compiled: {' '.join(lines[:3])} Write plain loops over float64 numbers, or set "
@@ -287,7 +287,7 @@ def _cache_hits(entry: Any) -> bool:
 
 
 def _register(functions: list[FunctionType]) -> None:
-    """Let compiled code call these plain functions by their own name."""
+    """Allow compiled code to call these plain functions by name."""
     for function in functions:
         if function not in _registered:
             overload(function, jit_options=_numba_ops.OPTIONS, strict=False)(
@@ -297,7 +297,7 @@ def _register(functions: list[FunctionType]) -> None:
 
 
 def _write_once(path: Path, text: str) -> None:
-    """Bring the file that numba's cache belongs to into being."""
+    """Write the source file of numba's cache, if it does not exist."""
     try:
         stat = path.stat()
         if (stat.st_size, stat.st_mtime) == (len(text.encode()), _STAMP):

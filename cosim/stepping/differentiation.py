@@ -1,8 +1,8 @@
 """Jacobians of step functions, by forward-mode automatic differentiation with dual numbers.
 
-The function is run once on symbols that carry a value and its derivatives with respect to each input number (dual numbers), and
-what happens to them is written down as the text of a new step function. A step function never branches on data, so one run
-says all; and the Jacobian is a step function like any other: plain Python, compiled, or traced again.
+The function is run once on symbols that consist of a value and its derivatives with respect to each input number (dual numbers).
+The operations on them are recorded as the text of a new step function. A step function never branches on data, so one run is
+enough. The Jacobian is an ordinary step function: it runs in Python or compiled, and can be differentiated again.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from bayesftc.cosim.types import Kernel, argument_names
 
 Shape = int | tuple[int, ...]
 Input = tuple[str, int]
-"""Which input number a derivative is by: the name of the argument, the place in it."""
+"""The input number of a derivative: the name of the argument, and the index in it."""
 
-_known: WeakKeyDictionary[FunctionType, dict[Any, tuple[list[Any], Kernel]]] = WeakKeyDictionary()
+_cache: WeakKeyDictionary[FunctionType, dict[Any, tuple[list[Any], Kernel]]] = WeakKeyDictionary()
 
 
 def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Sequence[str]) -> Kernel:
@@ -39,13 +39,13 @@ def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Se
     Parameters
     ----------
     function : function
-        A step function of any arguments, such as ``f(x, u, x_next)``; it must write every element of `output` and nothing else.
+        A step function with any arguments, as ``f(x, u, x_next)``. It must write every element of `output` and nothing else.
     shapes : mapping of str to int or tuple
         The shape of each of its arguments.
     output : str
-        The argument that it writes, a vector.
+        The argument that it writes: a vector.
     wrt : sequence of str
-        The arguments, vectors, with respect to which it is differentiated.
+        The arguments with respect to which it is differentiated: vectors.
 
     Returns
     -------
@@ -56,17 +56,17 @@ def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Se
     Raises
     ------
     KernelError
-        If the function breaks the rules of step functions, does not write its output or writes anything else, or branches on
-        data; the error names the function and the line.
+        If the function breaks the rules of step functions, does not write its output, writes anything else, or branches on data.
+        The error names the function and the line.
 
     Notes
     -----
-    Where the function has a kink the derivative is that of the branch taken there. At a tie that is the second argument's for
-    ``minimum`` and ``maximum``; that of ``absolute`` at zero is 1, that of ``floor`` is zero everywhere.
+    At a kink the derivative is that of the branch taken there. For ``minimum`` and ``maximum`` of equal arguments this is the
+    derivative of the second one. The derivative of ``absolute`` at zero is 1, that of ``floor`` is zero everywhere.
 
-    The derivative of ``sqrt`` at zero is infinite, and NaN where the chain rule multiplies that with zero, as for
-    ``sqrt(square(x))``. The nonlinear controllers take no step to such a point, and none from it; add a small number below the
-    root where it may be met.
+    The derivative of ``sqrt`` at zero is infinite. The chain rule may multiply it by zero, which gives NaN, as for
+    ``sqrt(square(x))``. The nonlinear controllers make no step to or from such a point. If it can occur, add a small number below
+    the root.
 
     Examples
     --------
@@ -80,19 +80,19 @@ def jacobian(function: Kernel, shapes: Mapping[str, Shape], output: str, wrt: Se
     [[0.0, 2.0]]
     """
     names = argument_names(function)
-    assert isinstance(function, FunctionType)  # `argument_names` refuses what is none
+    assert isinstance(function, FunctionType)  # checked by `argument_names`
     _check(function, names, shapes, output, wrt)
     sizes = {name: _tuple(shapes[name]) for name in names}
-    # Blocks ask for the same derivative whenever they are looked at, but numbers of the function's module may change between.
-    now, known = depends_on(function), _known.setdefault(function, {})
+    # Blocks need the same derivative many times, but globals of the function's module may change in between.
+    dependencies, cached = depends_on(function), _cache.setdefault(function, {})
     key = tuple(sizes.items()), output, tuple(wrt)
-    if key not in known or not all(map(operator.is_, known[key][0], now)):
-        known[key] = now, _derived(function, sizes, output, wrt)
-    return known[key][1]
+    if key not in cached or not all(map(operator.is_, cached[key][0], dependencies)):
+        cached[key] = dependencies, _derived(function, sizes, output, wrt)
+    return cached[key][1]
 
 
 def _derived(function: FunctionType, shapes: Mapping[str, tuple[int, ...]], output: str, wrt: Sequence[str]) -> Kernel:
-    parts = functions_called(function)  # refuses what breaks the rules, with the sentences of the compiler
+    functions = functions_called(function)  # raises the compiler's errors for functions that break the rules
     tape = _Tape()
     arrays: dict[str, Any] = {}
     for name, shape in shapes.items():
@@ -102,12 +102,12 @@ def _derived(function: FunctionType, shapes: Mapping[str, tuple[int, ...]], outp
                 partials: dict[Input, Any] = {(name, index[0]): 1.0} if name in wrt else {}
                 array[index] = _Dual(tape, f"{name}[{', '.join(map(str, index))}]", partials)
         arrays[name] = array
-    given = {name: array.copy() for name, array in arrays.items() if name != output}
+    originals = {name: array.copy() for name, array in arrays.items() if name != output}
     try:
         rebound(function, _operations(tape))(*arrays.values())
-    except Exception as error:  # whatever plain Python cannot do with symbols
-        raise _refusal(parts, error) from error
-    for name, array in given.items():
+    except Exception as error:  # anything that Python cannot do with symbols
+        raise _refusal(functions, error) from error
+    for name, array in originals.items():
         if any(a is not b for a, b in zip(array.flat, arrays[name].flat, strict=True)):
             raise KernelError(f"{function.__name__!r} writes into {name}; it must write {output} only.")
     for i, value in enumerate(arrays[output]):
@@ -123,7 +123,7 @@ def _derived(function: FunctionType, shapes: Mapping[str, tuple[int, ...]], outp
             of_value = value.partials if isinstance(value, _Dual) else {}
             for j in range(shapes[name][0]):
                 lines.append(f"{output}_{name}[{i}, {j}] = {_text(of_value.get((name, j), 0.0))}")
-    return _compiled(function, [*given, *(f"{output}_{name}" for name in wrt)], [*tape.lines, *lines])
+    return _compiled(function, [*originals, *(f"{output}_{name}" for name in wrt)], [*tape.lines, *lines])
 
 
 def _check(
@@ -133,15 +133,17 @@ def _check(
     unknown = [name for name in (output, *wrt) if name not in names] or [n for n in names if n not in shapes]
     if unknown:
         raise KernelError(
-            f"{title} has the arguments {', '.join(names)}; {unknown[0]!r} is either none of them or has no shape given."
+            f"{title} has the arguments {', '.join(names)}, but {unknown[0]!r} is none of them, or shapes= has no shape for it."
         )
     for name in (output, *wrt):
         if len(_tuple(shapes[name])) != 1:
-            raise KernelError(f"{title} can be differentiated between vectors only, but {name!r} is an array.")
+            raise KernelError(
+                f"{title} has the array {name!r}, but only vectors can be differentiated; make it a vector."
+            )
 
 
 def _refusal(functions: Sequence[FunctionType], error: Exception) -> KernelError:
-    """Return what to raise for an error while the functions ran on symbols: a sentence with the line that it came from."""
+    """Return the KernelError for an error of functions that ran on symbols, with the line of its origin."""
     codes = {f.__code__: f.__name__ for f in functions}
     place = ""
     for frame, line in walk_tb(error.__traceback__):
@@ -150,7 +152,7 @@ def _refusal(functions: Sequence[FunctionType], error: Exception) -> KernelError
     if isinstance(error, KernelError):
         return KernelError(f"Step function {place} cannot be differentiated: {error}")
     if isinstance(error, IndexError):
-        return KernelError(f"Step function {place} reaches beyond its arguments: {error}.")
+        return KernelError(f"Step function {place} uses an index beyond its arguments: {error}. Correct the index.")
     reason = str(error)
     for symbol, meaning in (
         ("'_Dual' object", "a number of data"),
@@ -178,12 +180,14 @@ def _text(value: Any) -> str:
     if isinstance(value, _Dual | _Condition):
         return value.name
     if not isinstance(value, Real):
-        raise TypeError("what is not yet written is read" if value is None else f"{type(value).__name__} is no number")
+        raise TypeError(
+            "an element is read before it is written" if value is None else f"{type(value).__name__} is no number"
+        )
     return repr(float(value))
 
 
 class _Tape:
-    """The statements so far; an expression that was computed before is not computed again."""
+    """The statements so far; repeated expressions are computed once."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -212,7 +216,7 @@ class _Condition:
 class _Dual:
     """The symbol of a number, with its derivatives by input: numbers, or symbols without derivatives of their own."""
 
-    __array_ufunc__ = None  # so that NumPy's numbers leave the operators to this class
+    __array_ufunc__ = None  # makes NumPy's numbers use this class's operators
     __hash__ = None  # type: ignore[assignment]
 
     def __init__(self, tape: _Tape, name: str, partials: Mapping[Input, Any]):
@@ -281,7 +285,7 @@ def _compared(tape: _Tape, sign: str, a: Any, b: Any) -> _Condition:
 
 
 def _plain(tape: _Tape, sign: str, a: Any, b: Any) -> Any:
-    """Return ``a sign b`` of two values; what numbers alone decide is computed now."""
+    """Return ``a sign b`` of two values; the result of two numbers is computed at once."""
     if isinstance(a, Real) and isinstance(b, Real):
         with np.errstate(all="ignore"):
             x, y = np.float64(a), np.float64(b)
@@ -298,7 +302,7 @@ def _sub(tape: _Tape, a: Any, b: Any) -> Any:
 
 
 def _times(tape: _Tape, a: Any, b: Any) -> Any:
-    """Return the product of a factor and a derivative, in which the exact zeros and ones of a Jacobian are not computed with."""
+    """Return the product of a factor and a derivative; factors of exactly 1 are left out."""
     if isinstance(a, Real) and a == 1.0:
         return b
     if isinstance(b, Real) and b == 1.0:
@@ -323,7 +327,7 @@ def _divided(tape: _Tape, a: Any, b: Any) -> Any:
 
 
 def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
-    """Return what stands for each operation while a function is run on symbols."""
+    """Return the versions of all operations for symbols."""
 
     def call(name: str, *arguments: Any) -> Any:
         symbol = tape.name(f"{name}({', '.join(map(_text, arguments))})")
@@ -335,7 +339,7 @@ def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
         )
 
     def chosen(name: str, condition: Any, a: Any, b: Any) -> Any:
-        """Return ``select``, whose derivative is that of the alternative that is chosen."""
+        """Return ``select``; its derivative is that of the chosen alternative."""
         value = call(name, condition, _value(a), _value(b))
         of_a, of_b = (x.partials if isinstance(x, _Dual) else {} for x in (a, b))
         partials = {}

@@ -1,7 +1,7 @@
-"""A hash of all that a step function's compiled form depends on, and the check that it keeps the block contract.
+"""A hash of everything that a step function's compiled form depends on, and the check of the block contract.
 
-The hash is taken over code objects, not text: it follows every function that is called, in whichever file it stands (or in
-none: a notebook, the REPL), ignores comments and line numbers, and includes the constants that globals and closures hold.
+The hash is computed from code objects, not from text. It includes every called function, in any file (or in none: a notebook, the
+REPL), and the constants in globals and closures. It ignores comments and line numbers.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
 _BUILTINS = frozenset({range, len})
 _ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)
 _FORBIDDEN = {
-    "IMPORT_NAME": "imports inside; import from bayesftc.cosim.ops at the top of the file",
+    "IMPORT_NAME": "contains an import; import from bayesftc.cosim.ops at the top of the file",
     "STORE_GLOBAL": "writes a global variable; declare a state instead",
     **dict.fromkeys(
         ("BUILD_LIST", "BUILD_SET", "BUILD_MAP", "LIST_APPEND", "SET_ADD", "MAP_ADD"),
-        "makes a list, set or dictionary, but must allocate nothing; declare a state, or a constant outside of it",
+        "creates a list, set or dictionary, but must not allocate memory; declare a state, or a constant outside the function",
     ),
     "STORE_DEREF": "writes a variable of the enclosing function; declare a state instead",
 }
@@ -38,7 +38,7 @@ _FORBIDDEN = {
 
 @cache
 def environment() -> str:
-    """Return what else depends on what numba compiles: versions, the processor, and this package's compiling modules."""
+    """Return what numba's code depends on besides the function: versions, the processor, this package's compiling modules."""
     import platform
 
     import llvmlite
@@ -48,7 +48,7 @@ def environment() -> str:
     from bayesftc.cosim.stepping import compiler as _compiler, numba_ops as _numba_ops
 
     features = ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
-    # The code that this process has loaded, not the files, which may have been edited since.
+    # From the loaded code, as the files may have been edited since.
     options = _numba_ops.OPTIONS
     sources = [str(options), _code_text(_compiler.as_floats._defn.__code__)]
     sources += [_code_text(f.__code__) for _, f in sorted(vars(_numba_ops).items()) if isinstance(f, FunctionType)]
@@ -61,7 +61,7 @@ def environment() -> str:
 
 
 def functions_called(function: FunctionType) -> list[FunctionType]:
-    """Return `function` and every plain function it reaches, callees first, after checking each against the contract."""
+    """Return `function` and every plain function that it calls, callees first; check that each keeps the contract."""
     ordered: list[FunctionType] = []
     _visit(function, ordered, [], _fields(function, set()))
     return ordered
@@ -74,7 +74,7 @@ def _visit(
         names = " -> ".join(f.__name__ for f in [*path, function])
         at = where(path[-1], line_of(path[-1], function.__name__))
         raise KernelError(
-            f"The step function calls itself ({names}): {at}; a recursion cannot be compiled: write a loop."
+            f"The step function calls itself ({names}) in {at}. A recursion cannot be compiled; write a loop."
         )
     if function in ordered:
         return
@@ -84,12 +84,12 @@ def _visit(
         elif not _allowed(value):
             at = where(function, line_of(function, name))
             raise KernelError(
-                f"Step function {at} uses {name!r} ({_describe(value)}); a step function may use only numbers, "
-                "range, len, other such functions, classes of records, and the mathematics of bayesftc.cosim.ops "
+                f"Step function {at} uses {name!r} ({_describe(value)}), but a step function may use only numbers, "
+                "range, len, other step functions, classes of records, and the mathematics of bayesftc.cosim.ops "
                 f"({', '.join(ops.NAMES)})."
                 f"{instead_of(function, name, value)}"
             )
-    if not hasattr(function, "tree"):  # else it was made from one that keeps the contract
+    if not hasattr(function, "tree"):  # a function with a tree was generated from one that was checked
         _check_code(function, function.__code__, fields)
     ordered.append(function)
 
@@ -103,15 +103,17 @@ def references(function: FunctionType) -> Iterator[tuple[str, Any]]:
             yield name, getattr(builtins, name)
         else:
             at = where(function, line_of(function, name))
-            raise KernelError(f"Step function {at} uses {name!r}, which is not defined.")
+            raise KernelError(f"Step function {at} uses {name!r}, which is not defined; define it.")
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
             yield name, cell.cell_contents
         except ValueError:  # the variable of the enclosing function has no value yet
-            raise KernelError(f"Step function {where(function)} uses {name!r}, which has no value yet.") from None
+            raise KernelError(
+                f"Step function {where(function)} uses {name!r}, which has no value yet; assign it before."
+            ) from None
 
 
-@lru_cache(maxsize=4096)  # each function is asked a dozen times on its way to machine code
+@lru_cache(maxsize=4096)  # called a dozen times for each function until it is compiled
 def _globals_read(code: CodeType) -> tuple[str, ...]:
     return tuple(dict.fromkeys(str(i.argval) for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"))
 
@@ -119,17 +121,17 @@ def _globals_read(code: CodeType) -> tuple[str, ...]:
 def depends_on(function: FunctionType) -> list[Any]:
     """Return all objects on which a step function's code depends.
 
-    While they are the same objects, so is the function's fingerprint, which costs more, and all that was made from its code.
+    While these are the same objects, the fingerprint (which takes longer to compute) and all results from the code stay valid.
     """
-    found: list[Any] = []
+    objects: list[Any] = []
     functions = [function]
     for reached in functions:  # the list grows by what it calls
         values = [reached.__globals__.get(name) for name in reached.__code__.co_names]
         values += reached.__closure__ or ()
         values += [cell.cell_contents for cell in reached.__closure__ or () if _filled(cell)]
-        found += [reached.__code__, reached.__defaults__, reached.__kwdefaults__, *values]
+        objects += [reached.__code__, reached.__defaults__, reached.__kwdefaults__, *values]
         functions += [value for value in values if isinstance(value, FunctionType) and value not in functions]
-    return found
+    return objects
 
 
 def _filled(cell: CellType) -> bool:
@@ -151,14 +153,14 @@ def _allowed(value: Any) -> bool:
 def _check_code(function: FunctionType, code: CodeType, fields: Collection[str]) -> None:
     if any(isinstance(constant, CodeType) for constant in code.co_consts):
         raise KernelError(
-            f"Step function {where(function)} has a function or comprehension inside; move the function outside, and write "
-            "a loop for the comprehension."
+            f"Step function {where(function)} contains a function or comprehension. Move the function outside, and write a loop "
+            "instead of the comprehension."
         )
     if not all(
         _allowed(value) for value in (*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).values())
     ):
         raise KernelError(
-            f"Function {where(function)} has a default that is no number; a step function cannot call it so."
+            f"Function {where(function)} has a default that is no number, so a step function cannot call it; use a number."
         )
 
     def at(instruction: dis.Instruction) -> str:
@@ -169,35 +171,35 @@ def _check_code(function: FunctionType, code: CodeType, fields: Collection[str])
             raise KernelError(f"Step function {at(instruction)} {_FORBIDDEN[instruction.opname]}.")
         if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("@"):
             raise KernelError(
-                f"Step function {at(instruction)} uses '@', which allocates and sums in another order; write loops."
+                f"Step function {at(instruction)} uses '@', which allocates memory and sums in another order; write loops."
             )
         if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("**"):
             raise KernelError(
-                f"Step function {at(instruction)} uses '**', which rounds differently in compiled code: "
-                "multiply, or use ops.square, ops.sqrt or ops.exp."
+                f"Step function {at(instruction)} uses '**', which rounds differently in compiled code. "
+                "Multiply, or use ops.square, ops.sqrt or ops.exp."
             )
-        called = "METHOD" in instruction.opname or "NULL" in instruction.argrepr  # as those of a module may be, too
+        called = "METHOD" in instruction.opname or "NULL" in instruction.argrepr  # a method, or a function of a module
         allowed = ops.NAMES if called else {*_ATTRIBUTES, *fields}
         if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and instruction.argval not in allowed:
             raise KernelError(
-                f"Step function {at(instruction)} uses the attribute {instruction.argval!r}; of arrays only shape, size and "
-                "indexing are available to a step function, of records their fields."
+                f"Step function {at(instruction)} uses the attribute {instruction.argval!r}. A step function may use only shape, "
+                "size, ndim and indexing of arrays, and fields of records."
             )
 
 
 def _fields(function: FunctionType, seen: set[FunctionType]) -> set[str]:
-    """Return the names of the fields of all records that a function and those that it calls know."""
+    """Return the field names of all records that a function, or one that it calls, refers to."""
     seen.add(function)
-    found: set[str] = set()
+    names: set[str] = set()
     for _, value in references(function):
-        found |= set(getattr(value, "_fields", ()))
+        names |= set(getattr(value, "_fields", ()))
         if isinstance(value, FunctionType) and value not in seen:
-            found |= _fields(value, seen)
-    return found
+            names |= _fields(value, seen)
+    return names
 
 
 def where(function: Callable[..., Any], line: int | None = None) -> str:
-    """Return a readable name and place of a function, or of a line in it."""
+    """Return the name, file and line of a function, or of a line in it, as text."""
     code = as_written(function).__code__
     return f"{function.__name__!r} ({Path(code.co_filename).name}, line {line or code.co_firstlineno})"
 
@@ -209,7 +211,7 @@ def _describe(value: Any) -> str:
 
 
 def fingerprint(function: FunctionType, specialisation: str) -> str:
-    """Return a hexadecimal hash of `function`, all it calls, and what it is compiled for."""
+    """Return a hexadecimal hash of `function`, all functions that it calls, and the specialisation."""
     digest = hashlib.sha256(f"{specialisation}\n".encode())
     called = functions_called(function)
     number = {reached: f"function {i}" for i, reached in enumerate(called)}
@@ -222,9 +224,9 @@ def fingerprint(function: FunctionType, specialisation: str) -> str:
 
 
 def service_fingerprint(function: FunctionType, text: str) -> str:
-    """Return a hexadecimal hash of a service function of the engine, all that it calls, and the wrapper around it.
+    """Return a hexadecimal hash of a service function of the engine, all functions that it calls, and its wrapper.
 
-    It is taken over the code that this process has loaded: the files may have been edited since.
+    It is computed from the loaded code, as the files may have been edited since.
     """
     digest = hashlib.sha256(f"{environment()}\n{text}\n".encode())
     visited: list[FunctionType] = []
@@ -269,7 +271,7 @@ def _text(value: Any, number: dict[FunctionType, str]) -> str:
         return "ops"  # no other module passes the check
     if is_record_class(value):
         return f"record {value.__name__}({','.join(value._fields)})"
-    if callable(value):  # functions of the same name are told apart by their place among those called
+    if callable(value):  # the index distinguishes functions of the same name
         return number.get(value) or f"{value.__module__}.{value.__name__}"
     return f"{type(value).__name__} {value!r}"
 

@@ -1,4 +1,4 @@
-"""What to write in a step function instead of what it may not use."""
+"""Replacements for names that a step function may not use."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _INSTEAD = _SAME | {
     "matmul": "loops",
     "max": "ops.maximum",
     "min": "ops.minimum",
-    "open": "a parameter of the block that holds what is in the file",
+    "open": "a parameter of the block with the content of the file",
     "pi": "a parameter of the block, or a number of the file: PI = math.pi",
     "pow": "ops.square, ops.sqrt, ops.exp or products",
     "power": "ops.square, ops.sqrt, ops.exp or products",
@@ -44,7 +44,7 @@ _INSTEAD = _SAME | {
 
 
 def line_of(function: FunctionType, name: str) -> int:
-    """Return the line in which a function reads a global or enclosing name first."""
+    """Return the line in which a function first reads a global or enclosing name."""
     for instruction in dis.get_instructions(function.__code__):
         if instruction.argval == name and instruction.positions and instruction.positions.lineno:
             return instruction.positions.lineno
@@ -52,23 +52,23 @@ def line_of(function: FunctionType, name: str) -> int:
 
 
 def instead_of(function: FunctionType, name: str, value: Any) -> str:
-    """Return a sentence with what to write instead of a name that a step function may not use; empty where there is none."""
+    """Return a sentence with the replacement for a name that a step function may not use; empty if there is none."""
     if isinstance(value, type) and issubclass(value, BaseException):
-        return " Errors cannot be raised or caught: choose with ops.select, or let a NaN tell."
+        return " Errors cannot be raised or caught; use ops.select, or return NaN."
     if not callable(value) and not isinstance(value, ModuleType):
-        return " Give what is in it to the step function as a parameter of the block."
+        return " Give its content to the step function as a parameter of the block."
     if isinstance(value, ModuleType):
         member = _member(function, name)
         if value.__name__.partition(".")[0] == "random" or member == "random":
             return ' Random numbers are inputs: Port("noise", draw="normal").'
-        found, meant = _INSTEAD.get(member), f"{name}.{member}"
+        replacement, original = _INSTEAD.get(member), f"{name}.{member}"
     else:
-        found, meant = _INSTEAD.get(name), name
-    return f" Instead of {meant} take {found}." if found else ""
+        replacement, original = _INSTEAD.get(name), name
+    return f" Instead of {original} use {replacement}." if replacement else ""
 
 
 def _member(function: FunctionType, module: str) -> str:
-    """Return what a function takes of a module first."""
+    """Return the first attribute of a module that a function uses."""
     before = None
     for instruction in dis.get_instructions(function.__code__):
         if before == module and instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"}:

@@ -1,4 +1,4 @@
-"""Files of compiled code in the user's cache folder: written whole or not at all, and taken only if they are the user's own."""
+"""Files of compiled code in the user's cache folder: written completely or not at all, and read only if the user owns them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from bayesftc.cosim.base.cache import is_own
 from bayesftc.cosim.errors import BayesFTCError
 
 STATISTICS = {"compiled": 0, "loaded": 0}
-"""How many functions this process has compiled, and how many came ready from the disk."""
+"""How many functions this process has compiled, and how many it has loaded from the disk."""
 
 
 def write_whole(path: Path, content: bytes, stamp: float | None = None) -> None:
-    """Bring a file into being, whole, and with this time stamp whoever writes it.
+    """Write a complete file, with a fixed time stamp if given.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def write_whole(path: Path, content: bytes, stamp: float | None = None) -> None:
 
 
 def read_own(path: Path) -> bytes | None:
-    """Return what is in a file; None if there is none, or if it is not the user's own: the folder may once have been open."""
+    """Return the content of a file; None if it does not exist or belongs to another user."""
     try:
         return path.read_bytes() if is_own(path) else None
     except OSError:
@@ -44,8 +44,8 @@ def read_own(path: Path) -> bytes | None:
 
 
 def unwritable(path: Path, error: OSError) -> BayesFTCError:
-    """Return the error that a folder cannot be written."""
+    """Return the error for a cache folder that cannot be written."""
     return BayesFTCError(
-        f"The cache folder {path.parent} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a folder that can be, "
-        "or make room there."
+        f"The cache folder {path.parent} cannot be written ({error.strerror}); set BAYESFTC_CACHE to a writable folder, or make "
+        "room there."
     )

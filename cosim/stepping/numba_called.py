@@ -1,11 +1,11 @@
-"""How functions of the engine that only other compiled ones call are marked: machine code is made of their callers alone."""
+"""Decorators for the engine's functions that only compiled functions call: machine code is generated for their callers only."""
 
 from numba.extending import register_jitable
 
 from bayesftc.cosim.stepping.numba_ops import OPTIONS
 
 inlined = register_jitable(**OPTIONS)
-"""Marks what is inlined wherever it is called."""
+"""Marks a function that is always inlined."""
 
 callee = register_jitable(**{**OPTIONS, "forceinline": False})
-"""Marks what is inlined where LLVM finds that it pays."""
+"""Marks a function that LLVM inlines if it is worth while."""

@@ -1,8 +1,8 @@
-"""How numba compiles a function that is only called by others, not optimised by itself.
+"""A numba pipeline for functions that only compiled functions call: they are not optimised separately.
 
-numba optimises every function and makes machine code of it as it comes to it, and then again in each of its callers. All
-functions below a step function are inlined into it, so that theirs is work for nothing: without it a controller compiles
-in half the time, and runs as fast.
+numba optimises every function and generates its machine code, and does so again in each caller. All functions that a step
+function calls are inlined into it, so the first pass is wasted. Without it, a controller compiles in half the time and runs as
+fast.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numba.core.typed_passes import NativeLowering
 
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
-    """LLVM text that is there to be linked into another library."""
+    """LLVM text that is only linked into another library."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
@@ -32,7 +32,7 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):  # type: ignore[misc]
-    """numba's own, up to machine code."""
+    """numba's lowering without machine code."""
 
     _name = "callee_lowering"
 
@@ -46,7 +46,7 @@ class _Lowering(NativeLowering):  # type: ignore[misc]
             state.flags = flags
         state.library.finalize()
         described, call_helper, _, environment = state.cr
-        # numba wants an entry for calls from Python; as for any function without a wrapper, it has no address.
+        # numba needs an entry for calls from Python; like every function without a wrapper, it has no address.
         entry = _dynfunc.make_function(
             described.lookup_module(), described.qualname, "", 0, environment, (state.library,)
         )
@@ -56,7 +56,7 @@ class _Lowering(NativeLowering):  # type: ignore[misc]
 
 
 class Callee(CompilerBase):  # type: ignore[misc]
-    """numba's pipeline for functions without Python objects, with our last pass."""
+    """numba's pipeline for functions without Python objects, with another last pass."""
 
     def define_pipelines(self) -> list[Any]:
         """Return the one pipeline; see numba's documentation of custom pipelines."""

@@ -1,4 +1,4 @@
-"""What numba puts in place of each function of :mod:`bayesftc.cosim.ops`; imported only when something is compiled."""
+"""numba's implementations of the functions of :mod:`bayesftc.cosim.ops`; imported only for compiling."""
 
 from importlib import import_module
 from typing import Any
@@ -12,13 +12,15 @@ from bayesftc.cosim.base.warnings_shown import warn_user
 
 
 def _of_library(name: str) -> Any:
-    """Return a function of C's library, which CPython calls too; where that raises, this returns what IEEE 754 says."""
+    """Return a function of the C library, which CPython uses, too; where CPython raises, it returns the IEEE 754 result."""
     function = getattr(np, name)
     return lambda x: function(x)
 
 
 def _select(condition, a, b):
-    return (float(a) if condition else float(b)) + 0.0  # the same number as from two terms, in half the operations
+    return (
+        float(a) if condition else float(b)
+    ) + 0.0  # the same bits as the sum of two terms, with half the operations
 
 
 def _both(a, b):
@@ -38,23 +40,24 @@ def _isnan(x):
 
 
 OPTIONS = {"error_model": "numpy", "forceinline": True}
-"""How every function called from a step function is compiled: 1/0 is infinite, and calls cost nothing."""
+"""Compiler options of every function that a step function calls: 1/0 is infinite, and calls are inlined."""
 
 KNOWN = (0, 69)
-"""The first version of numba whose inside nobody has compared with what our pipelines expect of it."""
+"""The first version of numba with which our pipelines were not checked."""
 
 
 def _pipeline(module: str, name: str) -> Any:
-    """Return one of our pipelines, which take numba's inside for granted; None, with a warning, where that may be another."""
-    reason = f"it is newer than what this bayesftc knows, numba {KNOWN[0]}.{KNOWN[1] - 1}"
+    """Return one of our pipelines, which use private parts of numba; None, with a warning, if these may have changed."""
+    reason = f"it is newer than numba {KNOWN[0]}.{KNOWN[1] - 1}, the newest that this bayesftc supports"
     if numba.version_info.short < KNOWN:
         try:
             return getattr(import_module(f"bayesftc.cosim.stepping.{module}"), name)
         except (ImportError, AttributeError) as error:
-            reason = f"its inside is not as expected ({error})"
+            reason = f"its private parts have changed ({error})"
     warn_user(
-        f"numba {numba.__version__} compiles step functions in its own way, as {reason}: the numbers are the same, but compiling "
-        f"takes longer, and runs may. Take a newer bayesftc, or 'numba<{KNOWN[0]}.{KNOWN[1]}'."
+        f"numba {numba.__version__} compiles step functions without this package's pipeline, as {reason}. The numbers are the "
+        "same, but compiling takes longer, and runs may be slower. Install a newer bayesftc, or "
+        f"'numba<{KNOWN[0]}.{KNOWN[1]}'."
     )
     return None
 

@@ -1,8 +1,8 @@
-"""Records: how a step function takes many arrays as few arguments, which the rest of the house sees one by one.
+"""Records group many arrays into few arguments of a step function; the rest of the package uses the arrays one by one.
 
-A record is a ``NamedTuple`` class of arrays. `Definition.records` says, by a record whose fields are *names*, of which ports and
-entries an argument consists. What everything else works with is a function written here, whose arguments are these arrays
-themselves. Compiled steps are as fast as without records; to compile them takes longer, for numba looks at each access.
+A record is a ``NamedTuple`` class of arrays. `Definition.records` has records whose fields are *names*: the ports and entries of
+which an argument consists. The rest of the package uses a generated function whose arguments are the arrays themselves. Compiled
+steps are as fast as without records, but compiling takes longer, as numba analyses each access.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bayesftc.cosim.stepping.source.written import function_from_text
 from bayesftc.cosim.types import Kernel, argument_names
 
 MOST_FIELDS = 30
-"""Python makes a list of more arguments of a call, which a step function must not; records can stand in records."""
+"""With more arguments, Python builds a list for a call, which a step function must not do. Records can contain records."""
 
 
 def is_record_class(value: Any) -> bool:
@@ -26,20 +26,20 @@ def is_record_class(value: Any) -> bool:
 
 
 def named_alike(record: type, prefix: str = "", **others: Any) -> Any:
-    """Return a record in which each field is its own name behind a prefix, but for `others`."""
+    """Return a record of names: each field is a prefix and the field's name, except `others`."""
     fields: tuple[str, ...] = record._fields  # type: ignore[attr-defined]
     return record(**{**{field: prefix + field for field in fields}, **others})
 
 
 def with_arrays(kernel: Kernel | None, records: Mapping[str, Any]) -> Kernel | None:
-    """Return the step function that takes, instead of records, all their arrays; itself if it takes none.
+    """Return a step function that takes the arrays of records instead of records; `kernel` itself if it has no records.
 
     Parameters
     ----------
     kernel : function or None
         A step function.
     records : mapping of str to NamedTuple of str
-        For arguments of it that are records, the names of the arrays; a field may itself be such a record.
+        For its record arguments, the names of the arrays; a field may itself be such a record.
     """
     if kernel is None or not set(records) & set(argument_names(kernel)):
         return kernel
@@ -49,19 +49,19 @@ def with_arrays(kernel: Kernel | None, records: Mapping[str, Any]) -> Kernel | N
 
 
 def as_written(kernel: Kernel) -> Kernel:
-    """Return the step function as its author wrote it, with records: whose file and lines are named where something is wrong."""
-    found: Kernel = getattr(kernel, "written", kernel)
-    return found
+    """Return the author's step function, with records; errors name its file and lines."""
+    original: Kernel = getattr(kernel, "written", kernel)
+    return original
 
 
 def written(record: Any) -> str:
-    """Return the expression that makes a record of the arrays that a record of names names."""
+    """Return the expression that builds a record of arrays, from a record of their names."""
     fields = (field if isinstance(field, str) else written(field) for field in record)
     return f"{type(record).__name__}({', '.join(fields)})"
 
 
 def _key(record: Any) -> tuple[Any, ...]:
-    """Return a record of names with its class, so that records of two classes are not taken for one."""
+    """Return a record of names with its class, to distinguish records of two classes."""
     cls = type(record)
     if not is_record_class(cls) or cls._field_defaults or len(record) > MOST_FIELDS:
         raise KernelError(
@@ -71,15 +71,15 @@ def _key(record: Any) -> tuple[Any, ...]:
     for field in record:
         if isinstance(field, str) and (not field.isidentifier() or iskeyword(field)):
             raise KernelError(
-                f"The record {cls.__name__} names {field!r}, as which no port or entry can be an argument."
+                f"The record {cls.__name__} has the name {field!r}, which cannot be an argument; use a plain identifier."
             )
     return cls, tuple(field if isinstance(field, str) else _key(field) for field in record)
 
 
-# The same step function gives the same one, so that it is compiled once for however many blocks.
+# The same step function gives the same result, so that it is compiled once for any number of blocks.
 @lru_cache(maxsize=1024)
 def _flat(kernel: Kernel, arguments: tuple[str, ...], records: tuple[tuple[str, tuple[Any, ...]], ...]) -> Kernel:
-    known = dict(records)
+    record_keys = dict(records)
     classes: dict[type, str] = {}
     arrays: dict[str, None] = {}  # a set that keeps the order
 
@@ -93,15 +93,15 @@ def _flat(kernel: Kernel, arguments: tuple[str, ...], records: tuple[tuple[str, 
             parts.append(field if isinstance(field, str) else text(field))
         return f"{name}({', '.join(parts)})"
 
-    given = []
+    expressions = []
     for name in arguments:
-        if name in known:
-            given.append(text(known[name]))
+        if name in record_keys:
+            expressions.append(text(record_keys[name]))
         else:
             arrays[name] = None
-            given.append(name)
+            expressions.append(name)
     names = {name: cls for cls, name in classes.items()} | {"with_records": kernel}
-    made = function_from_text("of_arrays", arrays, [f"with_records({', '.join(given)})"], names)
-    made.__name__ = kernel.__name__
-    made.__dict__["written"] = kernel
-    return made
+    result = function_from_text("of_arrays", arrays, [f"with_records({', '.join(expressions)})"], names)
+    result.__name__ = kernel.__name__
+    result.__dict__["written"] = kernel
+    return result

@@ -1,4 +1,4 @@
-"""Step functions run on symbols: a copy of a function, and of all it calls, that takes its mathematics from elsewhere."""
+"""Step functions that run on symbols: copies of a function, and of all functions that it calls, with other operations."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from bayesftc.cosim.stepping.fingerprint import references
 
 
 def rebound(function: Callable[..., Any], operations: Mapping[str, Callable[..., Any]]) -> Callable[..., Any]:
-    """Return a copy of a step function in which the `operations` stand for those of `bayesftc.cosim.ops`.
+    """Return a copy of a step function in which `operations` replace those of `bayesftc.cosim.ops`.
 
     Parameters
     ----------
     function : function
         A step function, or a function that one calls.
     operations : mapping of str to function
-        A function for each name in `ops.NAMES` that is called.
+        A function for each called name in `ops.NAMES`.
     """
-    given = {getattr(ops, name): operation for name, operation in operations.items()}
+    replacements = {getattr(ops, name): operation for name, operation in operations.items()}
     namespace = SimpleNamespace(**operations)
     copies: dict[FunctionType, FunctionType] = {}
 
@@ -28,7 +28,7 @@ def rebound(function: Callable[..., Any], operations: Mapping[str, Callable[...,
         if value is ops:
             return namespace
         if isinstance(value, FunctionType):
-            return given.get(value) or copy(value)
+            return replacements.get(value) or copy(value)
         return value
 
     def copy(original: FunctionType) -> FunctionType:
@@ -36,16 +36,16 @@ def rebound(function: Callable[..., Any], operations: Mapping[str, Callable[...,
             return copies[original]
         names: dict[str, Any] = {}
         cells = {name: CellType() for name in original.__code__.co_freevars}
-        made = FunctionType(
+        result = FunctionType(
             original.__code__, names, original.__name__, original.__defaults__, tuple(cells.values()) or None
         )
-        copies[original] = made  # before what it calls is copied, for that may call it again
+        copies[original] = result  # before its callees are copied, as they may call it again
         for name, value in references(original):
             if name in cells:
                 cells[name].cell_contents = replacement(value)
             else:
                 names[name] = replacement(value)
-        return made
+        return result
 
     assert isinstance(function, FunctionType)
     return copy(function)

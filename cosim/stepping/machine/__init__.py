@@ -1,1 +1,1 @@
-"""Machine code of step functions: the C that is written of them, as LLVM takes it."""
+"""Machine code of step functions, compiled by LLVM from their C."""

@@ -1,4 +1,4 @@
-"""Machine code: LLVM makes it of its own text, and it is loaded from the disk where it was made before."""
+"""Machine code: compiled by LLVM from its text format, or loaded from the disk."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ _DIGEST = 32
 
 
 def machine_code(text: str) -> bytes:
-    """Return the object file of a module in LLVM's text, made for this machine's processor."""
+    """Return the object file of a module in LLVM's text format, compiled for this machine's processor."""
     machine = _machine()
     module = llvm.parse_assembly(text, llvm.create_context())
     module.data_layout = str(machine.target_data)
     module.triple = llvm.get_process_triple()
-    # LLVM unrolls nested loops late, when it looks no more for what the copies have in common. A quick pass before the full one
-    # has them unrolled by then.
+    # LLVM unrolls nested loops so late that it no longer finds common parts of the copies. A quick pass before the full one
+    # unrolls them earlier.
     for level in (1, _SPEED):
         tuning = llvm.create_pipeline_tuning_options(speed_level=level)
-        tuning.loop_vectorization = True  # but not of single operations side by side: it makes chains longer
+        tuning.loop_vectorization = True  # but no SLP vectorization, which makes chains of operations longer
         builder = llvm.create_pass_builder(machine, tuning)
         builder.getModulePassManager().run(module, builder)
-    found: bytes = machine.emit_object(module)
-    return found
+    code: bytes = machine.emit_object(module)
+    return code
 
 
 def sealed(code: bytes) -> bytes:
-    """Return code with its hash before it, as it is kept in a file: half a file must never run."""
+    """Return code with its hash before it, for a file: an incomplete file must never run."""
     return hashlib.sha256(code).digest() + code
 
 
-def opened(kept: bytes) -> bytes | None:
-    """Return the code out of a file; None if it is not whole."""
-    digest, code = kept[:_DIGEST], kept[_DIGEST:]
+def opened(content: bytes) -> bytes | None:
+    """Return the code of a file's content; None if it is not complete."""
+    digest, code = content[:_DIGEST], content[_DIGEST:]
     return code if hashlib.sha256(code).digest() == digest else None
 
 
 def load(code: bytes, name: str) -> int:
-    """Return the address of a function of an object file; the code lives as long as the process."""
+    """Return the address of a function of an object file; the code stays loaded until the process ends."""
     engine = _engine()
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -56,14 +56,14 @@ def load(code: bytes, name: str) -> int:
 
 @cache
 def features() -> str:
-    """Return what this processor can do, without AVX-512, with which LLVM compares into mask registers for each `select`.
+    """Return this processor's features without AVX-512, with which LLVM uses mask registers for each `select`.
 
-    The way there and back is several cycles long, and a step of a controller is one long chain of such operations.
+    Moving values to these registers and back takes several cycles, and a controller's step is one long chain of such operations.
     """
-    found = llvm.get_host_cpu_features()
+    present_features = llvm.get_host_cpu_features()
     return ",".join(
         f"{'+' if present and not name.startswith(('avx512', 'avx10')) else '-'}{name}"
-        for name, present in sorted(found.items())
+        for name, present in sorted(present_features.items())
     )
 
 

@@ -1,8 +1,8 @@
-"""From C to the text that LLVM reads: just the C that `bayesftc.cosim.stepping.translate` writes.
+"""Translate C to LLVM's text format, for the C that `bayesftc.cosim.stepping.translate` writes.
 
-That C is the one definition of what a compiled step function computes: it is exported, and here it becomes machine code. Its
-types are double, int64_t, int (which is only ever a truth value), pointers to double, structs of numbers that functions return,
-and constant tables. Each variable is a place in memory here; LLVM makes registers of them.
+This C is the single definition of a compiled step function: it is exported, and here it becomes machine code. Its types are
+double, int64_t, int (only for truth values), pointers to double, structs of numbers that functions return, and constant tables.
+Each variable is placed in memory here; LLVM puts them into registers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bayesftc.cosim import ops
 
 DOUBLE, WHOLE, TRUTH, POINTER, LITERAL = "double", "i64", "i1", "ptr", "literal"
 _RANKS = (TRUTH, LITERAL, WHOLE, DOUBLE)
-"""Of two operands, the one of the lower rank is turned into the other's type."""
+"""Of two operands, the one of the lower rank is converted to the other's type."""
 
 _TYPES = {"double": DOUBLE, "int64_t": WHOLE, "int": TRUTH, "void": "void"}
 _LIBRARY = {name: f"llvm.{name}.f64" for name in ops.OF_LIBRARY.values()}
@@ -34,12 +34,12 @@ _SELECT = """define internal double @f.op_select(i1 %c, double %a, double %b) {
   %sum = fadd double %chosen, 0.0
   ret double %sum
 }"""
-"""The same number as from C's two terms, in half the operations."""
+"""The same bits as C's sum of two terms, with half the operations."""
 
 
 @dataclass(frozen=True)
 class Term:
-    """A value: its type, and how it stands in LLVM's text; of a literal, the number."""
+    """A value: its type, and its text in LLVM; for a literal, the number."""
 
     type: str
     text: Any
@@ -47,7 +47,7 @@ class Term:
 
 @dataclass
 class Signature:
-    """What a function returns and takes."""
+    """The types that a function returns and takes."""
 
     returns: str
     arguments: list[str]
@@ -55,10 +55,10 @@ class Signature:
 
 @dataclass
 class Unit:
-    """What a file of C declares."""
+    """The declarations of a C file."""
 
     records: dict[str, str] = field(default_factory=dict)
-    tables: dict[str, str] = field(default_factory=dict)  # of each, its elements' type
+    tables: dict[str, str] = field(default_factory=dict)  # element type by name
     functions: dict[str, Signature] = field(default_factory=dict)
 
     def type_of(self, node: c_ast.Node) -> str:
@@ -77,7 +77,7 @@ def lowered(c: str, apart: Iterable[str] = ()) -> str:
     c : str
         Definitions of types, tables and static functions, and one function that is not static.
     apart : iterable of str
-        Functions whose pointers lead to memory that does not overlap.
+        Functions whose pointers point to memory that does not overlap.
     """
     unit, parts = Unit(), [f"declare double @{name}(double)" for name in _LIBRARY.values()]
     for node in CParser().parse(_plain(c)).ext:
@@ -112,7 +112,7 @@ def _table(unit: Unit, node: c_ast.Decl) -> str:
 
 
 def _literal(node: c_ast.Node) -> int | float:
-    """Return a number as it stands in C."""
+    """Return the number of a C expression."""
     if isinstance(node, c_ast.Cast):
         return _literal(node.expr)
     if isinstance(node, c_ast.UnaryOp):
@@ -123,7 +123,7 @@ def _literal(node: c_ast.Node) -> int | float:
 
 
 def _number(kind: str, value: float) -> str:
-    """Return a number of a type as LLVM reads it back, to the last bit."""
+    """Return a number as LLVM text that preserves every bit."""
     if kind == POINTER:  # a row that is chosen later
         return "null"
     if kind == DOUBLE:
@@ -132,7 +132,7 @@ def _number(kind: str, value: float) -> str:
 
 
 def _common(one: Term, other: Term) -> str:
-    """Return the type in which C works with two values."""
+    """Return the type in which C combines two values."""
     kind = max(one.type, other.type, key=_RANKS.index)
     if kind in {LITERAL, WHOLE}:  # a literal is a double if it has a point
         return DOUBLE if float in {type(one.text), type(other.text)} else WHOLE
@@ -147,19 +147,19 @@ class _Function:
         self.name, declared = node.decl.name, node.decl.type
         self.parameters = [p for p in declared.args.params if p.name] if declared.args else []
         self.own = "static" in node.decl.storage
-        returns = unit.type_of(declared.type) if self.own else "i32"  # to the engine an int is no truth value
+        returns = unit.type_of(declared.type) if self.own else "i32"  # for the engine an int is no truth value
         self.signature = Signature(returns, [unit.type_of(p.type) for p in self.parameters])
         unit.functions[self.name] = self.signature
         self.apart = apart
-        self.places: list[str] = []  # of its variables, at its beginning
+        self.places: list[str] = []  # allocations of its variables, at the beginning
         self.lines: list[str] = []
         self.scopes: list[dict[str, Term]] = [{}]
-        self.loops: list[tuple[str, str]] = []  # where `continue` and `break` lead
+        self.loops: list[tuple[str, str]] = []  # targets of `continue` and `break`
         self.count = 0
-        self.open = True  # whether control can come to the next line
+        self.open = True  # whether control can reach the next line
 
     def text(self) -> str:
-        """Return it as LLVM's text."""
+        """Return the function as LLVM text."""
         if self.name == "op_select":
             return _SELECT
         for i, (parameter, kind) in enumerate(zip(self.parameters, self.signature.arguments, strict=True)):
@@ -168,23 +168,23 @@ class _Function:
         if self.open:
             self.emit("ret void" if self.signature.returns == "void" else "unreachable")
         mark = " noalias" if self.apart else ""
-        taken = ", ".join(
+        arguments = ", ".join(
             f"{kind}{mark if kind == POINTER else ''} %a{i}" for i, kind in enumerate(self.signature.arguments)
         )
-        # With a name of its own kind, for LLVM calls functions of the C library by their names as it sees fit, such as sincos.
+        # The prefix avoids names of the C library, as LLVM may insert calls of its functions, such as sincos.
         name = (
             f"internal {self.signature.returns} @f.{self.name}"
             if self.own
             else f"{self.signature.returns} @{self.name}"
         )
-        head = f"define {name}({taken}) {{"
+        head = f"define {name}({arguments}) {{"
         return "\n".join([head, *self.places, *self.lines, "}"])
 
     # Lines
 
     def emit(self, line: str) -> None:
         """Add an instruction."""
-        if not self.open:  # no way leads here; LLVM wants a block of its own for it
+        if not self.open:  # unreachable code; LLVM needs a separate block for it
             self.begin(self.label())
         self.lines.append(f"  {line}")
 
@@ -206,14 +206,14 @@ class _Function:
         return f"b{self.count}"
 
     def result(self, kind: str, line: str) -> Term:
-        """Add an instruction that has a result, and return that."""
+        """Add an instruction that has a result; return the result."""
         self.count += 1
-        name = f"%r{self.count}"  # before `emit`, which may need a label, and counts on
+        name = f"%r{self.count}"  # before `emit`, which may increase the count for a label
         self.emit(f"{name} = {line}")
         return Term(kind, name)
 
     def variable(self, name: str, kind: str) -> Term:
-        """Make a place in memory for a variable."""
+        """Allocate memory for a variable."""
         self.count += 1
         place = Term(kind, f"%v{self.count}")
         self.places.append(f"  {place.text} = alloca {kind}")
@@ -244,7 +244,7 @@ class _Function:
                 at = self.result(POINTER, f"getelementptr inbounds {kind}, ptr {place.text}, i32 0, i32 {i}")
                 self.emit(f"store {inner} {self.turned(value, inner)}, ptr {at.text}")
             return
-        start = self.turned(self.value(node.init), kind)  # before its name hides another
+        start = self.turned(self.value(node.init), kind)  # before its name hides another variable
         self.emit(f"store {kind} {start}, ptr {self.variable(node.name, kind).text}")
 
     def do_Assignment(self, node: c_ast.Assignment) -> None:
@@ -315,15 +315,15 @@ class _Function:
         self.begin(after)
 
     def branch(self, condition: c_ast.Node, then: str, other: str) -> None:
-        """End a block by a choice of where to go on."""
+        """End a block with a conditional branch."""
         self.end(f"br i1 {self.turned(self.value(condition), TRUTH)}, label %{then}, label %{other}")
 
     # Expressions
 
     def value(self, node: c_ast.Node) -> Term:
         """Return the value of an expression."""
-        found: Term = getattr(self, f"get_{type(node).__name__}")(node)
-        return found
+        term: Term = getattr(self, f"get_{type(node).__name__}")(node)
+        return term
 
     def get_Constant(self, node: c_ast.Constant) -> Term:
         return Term(LITERAL, _literal(node))
@@ -368,37 +368,37 @@ class _Function:
     def get_TernaryOp(self, node: c_ast.TernaryOp) -> Term:
         then, other, after = self.label(), self.label(), self.label()
         self.branch(node.cond, then, other)
-        found = []
+        values = []
         for label, part in ((then, node.iftrue), (other, node.iffalse)):
             self.begin(label)
-            found.append((self.value(part), self.label()))
-            self.begin(found[-1][1])  # where it ends, so that what it is turned into stands there, too
+            values.append((self.value(part), self.label()))
+            self.begin(values[-1][1])  # the end of this alternative, where its conversion is inserted
             self.open = False  # until both types are known
-        kind = _common(*(value for value, _ in found))
+        kind = _common(*(value for value, _ in values))
         place = self.variable("", kind)
-        for value, label in found:
-            kept, self.lines, self.open = self.lines, [], True
+        for value, label in values:
+            lines_before, self.lines, self.open = self.lines, [], True
             self.emit(f"store {kind} {self.turned(value, kind)}, ptr {place.text}")
             self.end(f"br label %{after}")
-            at = kept.index(f"{label}:") + 1
-            self.lines = [*kept[:at], *self.lines, *kept[at:]]
+            at = lines_before.index(f"{label}:") + 1
+            self.lines = [*lines_before[:at], *self.lines, *lines_before[at:]]
         self.begin(after)
         return self.loaded(place)
 
     def logic(self, node: c_ast.BinaryOp) -> Term:
-        """Return what && and || make of truth values: the second one is computed only if the first does not tell."""
+        """Return the value of && or ||; the second operand is computed only if the first does not decide."""
         place, further, after = self.variable("", TRUTH), self.label(), self.label()
         first = self.turned(self.value(node.left), TRUTH)
         self.emit(f"store i1 {first}, ptr {place.text}")
-        ways = (further, after) if node.op == "&&" else (after, further)
-        self.end(f"br i1 {first}, label %{ways[0]}, label %{ways[1]}")
+        targets = (further, after) if node.op == "&&" else (after, further)
+        self.end(f"br i1 {first}, label %{targets[0]}, label %{targets[1]}")
         self.begin(further)
         self.emit(f"store i1 {self.turned(self.value(node.right), TRUTH)}, ptr {place.text}")
         self.begin(after)
         return self.loaded(place)
 
     def combined(self, op: str, left: Term, right: Term) -> Term:
-        """Return what an operator makes of two values."""
+        """Return the result of an operator on two values."""
         if POINTER in {left.type, right.type}:  # a row of an array
             return self.result(
                 POINTER, f"getelementptr inbounds double, ptr {left.text}, i64 {self.turned(right, WHOLE)}"
@@ -417,7 +417,7 @@ class _Function:
         return self.result(TRUTH, f"icmp {order} {kind} {a}, {b}")
 
     def called(self, node: c_ast.FuncCall) -> Term:
-        """Return what a call returns."""
+        """Return the value of a call."""
         values = [self.value(argument) for argument in node.args.exprs] if node.args else []
         name = node.name.name
         if name in _LIBRARY:
@@ -431,7 +431,7 @@ class _Function:
         return self.result(signature.returns, line)
 
     def place(self, node: c_ast.Node) -> Term:
-        """Return the place in memory that an expression names: its type is that of what is there."""
+        """Return the memory location of an expression, with the type of its content."""
         if isinstance(node, c_ast.ID):
             return next(scope[node.name] for scope in reversed(self.scopes) if node.name in scope)
         if isinstance(node, c_ast.StructRef):
@@ -445,16 +445,16 @@ class _Function:
         return Term(kind, self.result(POINTER, f"getelementptr inbounds {kind}, ptr {owner.text}, i64 {index}").text)
 
     def is_table(self, node: c_ast.Node) -> bool:
-        """Return whether an expression is the name of a table, and of no variable that hides it."""
+        """Return whether an expression is the name of a table that no variable hides."""
         name = node.name if isinstance(node, c_ast.ID) else None
         return name in self.unit.tables and not any(name in scope for scope in self.scopes)
 
     def loaded(self, place: Term) -> Term:
-        """Return what is at a place."""
+        """Return the value at a memory location."""
         return self.result(place.type, f"load {place.type}, ptr {place.text}")
 
     def turned(self, value: Term, kind: str) -> str:
-        """Return a value as another type has it."""
+        """Return a value converted to another type."""
         if value.type == LITERAL:
             return _number(kind, value.text)
         if value.type == kind:

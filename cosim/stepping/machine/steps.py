@@ -1,10 +1,10 @@
-"""Compiles step functions to C functions with one signature, once per machine.
+"""Compile step functions to C functions with one signature, once per machine.
 
 Every compiled block is ``int32 f(state, parameters, inputs, outputs, t, k)``: four addresses of float64 arrays, the time in
-seconds and the block's integer step count. A step function becomes the C that exports are made of, and LLVM makes machine code
-of it. That is kept in the user's cache folder, in a file whose *name* is a hash of everything it depends on
-(:mod:`bayesftc.cosim.stepping.fingerprint`). What C is not written for, numba compiles, which knows more of Python and takes ten
-times as long.
+seconds and the block's integer step count. A step function is translated to the same C as in exports, and LLVM compiles it. The
+machine code is stored in the user's cache folder, in a file whose *name* is a hash of everything it depends on
+(:mod:`bayesftc.cosim.stepping.fingerprint`). Functions that cannot be translated to C are compiled by numba, which supports more
+of Python and takes ten times as long.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from bayesftc.cosim.stepping.translate.functions import Functions
 from bayesftc.cosim.types import Kernel, argument_names
 
 lenient = True
-"""Whether numba takes over where something here is wrong, and not only where C is not written for something; not in tests."""
+"""Whether numba is also used after an error of this compiler, and not only for unsupported Python; False in tests."""
 
 _lock = threading.RLock()
 _addresses: dict[str, int] = {}
 _kernels: WeakKeyDictionary[FunctionType, dict[str, tuple[list[Any], int]]] = WeakKeyDictionary()
 
 
-def _own_text() -> str:
-    """Return a hash of the files that compile, as they are when they are loaded: they may be edited later."""
+def _compiler_digest() -> str:
+    """Return a hash of this compiler's files when they are loaded; they may be edited later."""
     digest = hashlib.sha256()
     for part in ("machine", "source", "translate"):
         folder = resources.files(f"bayesftc.cosim.stepping.{part}")
@@ -57,7 +57,7 @@ def _own_text() -> str:
     return digest.hexdigest()
 
 
-_OWN_TEXT = _own_text()
+_COMPILER_DIGEST = _compiler_digest()
 
 
 def compile_kernel(kernel: Kernel, sections: Sections) -> int:
@@ -68,44 +68,44 @@ def compile_kernel(kernel: Kernel, sections: Sections) -> int:
     kernel : function
         A step function that keeps the block contract.
     sections : dict
-        For each of its arguments except ``t`` and ``k``: the section it lies in (state, parameters, inputs, outputs), its
-        offset there in elements, and its shape.
+        For each of its arguments except ``t`` and ``k``: its section (state, parameters, inputs, outputs), its offset there in
+        elements, and its shape.
 
     Returns
     -------
     int
-        The address that the engine calls; the code behind it lives as long as the process.
+        The address of the function; its code stays loaded until the process ends.
     """
     if not isinstance(kernel, FunctionType):
         raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
     places = repr([(name, sections.get(name)) for name in argument_names(kernel)])
     with _lock:
-        known = _kernels.setdefault(kernel, {})
-        if places in known:
-            seen, address = known[places]
-            now = depends_on(kernel)
-            if len(seen) == len(now) and all(map(operator.is_, seen, now)):
+        cached = _kernels.setdefault(kernel, {})
+        if places in cached:
+            dependencies, address = cached[places]
+            present = depends_on(kernel)
+            if len(dependencies) == len(present) and all(map(operator.is_, dependencies, present)):
                 return address
-        seen = depends_on(kernel)
+        dependencies = depends_on(kernel)
         name = f"step_{Functions.allowed(kernel.__name__)[:40]}_{fingerprint(kernel, f'{environment()} {places}')}"
         if name not in _addresses:
             _addresses[name] = _address(kernel, sections, name)
-        known[places] = seen, _addresses[name]
+        cached[places] = dependencies, _addresses[name]
     return _addresses[name]
 
 
 def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
     path = cache_directory("compiled") / f"{name}.o"
-    kept = read_own(path)
-    code = None if kept is None else opened(kept)
+    content = read_own(path)
+    code = None if content is None else opened(content)
     if code is None:
         try:
             with announced(True):
                 code = _compiled(kernel, sections, name)
-        except KernelError as refused:
+        except KernelError as reason:
             from bayesftc.cosim.stepping.compiler import compile_by_numba
 
-            return compile_by_numba(kernel, sections, refused)
+            return compile_by_numba(kernel, sections, reason)
         write_whole(path, sealed(code))
         STATISTICS["compiled"] += 1
     else:
@@ -120,35 +120,35 @@ def _compiled(kernel: FunctionType, sections: Sections, name: str) -> bytes:
         if not lenient:
             raise
         raise KernelError(
-            f"Step function {where(kernel)} cannot become machine code by way of C ({error}); please report it."
+            f"Step function {where(kernel)} cannot be compiled by way of C ({error}); please report this error."
         ) from error
 
 
 def text_of(kernel: FunctionType, sections: Sections, name: str) -> tuple[str, list[str]]:
-    """Return the C of a step function, with a function of the engine's signature around it.
-
-    The names of those of these two whose arrays do not overlap come second.
+    """Return the C of a step function with a wrapper of the engine's signature, and which of the two have disjoint arrays.
 
     Raises
     ------
     KernelError
-        If it does something that C is not written for.
+        If it cannot be translated to C.
     """
     functions = Functions([name])
-    written = functions.step(kernel, sections)
-    given = [n if n in {"t", "k"} else "{} + {}".format(*sections[n]) for n in written.arguments if n in written.passed]
-    call = f"{written.name}({', '.join(given)});"
-    head = f"int {name}(double *state, double *parameters, double *inputs, double *outputs, double t, int64_t k)"
-    text = "\n".join([functions.text([call]), head, "{", f"    {call}", "    return 0;", "}", ""])
-    # A port may be taken beside all of its section: then only the sections are known to lie apart.
+    function = functions.step(kernel, sections)
+    arguments = [
+        n if n in {"t", "k"} else "{} + {}".format(*sections[n]) for n in function.arguments if n in function.passed
+    ]
+    call = f"{function.name}({', '.join(arguments)});"
+    declaration = f"int {name}(double *state, double *parameters, double *inputs, double *outputs, double t, int64_t k)"
+    text = "\n".join([functions.text([call]), declaration, "{", f"    {call}", "    return 0;", "}", ""])
+    # An argument may be a port, and another the whole section with it: then only the sections are disjoint.
     ranges = sorted((sections[n][0], sections[n][1], prod(sections[n][2])) for n in parameters(kernel) if n in sections)
     overlap = any(a[0] == b[0] and a[1] + a[2] > b[1] for a, b in pairwise(ranges))
-    return text, [name] if overlap else [name, written.name]
+    return text, [name] if overlap else [name, function.name]
 
 
 @cache
 def environment() -> str:
-    """Return what else machine code depends on: versions, the processor, and what compiles."""
+    """Return what else machine code depends on: versions, the processor, and this compiler."""
     parts = [platform.python_version(), llvmlite.__version__, pycparser.__version__, llvm.get_process_triple()]
-    parts += [llvm.get_host_cpu_name(), features(), str(ops.OF_LIBRARY), _OWN_TEXT]
+    parts += [llvm.get_host_cpu_name(), features(), str(ops.OF_LIBRARY), _COMPILER_DIGEST]
     return "|".join(parts)

@@ -1,1 +1,1 @@
-"""The text of step functions: read as a syntax tree, made anew without records, written where there was none."""
+"""The source of step functions: syntax trees, removal of records, and generated functions."""

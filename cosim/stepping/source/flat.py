@@ -1,9 +1,9 @@
-"""Step functions without their records: each array that a record holds is an argument of its own.
+"""Step functions without records: each array of a record becomes a separate argument.
 
-Records are for whoever writes and reads a step function. numba looks at each access to a field, and hands records on whole: with
-them, a controller takes up to half as long again to compile. C has none at all. So both get functions in whose syntax tree the
-records are replaced by what they consist of. Each function is made once for the shape of the records that it is called with, and
-takes only those of their fields that it uses.
+Records make step functions readable. But numba analyses each access to a field and passes whole records, so with them a
+controller takes up to half as long again to compile; and C has no records. So both get functions in whose syntax tree records are
+replaced by their fields. Each function is generated once for the shape of its record arguments, and takes only the fields that it
+uses.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from bayesftc.cosim.stepping.source.tree import parameters, place, stores, tree_
 
 @dataclass(frozen=True)
 class Shape:
-    """What a record is made of, whatever it is called: its class, and for each field None or the shape of another record."""
+    """The structure of a record: its class, and for each field None or the shape of another record."""
 
     record: type
     fields: tuple[Shape | None, ...]
@@ -34,7 +34,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class _Record:
-    """A record as it stands in a function: for each field the name of a variable, or another record."""
+    """A record in a function: for each field the name of a variable, or another record."""
 
     record: Any
     fields: tuple[str | _Record, ...]
@@ -51,56 +51,60 @@ class _Record:
 
 @dataclass(frozen=True)
 class _Flat:
-    """A function without records; for arguments that were, ``taken`` has what each field is called: None if it is not used."""
+    """A function without records; for former record arguments, ``taken`` has the fields' new names (None if not used)."""
 
     function: FunctionType
     taken: Mapping[str, Sequence[str | None]]
 
 
 _OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
-# None for a function that stays itself: with it as a value, it would live for ever.
+# None for a function that does not change: the function itself as a value would never be freed.
 _made: WeakKeyDictionary[FunctionType, dict[tuple[Shape | None, ...], tuple[list[Any], _Flat | None]]] = (
     WeakKeyDictionary()
 )
 
 
 def without_records(function: FunctionType) -> FunctionType:
-    """Return a step function that takes no records as one that makes none either, nor those that it calls.
+    """Return a step function without record arguments as one that uses no records inside; callees, too.
 
     Raises
     ------
     KernelError
-        If a record is used for anything but to take its fields, to take it apart and to hand it on, or if the text of a function
-        that has to do with records is not at hand.
+        If a record is used other than for its fields, for unpacking or as an argument; or if the source of a function with
+        records is not available.
     """
     return _flat(function, (None,) * len(parameters(function)), ()).function
 
 
 def _flat(function: FunctionType, shapes: tuple[Shape | None, ...], callers: tuple[FunctionType, ...]) -> _Flat:
     plain = _Flat(function, {})
-    if function in callers:  # which is refused elsewhere, with the names of all
+    if function in callers:  # a recursion, which is refused elsewhere
         return plain
-    known = _made.setdefault(function, {})
-    seen = depends_on(function)
-    if shapes in known and len(known[shapes][0]) == len(seen) and all(map(operator.is_, known[shapes][0], seen)):
-        return known[shapes][1] or plain
-    concerned = any(shapes) or _knows_records(function, set())
-    found = _Flattening(function, shapes, callers).done() if concerned else None
-    known[shapes] = seen, found
-    return found or plain
+    cached = _made.setdefault(function, {})
+    dependencies = depends_on(function)
+    if (
+        shapes in cached
+        and len(cached[shapes][0]) == len(dependencies)
+        and all(map(operator.is_, cached[shapes][0], dependencies))
+    ):
+        return cached[shapes][1] or plain
+    has_records = any(shapes) or _uses_records(function, set())
+    flat = _Flattening(function, shapes, callers).done() if has_records else None
+    cached[shapes] = dependencies, flat
+    return flat or plain
 
 
-def _knows_records(function: FunctionType, seen: set[FunctionType]) -> bool:
-    """Return whether a function, or one that it calls, may make a record."""
+def _uses_records(function: FunctionType, seen: set[FunctionType]) -> bool:
+    """Return whether a function, or one that it calls, may create a record."""
     seen.add(function)
     values = [value for _, value in references(function)]
     return any(map(is_record_class, values)) or any(
-        _knows_records(value, seen) for value in values if isinstance(value, FunctionType) and value not in seen
+        _uses_records(value, seen) for value in values if isinstance(value, FunctionType) and value not in seen
     )
 
 
 class _Flattening(ast.NodeTransformer):
-    """Makes one function anew, for records of these shapes as its arguments."""
+    """Generate a function without records, for record arguments of these shapes."""
 
     def __init__(self, function: FunctionType, shapes: Sequence[Shape | None], callers: tuple[FunctionType, ...]):
         self.function, self.callers = function, (*callers, function)
@@ -109,19 +113,19 @@ class _Flattening(ast.NodeTransformer):
         self.arguments = parameters(function)
         assigned = stores(self.tree)
         self.once = {name for name in assigned if assigned.count(name) == 1}
-        #: Arguments that mean the same all along, so that a record of them needs no copies of these names.
+        #: Arguments that never change, so that a record can refer to them without copies.
         self.steady = set(self.arguments) - set(assigned)
         self.taken = {n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name)} | set(self.arguments)
         self.records: dict[str, _Record] = {}
-        self.before: list[ast.stmt] = []  # what must stand before the statement at hand
-        self.now: set[str] = set()  # the variables that this statement makes for the fields of its records
-        self.calls = 0  # how many step functions this statement calls
-        self.copying = False  # whether what a record is made of may be computed before this statement
+        self.before: list[ast.stmt] = []  # statements to insert before the present one
+        self.now: set[str] = set()  # variables that this statement creates for fields of its records
+        self.calls = 0  # number of step functions that this statement calls
+        self.copying = False  # whether fields of a record may be computed before this statement
         self.seen: dict[int, tuple[ast.expr, _Record | None]] = {}
         for name, shape in zip(self.arguments, shapes, strict=True):
             if shape is not None:
                 if name in assigned:
-                    self.refuse(self.tree, f"assigns to {name!r}, which is a record; take another name")
+                    self.refuse(self.tree, f"assigns to {name!r}, which is a record; use another name")
                 self.records[name] = self._as_arguments(shape, name)
 
     def done(self) -> _Flat:
@@ -143,50 +147,50 @@ class _Flattening(ast.NodeTransformer):
         tree = ast.fix_missing_locations(self.tree)
         namespace = {"__name__": self.function.__module__, "__builtins__": builtins}
         exec(compile(ast.Module([tree], []), self.function.__code__.co_filename, "exec"), namespace)
-        made = namespace[tree.name]
-        assert isinstance(made, FunctionType)
-        made.__globals__.update(self.names)
+        result = namespace[tree.name]
+        assert isinstance(result, FunctionType)
+        result.__globals__.update(self.names)
         defaults = len(self.function.__defaults__ or ())
         if defaults and any(name in self.records for name in self.arguments[-defaults:]):
-            self.refuse(tree, "takes a record where it has a default; leave out the default")
-        made.__defaults__ = self.function.__defaults__
-        made.__dict__["tree"] = tree  # its text is nowhere to be read
-        return made
+            self.refuse(tree, "has a record argument with a default; leave out the default")
+        result.__defaults__ = self.function.__defaults__
+        result.__dict__["tree"] = tree  # there is no source file
+        return result
 
     def refuse(self, node: ast.AST, what: str) -> NoReturn:
-        """Raise the error that this line cannot be written without records."""
+        """Raise an error for a line from which records cannot be removed."""
         raise KernelError(f"Step function {place(self.function, node)} {what}.")
 
-    def new(self, wanted: str) -> str:
-        """Return a name like this one that nothing has yet, and take it."""
-        found = wanted
-        while found in self.taken or found in self.names:
-            found += "_"
-        self.taken.add(found)
-        return found
+    def new(self, name: str) -> str:
+        """Reserve and return an unused name like this one."""
+        unused = name
+        while unused in self.taken or unused in self.names:
+            unused += "_"
+        self.taken.add(unused)
+        return unused
 
     def _as_arguments(self, shape: Shape, name: str) -> _Record:
         """Return a record whose fields are arguments."""
         fields: list[str | _Record] = []
         for field, inner in zip(shape.record._fields, shape.fields, strict=True):  # type: ignore[attr-defined]
-            each = f"{name}_{field}"
-            fields.append(self._as_arguments(inner, each) if inner else self.new(each))
+            full_name = f"{name}_{field}"
+            fields.append(self._as_arguments(inner, full_name) if inner else self.new(full_name))
             self.steady |= {fields[-1]} if isinstance(fields[-1], str) else set()
         return _Record(shape.record, tuple(fields))
 
     # Statements
 
     def _statements(self, body: list[ast.stmt]) -> list[ast.stmt]:
-        made: list[ast.stmt] = []
+        statements: list[ast.stmt] = []
         for statement in body:
             self.before, self.now = [], set()
             self.calls = sum(map(self._is_step, ast.walk(_head(statement))))
             after = self.visit(statement)
-            made += [*self.before, *(after if isinstance(after, list) else [after])]
-        return made or [ast.copy_location(ast.Pass(), body[0])]
+            statements += [*self.before, *(after if isinstance(after, list) else [after])]
+        return statements or [ast.copy_location(ast.Pass(), body[0])]
 
     def _blocks(self, node: ast.If | ast.For | ast.While) -> ast.stmt:
-        """Make the statements inside of one anew, whose head is done."""
+        """Convert the inner statements of a statement whose head is converted."""
         before = self.before
         node.body = self._statements(node.body)
         node.orelse = self._statements(node.orelse) if node.orelse else []
@@ -204,7 +208,7 @@ class _Flattening(ast.NodeTransformer):
     def visit_While(self, node: ast.While) -> ast.stmt:
         node.test = self.visit(node.test)
         if self.before:
-            self.refuse(node, "makes a record in the condition of a loop; make it before the loop")
+            self.refuse(node, "creates a record in the condition of a loop; create it before the loop")
         return self._blocks(node)
 
     def visit_Assign(self, node: ast.Assign) -> ast.stmt | list[ast.stmt]:
@@ -218,43 +222,47 @@ class _Flattening(ast.NodeTransformer):
             return self.generic_visit(node)  # type: ignore[return-value]
         target = node.targets[0]
         if len(node.targets) > 1 or not isinstance(target, ast.Name | ast.Tuple):
-            self.refuse(node, "assigns a record to what is no single name")
+            self.refuse(node, "assigns a record to something other than a name; assign it to one name")
         if isinstance(target, ast.Name):
             self._name(target, record)
             return []
         if len(target.elts) != len(record.fields):
-            self.refuse(node, f"takes {len(target.elts)} values out of {len(record.fields)}")
+            self.refuse(
+                node, f"unpacks {len(record.fields)} values into {len(target.elts)} names; use as many names as values"
+            )
         parts: list[ast.stmt] = []
         for element, field in zip(target.elts, record.fields, strict=True):
             if isinstance(field, _Record):
                 if not isinstance(element, ast.Name):
-                    self.refuse(node, "assigns a record to what is no single name")
+                    self.refuse(node, "assigns a record to something other than a name; assign it to one name")
                 self._name(element, field)
-            elif not (isinstance(element, ast.Name) and element.id == "_"):  # whom nobody reads
+            elif not (isinstance(element, ast.Name) and element.id == "_"):  # never read
                 parts.append(ast.copy_location(ast.Assign([self.visit(element)], _load(field, node)), node))
         return parts
 
     def _one_by_one(self, node: ast.Assign, targets: ast.Tuple, values: ast.Tuple) -> list[ast.stmt]:
-        """Name the records among several values that are assigned at once; the others stay as they are."""
+        """Register the records in a tuple assignment; keep the other assignments."""
         if len(targets.elts) != len(values.elts):
-            self.refuse(node, f"takes {len(targets.elts)} values out of {len(values.elts)}")
-        left: list[tuple[ast.expr, ast.expr]] = []
+            self.refuse(
+                node, f"unpacks {len(values.elts)} values into {len(targets.elts)} names; use as many names as values"
+            )
+        others: list[tuple[ast.expr, ast.expr]] = []
         for target, value in zip(targets.elts, values.elts, strict=True):
             record = self.record(value)
             if record is None:
-                left.append((self.visit(target), self.visit(value)))
+                others.append((self.visit(target), self.visit(value)))
             elif isinstance(target, ast.Name):
                 self._name(target, record)
             else:
-                self.refuse(node, "assigns a record to what is no single name")
-        if not left:
+                self.refuse(node, "assigns a record to something other than a name; assign it to one name")
+        if not others:
             return []
-        if len(left) == 1:
-            ((one, other),) = left
+        if len(others) == 1:
+            ((targets_left, values_left),) = others
         else:
-            one = ast.Tuple([target for target, _ in left], ast.Store())
-            other = ast.Tuple([value for _, value in left], ast.Load())
-        return [ast.copy_location(ast.Assign([one], other), node)]
+            targets_left = ast.Tuple([target for target, _ in others], ast.Store())
+            values_left = ast.Tuple([value for _, value in others], ast.Load())
+        return [ast.copy_location(ast.Assign([targets_left], values_left), node)]
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> Any:
         if node.value is None:
@@ -268,11 +276,11 @@ class _Flattening(ast.NodeTransformer):
 
     def _name(self, target: ast.Name, record: _Record) -> None:
         if target.id not in self.once or target.id in self.arguments:
-            self.refuse(target, f"assigns the record {target.id!r} more than once; take two names")
+            self.refuse(target, f"assigns the record {target.id!r} more than once; use two names")
         self.records[target.id] = self._lasting(record, target)
 
     def _lasting(self, record: _Record, at: ast.AST) -> _Record:
-        """Return a record with variables of its own: what another one is made of may change in the next round of a loop."""
+        """Return a record with separate variables: the fields of the original may change in the next pass of a loop."""
         fields: list[str | _Record] = []
         for field in record.fields:
             if isinstance(field, _Record):
@@ -280,23 +288,25 @@ class _Flattening(ast.NodeTransformer):
             elif field in self.steady or field in self.now:
                 fields.append(field)
             else:
-                own = self.new(field)
-                self.before.append(ast.copy_location(ast.Assign([ast.Name(own, ast.Store())], _load(field, at)), at))
-                fields.append(own)
+                copy_name = self.new(field)
+                self.before.append(
+                    ast.copy_location(ast.Assign([ast.Name(copy_name, ast.Store())], _load(field, at)), at)
+                )
+                fields.append(copy_name)
         return _Record(record.record, tuple(fields))
 
     # Expressions
 
     def record(self, node: ast.expr | None) -> _Record | None:
-        """Return the record that an expression is; None if it is none."""
+        """Return the record of an expression; None if it is no record."""
         if isinstance(node, ast.Name):
             return self.records.get(node.id)
         if isinstance(node, ast.Attribute):
-            found = self._field(node)
-            return found if isinstance(found, _Record) else None
+            field = self._field(node)
+            return field if isinstance(field, _Record) else None
         if not isinstance(node, ast.Call) or not is_record_class(made := self._called(node)):
             return None
-        if id(node) not in self.seen:  # it is made once, however often it is asked for
+        if id(node) not in self.seen:  # created once, even if this is called repeatedly
             self.seen[id(node)] = node, self._made(node, made)
         return self.seen[id(node)][1]
 
@@ -304,25 +314,25 @@ class _Flattening(ast.NodeTransformer):
         return self.names.get(node.func.id) if isinstance(node.func, ast.Name) else None
 
     def _is_step(self, node: ast.AST) -> bool:
-        """Return whether something is a call of another step function, which may write into arrays."""
+        """Return whether a node is a call of another step function, which may write into arrays."""
         called = self._called(node) if isinstance(node, ast.Call) else None
         return isinstance(called, FunctionType) and called not in _OPERATIONS
 
     def _field(self, node: ast.Attribute) -> str | _Record | None:
-        """Return the field of a record that an attribute is; None if it is none."""
+        """Return the record field of an attribute; None if the owner is no record."""
         owner = self.record(node.value)
         if owner is None:
             return None
         if node.attr not in owner.record._fields:
-            self.refuse(node, f"uses the attribute {node.attr!r}; the record has {', '.join(owner.record._fields)}")
-        found: str | _Record = owner.fields[owner.record._fields.index(node.attr)]
-        return found
+            self.refuse(node, f"uses the attribute {node.attr!r}, but the record has {', '.join(owner.record._fields)}")
+        field: str | _Record = owner.fields[owner.record._fields.index(node.attr)]
+        return field
 
-    def _made(self, node: ast.Call, made: Any) -> _Record:
-        """Return the record that a call makes, its fields kept as they are now."""
-        given = self._in_order(node, made, made._fields)
+    def _made(self, node: ast.Call, record_class: Any) -> _Record:
+        """Return the record that a call creates, with the present values of its fields."""
+        arguments = self._in_order(node, record_class, record_class._fields)
         fields: list[str | _Record] = []
-        for name, value in given.items():
+        for name, value in arguments.items():
             inner = self.record(value)
             value = value if inner else self.visit(value)
             if inner is not None:
@@ -331,47 +341,45 @@ class _Flattening(ast.NodeTransformer):
                 fields.append(value.id)
             else:
                 fields.append(self._kept(value, name))
-        return _Record(made, tuple(fields[list(given).index(name)] for name in made._fields))
+        return _Record(record_class, tuple(fields[list(arguments).index(name)] for name in record_class._fields))
 
     def _kept(self, value: ast.expr, name: str) -> str:
-        """Return a new variable that has this value, assigned before the statement at hand."""
+        """Return a new variable with this value, assigned before the present statement."""
         if not self.copying:
-            self.refuse(value, "makes a record beside other calls; make it in a line before, with a name of its own")
-        kept = self.new(name)
-        self.now.add(kept)
-        self.before.append(ast.copy_location(ast.Assign([ast.Name(kept, ast.Store())], value), value))
-        return kept
+            self.refuse(value, "creates a record in a line with other calls; assign it to a name in a line before")
+        variable = self.new(name)
+        self.now.add(variable)
+        self.before.append(ast.copy_location(ast.Assign([ast.Name(variable, ast.Store())], value), value))
+        return variable
 
     def _in_order(self, node: ast.Call, function: Any, names: Sequence[str]) -> dict[str, ast.expr]:
-        """Return the arguments of a call by their names, in the order in which they stand there."""
+        """Return the arguments of a call by name, in the order of the call."""
         if any(isinstance(a, ast.Starred) for a in node.args) or any(k.arg is None for k in node.keywords):
             self.refuse(node, "calls with a star; write the arguments one by one")
-        given = [*zip(names, node.args, strict=False), *((str(k.arg), k.value) for k in node.keywords)]
+        items = [*zip(names, node.args, strict=False), *((str(k.arg), k.value) for k in node.keywords)]
         defaults = names[len(names) - len(getattr(function, "__defaults__", None) or ()) :]
-        found = dict(given)
-        many = len(node.args) > len(names) or len(found) < len(given)
-        if many or not set(names) - set(defaults) <= found.keys() <= set(names):
+        arguments = dict(items)
+        is_wrong = len(node.args) > len(names) or len(arguments) < len(items)
+        if is_wrong or not set(names) - set(defaults) <= arguments.keys() <= set(names):
             called = function.__name__
-            self.refuse(node, f"calls {called!r} with other arguments than it has ({', '.join(names)})")
-        return found
+            self.refuse(node, f"calls {called!r} with wrong arguments; its arguments are {', '.join(names)}")
+        return arguments
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         if node.id in self.records:
-            self.refuse(
-                node, f"uses the record {node.id!r} as a whole; take its fields, or hand it on to a step function"
-            )
+            self.refuse(node, f"uses the record {node.id!r} as a whole; use its fields, or pass it to a step function")
         return node
 
     def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
         field = self._field(node)
         if isinstance(field, _Record):
-            self.refuse(node, f"uses the record {ast.unparse(node)!r} as a whole; take its fields")
+            self.refuse(node, f"uses the record {ast.unparse(node)!r} as a whole; use its fields")
         return self.generic_visit(node) if field is None else _load(field, node)  # type: ignore[return-value]
 
     def visit_Call(self, node: ast.Call) -> ast.expr:
         called = self._called(node)
         if is_record_class(called):
-            self.refuse(node, "makes a record where a number or an array must stand")
+            self.refuse(node, "creates a record where a number or an array is needed; use one of its fields")
         if not self._is_step(node):
             return self.generic_visit(node)  # type: ignore[return-value]
         names = parameters(called)
@@ -379,27 +387,29 @@ class _Flattening(ast.NodeTransformer):
         records = {name: self.record(value) for name, value in self._in_order(node, called, names).items()}
         self.copying = before
         shapes = tuple(record.shape if (record := records.get(name)) else None for name in names)
-        found = _flat(called, shapes, self.callers)
-        if found.function is called:
+        flat = _flat(called, shapes, self.callers)
+        if flat.function is called:
             return self.generic_visit(node)  # type: ignore[return-value]
 
-        def given(name: str, value: ast.expr) -> list[tuple[str, ast.expr]]:
+        def flat_arguments(name: str, value: ast.expr) -> list[tuple[str, ast.expr]]:
             if (record := records[name]) is None:
                 return [(name, self.visit(value))]
-            fields = zip(found.taken[name], record.names(), strict=True)
-            return [(own, _load(field, value)) for own, field in fields if own is not None]
+            fields = zip(flat.taken[name], record.names(), strict=True)
+            return [(field_name, _load(field, value)) for field_name, field in fields if field_name is not None]
 
-        arguments = [item for name, value in zip(names, node.args, strict=False) for _, item in given(name, value)]
-        keywords = [ast.keyword(*item) for k in node.keywords for item in given(str(k.arg), k.value)]
-        function = next((n for n, value in self.names.items() if value is found.function), None) or self.new(
+        arguments = [
+            item for name, value in zip(names, node.args, strict=False) for _, item in flat_arguments(name, value)
+        ]
+        keywords = [ast.keyword(*item) for k in node.keywords for item in flat_arguments(str(k.arg), k.value)]
+        function = next((n for n, value in self.names.items() if value is flat.function), None) or self.new(
             called.__name__
         )
-        self.names[function] = found.function
+        self.names[function] = flat.function
         return ast.copy_location(ast.Call(ast.Name(function, ast.Load()), arguments, keywords), node)
 
 
 def _head(statement: ast.stmt) -> ast.AST:
-    """Return what of a statement is computed at once: without the statements inside of it."""
+    """Return the part of a statement that is computed at once, without inner statements."""
     if isinstance(statement, ast.If | ast.While):
         return statement.test
     return statement.iter if isinstance(statement, ast.For) else statement

@@ -1,4 +1,4 @@
-"""The text of a step function as a syntax tree, with the lines that a user knows."""
+"""The syntax tree of a step function, with the line numbers of its file."""
 
 from __future__ import annotations
 
@@ -17,79 +17,85 @@ from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.fingerprint import where
 
 Sections = Mapping[str, tuple[str, int, tuple[int, ...]]]
-"""For each argument of a step function but ``t`` and ``k``: its section of memory, its offset there in elements, its shape."""
+"""For each argument of a step function except ``t`` and ``k``: its section of memory, its offset in elements, its shape."""
 
 
 class NoText(KernelError):
-    """The text of a function is not at hand."""
+    """The source of a function is not available."""
 
 
 def tree_of(function: FunctionType) -> ast.FunctionDef:
-    """Return the syntax tree of a function, numbered by the lines of its file.
+    """Return the syntax tree of a function, with the line numbers of its file.
 
     Raises
     ------
     KernelError
-        If there is no text of it, the text is not that of the function any more, or it was not made by ``def``.
+        If its source is not available or has changed, or it was not defined by ``def``.
     """
-    if hasattr(function, "tree"):  # made from another one
+    if hasattr(function, "tree"):  # a generated function
         return copy.deepcopy(function.tree)  # type: ignore[no-any-return]
     try:
         lines, first = inspect.getsourcelines(function)
         tree = ast.parse(textwrap.dedent("".join(lines)))
     except (OSError, TypeError, SyntaxError):
         raise NoText(
-            f"The text of step function {where(function)} is not at hand, so that no C can be written from it; define it with "
+            f"The source of step function {where(function)} is not available, so it cannot be translated to C. Define it with "
             "def in a file or a notebook."
         ) from None
-    found = tree.body[0]
-    if not isinstance(found, ast.FunctionDef):
-        raise KernelError(f"Step function {where(function)} cannot become C as it stands: define it with def.")
-    if found.args.vararg or found.args.kwarg or found.args.kwonlyargs:
-        raise KernelError(f"Step function {where(function)} takes a starred argument; write the arguments one by one.")
-    ast.increment_lineno(tree, first - 1 if first else 0)
-    if not _alike(found, function.__code__):
+    definition = tree.body[0]
+    if not isinstance(definition, ast.FunctionDef):
+        raise KernelError(f"Step function {where(function)} is not defined with def, so it cannot become C; use def.")
+    if definition.args.vararg or definition.args.kwarg or definition.args.kwonlyargs:
         raise KernelError(
-            f"The file of step function {where(function)} has been edited since it was loaded; start Python again, so that "
-            "what is exported is what was run."
+            f"Step function {where(function)} has a starred or keyword-only argument; write plain arguments one by one."
         )
-    return found
+    ast.increment_lineno(tree, first - 1 if first else 0)
+    if not _alike(definition, function.__code__):
+        raise KernelError(
+            f"The file of step function {where(function)} has changed since it was loaded. Restart Python, so that the exported "
+            "code is the code that was run."
+        )
+    return definition
 
 
 def _alike(tree: ast.FunctionDef, code: CodeType) -> bool:
-    """Return whether a function of this text has this code: the same arguments, variables and numbers in the same places."""
+    """Return whether a tree compiles to this code: with the same arguments, variables and numbers."""
     bare = ast.Module([_without_decorators(tree)], [])
     if code.co_freevars:
-        # Within a function that has them, names of the enclosing function compile to the same instructions.
+        # An outer function with these variables makes them compile to the same instructions.
         outer = ast.parse(f"def outer():\n    {' = '.join(code.co_freevars)} = None\n")
         outer.body[0].body += bare.body  # type: ignore[attr-defined]
         bare = outer
     compiled = compile(ast.fix_missing_locations(bare), code.co_filename, "exec")
-    made = _find(compiled, code.co_name)
-    if made is None or made.co_varnames != code.co_varnames:
+    candidate = _find(compiled, code.co_name)
+    if candidate is None or candidate.co_varnames != code.co_varnames:
         return False
-    # To compare instruction by instruction takes long, and is seldom needed.
-    bytes_alike = (made.co_code, made.co_names, made.co_consts) == (code.co_code, code.co_names, code.co_consts)
-    return (bytes_alike and repr(made.co_consts) == repr(code.co_consts)) or _gist(made) == _gist(code)
+    # Comparing instruction by instruction is slow, and rarely needed.
+    same_bytes = (candidate.co_code, candidate.co_names, candidate.co_consts) == (
+        code.co_code,
+        code.co_names,
+        code.co_consts,
+    )
+    return (same_bytes and repr(candidate.co_consts) == repr(code.co_consts)) or _gist(candidate) == _gist(code)
 
 
 def _gist(code: CodeType) -> list[tuple[str, Any]]:
-    """Return what a function does, without what depends on the module around it: how an attribute is called, and places."""
-    kept = [
+    """Return a function's instructions without details that depend on the surrounding module, such as offsets."""
+    instructions = [
         instruction
         for instruction in dis.get_instructions(code)
         if instruction.opname not in {"PUSH_NULL", "PRECALL", "NOP", "EXTENDED_ARG"}
     ]
-    offsets = [instruction.offset for instruction in kept]
+    offsets = [instruction.offset for instruction in instructions]
 
-    def meant(instruction: dis.Instruction) -> Any:
+    def argument(instruction: dis.Instruction) -> Any:
         if instruction.opcode in dis.hasjrel or instruction.opcode in dis.hasjabs:
-            return bisect_left(offsets, instruction.argval)  # the how-manieth instruction it leads to
+            return bisect_left(offsets, instruction.argval)  # index of the target instruction
         return repr(instruction.argval) if "CONST" in instruction.opname else instruction.argval
 
     return [
-        (instruction.opname.replace("METHOD", "ATTR"), meant(instruction))
-        for instruction in kept
+        (instruction.opname.replace("METHOD", "ATTR"), argument(instruction))
+        for instruction in instructions
         if "ITER" not in instruction.opname
     ]
 
@@ -101,22 +107,22 @@ def _without_decorators(tree: ast.FunctionDef) -> ast.FunctionDef:
 def _find(code: CodeType, name: str) -> CodeType | None:
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            found = constant if constant.co_name == name else _find(constant, name)
-            if found is not None:
-                return found
+            inner = constant if constant.co_name == name else _find(constant, name)
+            if inner is not None:
+                return inner
     return None
 
 
 def parameters(function: FunctionType) -> tuple[str, ...]:
-    """Return the names of a function's arguments, those with a default too."""
+    """Return the names of a function's arguments, including those with a default."""
     return function.__code__.co_varnames[: function.__code__.co_argcount]
 
 
 def place(function: FunctionType, node: ast.AST) -> str:
-    """Return a readable place in a function, as ``'f' (file.py, line 3)``."""
+    """Return a position in a function as text, as ``'f' (file.py, line 3)``."""
     return f"{function.__name__!r} ({Path(function.__code__.co_filename).name}, line {getattr(node, 'lineno', '?')})"
 
 
 def stores(tree: ast.AST) -> list[str]:
-    """Return the names of the variables that are assigned to, as often as they are."""
+    """Return the names of assigned variables, once for each assignment."""
     return [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)]

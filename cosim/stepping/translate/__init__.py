@@ -1,1 +1,1 @@
-"""From step functions in Python to functions in C."""
+"""Translation of step functions from Python to C."""

@@ -42,7 +42,9 @@ _ARITHMETIC: dict[type[ast.operator], tuple[str, int, Callable[[Any, Any], Any]]
     ast.FloorDiv: ("op_quotient", ATOM, operator.floordiv),
     ast.Mod: ("op_remainder", ATOM, operator.mod),
 }
-_TRUTH = "counts with truth values alone, of which NumPy makes no numbers; use ops.select, ops.both or ops.either"
+_TRUTH = (
+    "calculates with two truth values, which NumPy does not treat as numbers; use ops.select, ops.both or ops.either"
+)
 
 
 class Arithmetic(Context):
@@ -50,15 +52,17 @@ class Arithmetic(Context):
 
     def get_Constant(self, node: ast.Constant) -> Value:
         if not isinstance(node.value, int | float):
-            self.refuse(node, f"uses {node.value!r}, which is no number; give each case a number")
+            self.refuse(node, f"uses {node.value!r}, which is no number; use a number for each case")
         return self.known(node, node.value)
 
     def known(self, node: ast.AST, value: Any) -> Value:
-        """Return a value that is known now, if a number of C can hold it."""
+        """Return a constant value, if it fits a number of C."""
         if isinstance(value, np.generic) and not isinstance(value, float | np.bool_ | np.int64):
-            self.refuse(node, f"uses a number of the type {type(value).__name__}; take a plain Python number")
+            self.refuse(node, f"uses a number of the type {type(value).__name__}; use a plain Python number")
         if isinstance(value, int | np.integer) and not -(2**63) < value < 2**63:
-            self.refuse(node, f"uses the whole number {value}, for which 64 bits are too few; write it with a point")
+            self.refuse(
+                node, f"uses the whole number {value}, which does not fit 64 bits; write it with a decimal point"
+            )
         return constant(value)
 
     def get_Name(self, node: ast.Name) -> Value:
@@ -70,7 +74,7 @@ class Arithmetic(Context):
             return self._variable(name, kind)
         if name in self.names:
             return self.known(node, self.names[name])
-        self.refuse(node, f"uses {name!r} before it has a value")
+        self.refuse(node, f"uses {name!r} before it has a value; assign it before")
 
     def _variable(self, name: str, kind: Kind) -> Value:
         """Return a variable, or an argument."""
@@ -95,7 +99,7 @@ class Arithmetic(Context):
         values = [self.value(item) for item in node.elts]
         known = [value.kind.value for value in values if isinstance(value.kind, Constant)]
         if len(known) < len(values):
-            self.refuse(node, "makes a tuple of numbers that are not known beforehand; take several names")
+            self.refuse(node, "creates a tuple of numbers that are not constant; use several names")
         return constant(tuple(known))
 
     def get_Subscript(self, node: ast.Subscript) -> Value:
@@ -105,19 +109,24 @@ class Arithmetic(Context):
         """Return an element or a row of an array, or an element of a tuple."""
         nodes = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         if any(isinstance(n, ast.Slice) for n in nodes):
-            self.refuse(node, "takes a slice; write a loop over its elements")
+            self.refuse(node, "uses a slice; write a loop over its elements")
         owner, *indices = self.values([node.value, *nodes])
         indices = [self.whole(node, index) for index in indices]
         if isinstance(owner.kind, Array) and any(self.number(node, index).type == "bool" for index in indices):
-            self.refuse(node, f"takes an element by a truth value ({ast.unparse(node)}), which NumPy takes for a mask")
+            self.refuse(
+                node,
+                f"uses a truth value as an index ({ast.unparse(node)}), which is a mask in NumPy; use a whole number",
+            )
         if isinstance(owner.kind, Constant) and isinstance(owner.kind.value, tuple):
             return self._item(node, owner.kind.value, indices)
         if not isinstance(owner.kind, Array) or len(indices) > len(owner.kind.shape):
-            self.refuse(node, f"takes an element of what has none there ({ast.unparse(node)})")
+            self.refuse(
+                node, f"uses an index where there is no element ({ast.unparse(node)}); check the number of indices"
+            )
         if stored:
             self.stored |= owner.roots
         shape, total = owner.kind.shape, constant(0)
-        for axis, length in enumerate(shape):  # as rows lie one after the other
+        for axis, length in enumerate(shape):  # row by row
             total = self.combine(ast.Mult(), total, constant(length))
             if axis < len(indices):
                 total = self.combine(ast.Add(), total, self._counted(node, indices[axis], length))
@@ -126,13 +135,13 @@ class Arithmetic(Context):
         return Value(f"({owner.text} + {enclosed(total, SUM)})", Array(shape[len(indices) :]), roots=owner.roots)
 
     def _counted(self, node: ast.AST, index: Value, length: int) -> Value:
-        """Return an index counted from the front; Python counts negative ones from the end."""
+        """Return an index from the front; negative ones count from the end in Python."""
         if isinstance(index.kind, Constant):
             at = int(index.kind.value)
             if not -length <= at < length:
                 self.refuse(
                     node,
-                    f"takes element {at} of {length} ({ast.unparse(node)}); the last one is {length - 1}",
+                    f"uses element {at} of {length} ({ast.unparse(node)}); the last one is {length - 1}",
                 )
             return constant(at % length)
         if self.number(node, index).natural:
@@ -141,7 +150,7 @@ class Arithmetic(Context):
 
     def _item(self, node: ast.AST, values: tuple[Any, ...], indices: Sequence[Value]) -> Value:
         if len(indices) != 1 or not values:
-            self.refuse(node, "takes an element of a tuple that is not there")
+            self.refuse(node, "uses an element of a tuple that does not exist; check the index")
         index = self._counted(node, indices[0], len(values))
         if isinstance(index.kind, Constant):
             return constant(values[index.kind.value])
@@ -149,7 +158,7 @@ class Arithmetic(Context):
         for value in values:
             kind = joined(kind, Constant(value)) if kind is not None else None
         if not isinstance(kind, Number):
-            self.refuse(node, "takes a varying element of a tuple of which not all are numbers")
+            self.refuse(node, "uses a variable index into a tuple whose elements are not all numbers; use numbers only")
         table = self.functions.table(values, kind)
         self.called.add(table)
         return Value(f"{table}[{index.text}]", kind)
@@ -158,7 +167,10 @@ class Arithmetic(Context):
         value = self.value(node.operand)
         kind = FLOAT if self.number(node, value).type == "float" else INT
         if isinstance(node.op, ast.Invert):
-            self.refuse(node, f"has an operation ({ast.unparse(node)}) that C is not written for")
+            self.refuse(
+                node,
+                f"has an operation ({ast.unparse(node)}) that cannot be translated to C; use + - * / and cosim.ops",
+            )
         if isinstance(value.kind, Constant):
             return self.known(node, -value.kind.value if isinstance(node.op, ast.USub) else +value.kind.value)
         if self.number(node, value) == BOOL:
@@ -168,13 +180,14 @@ class Arithmetic(Context):
     def get_BinOp(self, node: ast.BinOp) -> Value:
         if type(node.op) not in _ARITHMETIC:
             self.refuse(
-                node, f"has an operation ({ast.unparse(node)}) that C is not written for; use + - * / and cosim.ops"
+                node,
+                f"has an operation ({ast.unparse(node)}) that cannot be translated to C; use + - * / and cosim.ops",
             )
         left, right = self.values([node.left, node.right])
         return self.combine(node.op, left, right, node)
 
     def combine(self, op: ast.operator, left: Value, right: Value, node: ast.AST | None = None) -> Value:
-        """Return the result of an operation of arithmetic, computed now where both sides are known."""
+        """Return the result of an arithmetic operation; of two constants, the constant result."""
         node = node or ast.Pass()
         sign, level, fold = _ARITHMETIC[type(op)]
         one, other = self.number(node, left), self.number(node, right)
@@ -182,7 +195,7 @@ class Arithmetic(Context):
             try:
                 return self.known(node, fold(left.kind.value, right.kind.value))
             except (ZeroDivisionError, OverflowError) as error:
-                self.refuse(node, f"computes with plain numbers what has no result ({error})")
+                self.refuse(node, f"has an operation on constants without a result ({error}); correct the numbers")
         if one.type == other.type == "bool":
             self.refuse(node, _TRUTH)
         whole = "float" not in {one.type, other.type}
@@ -190,12 +203,12 @@ class Arithmetic(Context):
         natural = all(number.natural or number.type == "bool" for number in (one, other))
         if isinstance(op, ast.FloorDiv | ast.Mod):
             if not whole:
-                self.refuse(node, "uses // or % on numbers that are not whole; use ops.floor")
+                self.refuse(node, "uses // or % with numbers that are not whole; use ops.floor")
             return Value(f"{sign}({left.text}, {right.text})", NATURAL if natural else INT)
         if isinstance(op, ast.Div):
             left, right = as_float(left), as_float(right)
         elif whole:
-            for known, rest in ((left, right), (right, left)):  # what indices are full of
+            for known, rest in ((left, right), (right, left)):  # common in indices
                 value = known.kind.value if isinstance(known.kind, Constant) else None
                 if value == 0 and isinstance(op, ast.Mult):
                     return constant(0)

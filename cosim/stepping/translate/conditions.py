@@ -40,7 +40,7 @@ class Conditions(Arithmetic):
     """Expressions without calls of step functions."""
 
     def truth(self, node: ast.expr) -> Value:
-        """Return whether Python takes an expression for true."""
+        """Return the truth value of an expression."""
         return self._logic(node) if isinstance(node, ast.BoolOp) else self._true(node, self.value(node))
 
     def _true(self, node: ast.AST, value: Value) -> Value:
@@ -53,32 +53,34 @@ class Conditions(Arithmetic):
 
     def get_Compare(self, node: ast.Compare) -> Value:
         if any(type(op) not in _COMPARISONS for op in node.ops):
-            self.refuse(node, f"has a comparison ({ast.unparse(node)}) that C is not written for")
+            self.refuse(
+                node, f"has a comparison ({ast.unparse(node)}) that cannot be translated to C; use < <= > >= == !="
+            )
         if any(self.calls(later) for later in node.comparators[1:]):
-            self.refuse(node, "calls a function behind a second comparison; call it in a line before")
+            self.refuse(node, "calls a function after a second comparison; call it in a line before")
         values = self.values([node.left, *node.comparators])
-        found = []
+        results = []
         for op, left, right in zip(node.ops, values, values[1:], strict=False):
             sign, level, fold = _COMPARISONS[type(op)]
             types = {self.number(node, left).type, self.number(node, right).type}
             if isinstance(left.kind, Constant) and isinstance(right.kind, Constant):
-                found.append(constant(bool(fold(left.kind.value, right.kind.value))))
+                results.append(constant(bool(fold(left.kind.value, right.kind.value))))
             else:
                 if "float" in types:
                     left, right = as_float(left), as_float(right)
-                found.append(Value(f"{enclosed(left, SUM)} {sign} {enclosed(right, SUM)}", BOOL, level))
-        return _all(found)
+                results.append(Value(f"{enclosed(left, SUM)} {sign} {enclosed(right, SUM)}", BOOL, level))
+        return _all(results)
 
     def get_BoolOp(self, node: ast.BoolOp) -> Value:
         return self._logic(node, chosen=True)
 
     def _logic(self, node: ast.BoolOp, *, chosen: bool = False) -> Value:
-        """Return what and and or make of truth values; `chosen` where one of their operands itself is wanted."""
+        """Return the value of ``and`` or ``or``; with `chosen`, one of the operands is the result."""
         if any(self.calls(part) for part in node.values[1:]):
             self.refuse(node, "calls a function within 'and' or 'or'; call it in a line before")
         parts = [self.value(part) if chosen else self.truth(part) for part in node.values]
         if any(self.number(node, part).type != "bool" for part in parts):
-            self.refuse(node, "takes a number out of 'and' or 'or'; use ops.select")
+            self.refuse(node, "uses a number in 'and' or 'or'; use ops.select")
         return _all(parts) if isinstance(node.op, ast.And) else _any(parts)
 
     def get_IfExp(self, node: ast.IfExp) -> Value:
@@ -90,10 +92,12 @@ class Conditions(Arithmetic):
         one, other = self.value(node.body), self.value(node.orelse)
         kind = joined(one.kind, other.kind)
         if not isinstance(kind, Number):
-            self.refuse(node, "chooses between what are no numbers")
+            self.refuse(node, "chooses between values that are not numbers; choose between numbers")
         one, other = as_kind(one, kind), as_kind(other, kind)
         if kind.type == "int" and isinstance(one.kind, Constant) and isinstance(other.kind, Constant):
-            one = Value(f"(int64_t){enclosed(one, UNARY)}", kind, UNARY)  # C takes a choice of two literals for an int
+            one = Value(
+                f"(int64_t){enclosed(one, UNARY)}", kind, UNARY
+            )  # in C, a choice between two literals is an int
         return Value(f"{enclosed(test, OR)} ? {enclosed(one, OR)} : {enclosed(other, OR)}", kind, CHOICE)
 
     def get_UnaryOp(self, node: ast.UnaryOp) -> Value:
@@ -108,8 +112,8 @@ class Conditions(Arithmetic):
         """Return the result of an operation."""
         operands = self.in_order(node, getattr(ops, name))
         conditions = len(operands) if name in {"both", "either", "negate"} else int(name == "select")
-        found = [operand if isinstance(operand, Value) else constant(operand) for operand in operands]
-        values = [self._true(node, value) for value in found[:conditions]] + found[conditions:]
+        results = [operand if isinstance(operand, Value) else constant(operand) for operand in operands]
+        values = [self._true(node, value) for value in results[:conditions]] + results[conditions:]
         for value in values:
             self.number(node, value)
         known = [value.kind.value for value in values if isinstance(value.kind, Constant)]

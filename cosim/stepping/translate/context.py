@@ -1,4 +1,4 @@
-"""What is known of a function while its C is written, and the lines written so far."""
+"""The state of a function's translation to C: its variables, and the lines so far."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ OPERATIONS = {getattr(ops, name): name for name in ops.NAMES}
 
 
 class Functions(Protocol):
-    """All functions of one C file, as one of them sees them: those that it calls, and names and tables that are of the file."""
+    """All functions of one C file, as needed by one of them: functions that it calls, and the file's names and tables."""
 
     def require(self, function: FunctionType, kinds: Sequence[Kind]) -> Any:
         """Return the C function for arguments of these kinds."""
 
     def allowed(self, name: str) -> str:
-        """Return a name as C allows it."""
+        """Return a name that C allows."""
 
     def table(self, values: tuple[Any, ...], kind: Number) -> str:
         """Return the name of the file's table of these numbers."""
 
 
 class Context:
-    """What a function's variables are so far, and each expression as C.
+    """The variables of a function so far, and the translation of expressions.
 
-    Whatever must be computed before the line that an expression stands in goes through `emit`: what a function returns, and
-    what was read before that function was called.
+    Values that must be computed before the line of an expression are added by `emit`: results of functions, and values that were
+    read before these functions are called.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class Context:
     function : function
         The step function, or one that it calls.
     arguments : mapping of str to Kind
-        What its arguments are.
+        The kinds of its arguments.
     names : mapping of str to object
-        Its global names and those of the functions around it.
+        Its global names and those of enclosing functions.
     """
 
     def __init__(
@@ -54,19 +54,19 @@ class Context:
     ):
         self.functions, self.function, self.names = functions, function, names
         self.arguments = arguments
-        self.kinds: dict[str, Kind] = {}  # of variables that C has, too
-        self.constants: dict[str, Value] = {}  # variables that are known now
+        self.kinds: dict[str, Kind] = {}  # kinds of the variables in C
+        self.constants: dict[str, Value] = {}  # variables with constant values
         self.roots: dict[str, frozenset[str]] = {}
         self.stored: set[str] = set()  # arguments whose elements are assigned
         self.called: set[str] = set()  # names of the file that no variable may hide
-        self.spelled: dict[str, str] = {}  # what its names are called in C
+        self.spelled: dict[str, str] = {}  # names in C
         self.lines: list[str] = []
         self.depth = 1
         self.temporaries = 0
-        self.kept: set[str] = set()  # names of numbers that Python has no name for
+        self.kept: set[str] = set()  # temporary variables, which have no name in Python
 
     def refuse(self, node: ast.AST, what: str) -> NoReturn:
-        """Raise the error that this line cannot become C."""
+        """Raise an error for a line that cannot be translated."""
         raise KernelError(f"Step function {place(self.function, node)} {what}.")
 
     def emit(self, line: str) -> None:
@@ -74,11 +74,11 @@ class Context:
         self.lines.append("    " * self.depth + line)
 
     def local(self, name: str) -> str:
-        """Return what a variable is called in C."""
+        """Return the name of a variable in C."""
         return self.spelled.get(name, name)
 
     def spell(self, names: Iterable[str]) -> None:
-        """Choose what variables are called in C: no two alike, and none like what the function calls."""
+        """Choose the names of variables in C: all different, and different from called functions."""
         self.spelled, taken = {}, set(self.called)
         for name in sorted(set(names)):
             plain = self.functions.allowed(name.replace(".", "_"))
@@ -88,7 +88,7 @@ class Context:
             self.spelled[name] = plain
 
     def new(self, prefix: str) -> str:
-        """Return a name for something that Python has no name for."""
+        """Return an unused name for a temporary variable."""
         taken = self.called | set(self.spelled.values())
         while True:
             self.temporaries += 1
@@ -96,7 +96,7 @@ class Context:
                 return name
 
     def temporary(self, value: Value) -> Value:
-        """Return the value kept in a variable of its own, so that what comes later does not change it."""
+        """Return the value in a temporary variable, so that later statements do not change it."""
         if isinstance(value.kind, Constant):
             return value
         name = self.new("t")
@@ -108,54 +108,60 @@ class Context:
         return replace(value, text=name, level=ATOM)
 
     def pointer(self, roots: frozenset[str]) -> str:
-        """Return the declaration, up to its name, of what never points elsewhere: to read only, or to store, too."""
+        """Return the declaration, up to the name, of a constant pointer: to read only, or also to store."""
         return "double *const " if roots <= self.stored else "const double *const "
 
     def values(self, nodes: Sequence[ast.expr]) -> list[Value]:
-        """Return the values of expressions, each as it was when Python would have come to it."""
-        found = []
+        """Return the values of expressions, computed in Python's order."""
+        results = []
         for i, node in enumerate(nodes):
             value = self.value(node)
-            kept = not isinstance(value.kind, Array) and any(self.calls(later) for later in nodes[i + 1 :])
-            found.append(self.temporary(value) if kept else value)
-        return found
+            needs_copy = not isinstance(value.kind, Array) and any(self.calls(later) for later in nodes[i + 1 :])
+            results.append(self.temporary(value) if needs_copy else value)
+        return results
 
     def value(self, node: ast.expr) -> Value:
-        """Return an expression."""
+        """Return the value of an expression."""
         method = getattr(self, f"get_{type(node).__name__}", None)
         if method is None:
             self.refuse(
                 node,
-                f"has an expression ({ast.unparse(node)}) that C is not written for; use numbers, indices and cosim.ops",
+                f"has an expression ({ast.unparse(node)}) that cannot be translated to C; use numbers, indices and cosim.ops",
             )
-        found: Value = method(node)
-        return found
+        result: Value = method(node)
+        return result
 
     def number(self, node: ast.AST, value: Value) -> Number:
         """Return the kind of number that a value is."""
         kind = as_number(value.kind)
         if kind is None:
-            self.refuse(node, "uses an array, a tuple or a function where a number must stand; take an element of it")
+            self.refuse(node, "uses an array, a tuple or a function where a number is needed; use an element of it")
         return kind
 
     def whole(self, node: ast.AST, value: Value) -> Value:
-        """Return a value that is a whole number."""
+        """Return a value; refuse it if it is no whole number."""
         if self.number(node, value).type == "float":
-            self.refuse(node, f"counts with what is no whole number ({ast.unparse(node)})")
+            self.refuse(
+                node, f"uses a number that is not whole as an index or count ({ast.unparse(node)}); use whole numbers"
+            )
         return value
 
     def in_order(self, node: ast.Call, function: FunctionType) -> list[Value]:
-        """Return the arguments of a call in the function's own order, defaults filled in, computed in the order of the call."""
+        """Return the arguments of a call in the function's order, with defaults, computed in the order of the call."""
         names = parameters(function)
         defaults = function.__defaults__ or ()
         if any(isinstance(a, ast.Starred) for a in node.args) or any(k.arg is None for k in node.keywords):
             self.refuse(node, "calls with a star; write the arguments one by one")
-        named = [*names[: len(node.args)], *(str(keyword.arg) for keyword in node.keywords)]
-        found = dict(zip(names[len(names) - len(defaults) :], map(constant, defaults), strict=True))
-        if len(node.args) > len(names) or len(set(named)) < len(named) or set(named) | set(found) != set(names):
-            self.refuse(node, f"calls {function.__name__!r} with other arguments than it has ({', '.join(names)})")
-        found |= zip(named, self.values([*node.args, *(k.value for k in node.keywords)]), strict=True)
-        return [found[name] for name in names]
+        given_names = [*names[: len(node.args)], *(str(keyword.arg) for keyword in node.keywords)]
+        arguments = dict(zip(names[len(names) - len(defaults) :], map(constant, defaults), strict=True))
+        if (
+            len(node.args) > len(names)
+            or len(set(given_names)) < len(given_names)
+            or set(given_names) | set(arguments) != set(names)
+        ):
+            self.refuse(node, f"calls {function.__name__!r} with wrong arguments; its arguments are {', '.join(names)}")
+        arguments |= zip(given_names, self.values([*node.args, *(k.value for k in node.keywords)]), strict=True)
+        return [arguments[name] for name in names]
 
     def calls(self, node: ast.expr) -> bool:
         """Return whether an expression calls anything that may write into arrays."""

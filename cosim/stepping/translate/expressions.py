@@ -1,4 +1,4 @@
-"""Calls of other step functions, each in a line of C of its own, in the order in which Python makes them."""
+"""Calls of other step functions, each in a separate line of C, in Python's order."""
 
 from __future__ import annotations
 
@@ -19,11 +19,13 @@ class Expressions(Conditions):
     def get_Call(self, node: ast.Call) -> Value:
         value = self.call(node)
         if value is None:
-            self.refuse(node, f"uses what {ast.unparse(node.func)!r} returns, which is nothing")
+            self.refuse(
+                node, f"uses the result of {ast.unparse(node.func)!r}, which returns nothing; return a number from it"
+            )
         return value
 
     def call(self, node: ast.Call, *, wanted: bool = True) -> Value | None:
-        """Return what a call returns; None for nothing. It is made in a line of its own, here, but for operations."""
+        """Return the result of a call, or None. Calls are emitted as separate lines, except operations."""
         target = self.value(node.func).kind
         function = target.value if isinstance(target, Constant) else None
         if function is len and len(node.args) == 1:
@@ -37,7 +39,7 @@ class Expressions(Conditions):
         if callable(function) and function in OPERATIONS:
             return self.operation(node, OPERATIONS[function])
         if not isinstance(function, FunctionType):
-            self.refuse(node, f"calls {ast.unparse(node.func)!r}, which is no step function")
+            self.refuse(node, f"calls {ast.unparse(node.func)!r}, which is no step function; call only step functions")
         arguments = self.in_order(node, function)
         written = self.functions.require(function, [as_number(a.kind) or a.kind for a in arguments])
         self.called.add(written.name)

@@ -1,4 +1,4 @@
-"""The C functions that step functions become: each once for the kinds of arguments that it is called with."""
+"""The C functions of step functions: one for each combination of argument kinds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bayesftc.cosim.stepping.translate.values import literal
 _ASSIGNMENT = re.compile(r"( *)(?:const \w+ \*?(?:const )?|double \*const )?(\w+) = (.*)")
 
 WIDTH = 120
-"""Lines of C are broken behind this column."""
+"""Longest line of C."""
 
 _RESERVED = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long "
@@ -39,7 +39,7 @@ _RESERVED = (
     "new noexcept not not_eq nullptr operator or or_eq private protected public reinterpret_cast requires static_assert "
     "static_cast template this thread_local throw true try typeid typename using virtual wchar_t xor xor_eq "
 )
-"""Words that mean something to C or to its library of mathematics, or to C++."""
+"""Reserved words of C, its mathematics library and C++."""
 
 _TAKEN = frozenset(_RESERVED.split())
 _TAKEN_BEGINNINGS = (
@@ -67,7 +67,7 @@ OPERATIONS = {
     "op_remainder": "static int64_t op_remainder(int64_t a, int64_t b)\n"
     "{\n    if (b == 0) {\n        return 0;\n    }\n    return a % b != 0 && (a < 0) != (b < 0) ? a % b + b : a % b;\n}",
 }
-"""What stands in C for operations of `bayesftc.cosim.ops` and of Python that are more than one of C's own."""
+"""C functions for operations of `bayesftc.cosim.ops` and of Python that C has no operator for."""
 
 
 @dataclass(frozen=True)
@@ -77,13 +77,13 @@ class Written:
     Parameters
     ----------
     name : str
-        What it is called in C.
+        Its name in C.
     arguments : tuple of str
         The names of the Python function's arguments.
     passed, stored : frozenset of str
-        Those that the C function has, too, and the arrays among them into which it stores.
+        Those that the C function has, too, and the arrays among them that it writes.
     returns : Kind or None
-        What it returns.
+        The kind of its result.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Functions:
     Parameters
     ----------
     taken : iterable of str
-        Names that the file uses otherwise.
+        Names that the file already uses.
     """
 
     def __init__(self, taken: Iterable[str] = ()):
@@ -110,19 +110,19 @@ class Functions:
         self._texts: dict[str, str] = {}
 
     def step(self, kernel: FunctionType, sections: Sections) -> Written:
-        """Return the C function for a step function whose arguments lie there.
+        """Return the C function for a step function with arguments in these sections.
 
         Raises
         ------
         KernelError
-            If it breaks one of the rules of step functions, or does something that C is not written for.
+            If it breaks a rule of step functions, or cannot be translated to C.
         """
         functions_called(kernel)
         kinds = [FLOAT if n == "t" else NATURAL if n == "k" else Array(sections[n][2]) for n in parameters(kernel)]
         return self.require(without_records(kernel), kinds)
 
     def require(self, function: FunctionType, kinds: Sequence[Kind]) -> Written:
-        """Return the C function for arguments of these kinds; it stands before the one that asks for it."""
+        """Return the C function for arguments of these kinds; it comes before its caller in the file."""
         key = function, tuple(kinds)
         if key not in self._written:
             translator = Translator(self, function, kinds)
@@ -130,19 +130,19 @@ class Functions:
             self._written[key] = self._finished(translator)
         return self._written[key]
 
-    def name(self, wanted: str) -> str:
-        """Return a name for something of the file, like this one and not taken, and take it."""
-        plain = self.allowed(wanted.lstrip("_") or wanted)  # C keeps names of files that begin so for itself
-        found, count = plain, 1
-        while found in self._names:
+    def name(self, name: str) -> str:
+        """Reserve and return an unused name in the file, like this one."""
+        plain = self.allowed(name.lstrip("_") or name)  # C reserves names with leading underscores
+        unused, count = plain, 1
+        while unused in self._names:
             count += 1
-            found = f"{plain}_{count}"
-        self._names.add(found)
-        return found
+            unused = f"{plain}_{count}"
+        self._names.add(unused)
+        return unused
 
     @staticmethod
     def allowed(name: str) -> str:
-        """Return a name as C allows it."""
+        """Return a name that C allows."""
         plain = "".join(c if c.isascii() and (c.isalnum() or c == "_") else f"u{ord(c):x}" for c in name)
         return f"{plain}_" if plain in _TAKEN or plain.startswith(_TAKEN_BEGINNINGS) else plain
 
@@ -155,13 +155,13 @@ class Functions:
         return self._tables[key][0]
 
     def text(self, lines: Iterable[str]) -> str:
-        """Return the functions that some lines call, callees first, below what they need."""
-        called, kept = words("\n".join(lines)), []
+        """Return the functions that some lines call, callees first, after the types, tables and operations that they need."""
+        called, texts = words("\n".join(lines)), []
         for name, text in reversed(self._texts.items()):
-            if name in called:  # not those for kinds of variables that were only thought to be so
+            if name in called:  # leaves out functions for preliminary kinds of variables
                 called |= words(text)
-                kept.append(text)
-        body = "\n\n".join(reversed(kept))
+                texts.append(text)
+        body = "\n\n".join(reversed(texts))
         needed = [name for name in OPERATIONS if f"{name}(" in body]
         records = {w.returns.c: w.returns for w in self._written.values() if isinstance(w.returns, Record)}
         parts = [
@@ -186,48 +186,48 @@ class Functions:
         summary = _summary(t.function)
         head, arguments_text = f"static {result} ", f"({', '.join(arguments) or 'void'})"
         body = [*lines, *([""] if lines else []), *t.lines]
-        wanted = t.function.__name__.strip("<>")
-        alike = wanted, result, arguments_text, "\n".join(body)
-        if alike not in self._named:  # for other shapes it often comes out the same
-            name = self._named[alike] = self.name(wanted)
+        base_name = t.function.__name__.strip("<>")
+        key = base_name, result, arguments_text, "\n".join(body)
+        if key not in self._named:  # other shapes often give the same text
+            name = self._named[key] = self.name(base_name)
             text = [f"/* {summary} */"] if summary else []
             text += [f"{head}{name}{arguments_text}", "{", *body, "}"]
             self._texts[name] = "\n".join(piece for line in text for piece in wrapped(line))
-        return Written(self._named[alike], tuple(t.arguments), frozenset(passed), frozenset(t.stored), t.returns)
+        return Written(self._named[key], tuple(t.arguments), frozenset(passed), frozenset(t.stored), t.returns)
 
 
 def _without_unread(lines: Sequence[str], variables: Collection[str], functions: Collection[str]) -> list[str]:
-    """Return lines without the assignments to variables that none reads; calls that may do more than return stay."""
-    kept, before = list(lines), None
-    while kept != before:
-        before, kept = kept, []
+    """Remove assignments to variables that are never read; keep calls that may have other effects."""
+    result, before = list(lines), None
+    while result != before:
+        before, result = result, []
         assigned = [_ASSIGNMENT.match(line) for line in before]
         read = {
             word for line, match in zip(before, assigned, strict=True) for word in words(match[3] if match else line)
         }
         for line, match in zip(before, assigned, strict=True):
             if match is None or match[2] in read or not (match[2] in variables or match[2].startswith("t_")):
-                kept.append(line)
+                result.append(line)
             elif match[3].partition("(")[0] in functions:
-                kept.append(f"{match[1]}{match[3]}")
-    return kept
+                result.append(f"{match[1]}{match[3]}")
+    return result
 
 
 def _variables(t: Translator, read: Collection[str]) -> list[str]:
-    """Return the declarations of the variables that are read and live in more than one block."""
-    found: dict[str, list[str]] = {}
+    """Return the declarations of variables that are read, and used in more than one block."""
+    names_by_type: dict[str, list[str]] = {}
     for variable, kind in t.declared.items():
         if variable not in t.arguments and variable not in t.fresh and t.local(variable) in read:
             c_type, name = str(kind.c), t.local(variable)  # type: ignore[union-attr]
             if isinstance(kind, Array):
                 c_type, name = ("double" if t.roots[variable] <= t.stored else "const double"), f"*{name}"
             begin = "{ 0 }" if isinstance(kind, Record) else "0.0" if kind == FLOAT else "0"
-            found.setdefault(c_type, []).append(f"{name} = {begin}")
-    return [f"    {c_type} {', '.join(names)};" for c_type, names in found.items()]
+            names_by_type.setdefault(c_type, []).append(f"{name} = {begin}")
+    return [f"    {c_type} {', '.join(names)};" for c_type, names in names_by_type.items()]
 
 
 def _summary(function: FunctionType) -> str:
-    """Return the first line of a docstring as it may stand in a comment of C."""
+    """Return the first line of a docstring, for a comment in C."""
     first = (getdoc(function) or "").strip().split("\n")[0]
     return first.replace("``", "").replace("*/", "* /").replace("/*", "/ *")
 
@@ -245,15 +245,15 @@ def table_text(name: str, values: Sequence[Any], c_type: str = "double") -> str:
 
 
 def words(text: str) -> set[str]:
-    """Return the names that stand in some C."""
+    """Return all names in some C."""
     return set(re.findall(r"[A-Za-z_]\w*", text))
 
 
 def wrapped(line: str) -> list[str]:
-    """Return a line of C in pieces that are not too long, broken behind commas where it has any."""
+    """Break a long line of C into pieces, after commas if it has any."""
     if len(line) <= WIDTH:
         return [line]
     margin = len(line) - len(line.lstrip())
-    held = line[margin:].replace(" ", "\0").replace(",\0", ", ") if ", " in line else line[margin:]
-    pieces = textwrap.wrap(held, max(WIDTH - margin - 4, 40), break_long_words=False, break_on_hyphens=False)
+    text = line[margin:].replace(" ", "\0").replace(",\0", ", ") if ", " in line else line[margin:]
+    pieces = textwrap.wrap(text, max(WIDTH - margin - 4, 40), break_long_words=False, break_on_hyphens=False)
     return [" " * (margin + 4 * (i > 0)) + piece.replace("\0", " ") for i, piece in enumerate(pieces)]

@@ -1,4 +1,4 @@
-"""What a value in a step function can be: the types of the small language that becomes C."""
+"""The kinds of values in a step function: the types of the Python subset that is translated to C."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Number:
     Parameters
     ----------
     type : {"float", "int", "bool"}
-        Of float64, of whole numbers (64 bits) or truth values.
+        A float64, a whole number (64 bits) or a truth value.
     natural : bool
-        Whether a whole number is known never to be negative.
+        Whether a whole number is certainly not negative.
     """
 
     type: str
@@ -39,13 +39,13 @@ class Array:
 
     @property
     def size(self) -> int:
-        """How many numbers it has."""
+        """Number of elements."""
         return prod(self.shape)
 
 
 @dataclass(frozen=True)
 class Record:
-    """Several numbers, as a function returns them."""
+    """Several numbers, returned by a function."""
 
     items: tuple[Number, ...]
 
@@ -57,7 +57,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Constant:
-    """What is known when the C is written: a number, a tuple of such, a function, a module."""
+    """A value that is known at translation: a number, a tuple of such, a function, a module."""
 
     value: Any
 
@@ -69,7 +69,7 @@ class Constant:
 
 
 def same(a: Any, b: Any) -> bool:
-    """Return whether two constants are one: of the same type, and NaN is NaN."""
+    """Return whether two constants are equal and of the same type; NaN equals NaN."""
     if a is b:
         return True
     if isinstance(a, tuple) and isinstance(b, tuple):
@@ -83,7 +83,7 @@ FLOAT, INT, BOOL, NATURAL = Number("float"), Number("int"), Number("bool"), Numb
 
 
 def number_of(value: Any) -> Number | None:
-    """Return the kind of number that a constant is; None where it is none."""
+    """Return the kind of a constant number; None if it is no number."""
     if isinstance(value, bool):
         return BOOL
     if isinstance(value, np.generic):
@@ -94,14 +94,14 @@ def number_of(value: Any) -> Number | None:
 
 
 def as_number(kind: Kind) -> Number | None:
-    """Return the kind of number that something is; None where it is none."""
+    """Return the kind of a number; None if it is no number."""
     if isinstance(kind, Number):
         return kind
     return number_of(kind.value) if isinstance(kind, Constant) else None
 
 
 def joined(a: Kind, b: Kind) -> Kind | None:
-    """Return the kind of a variable that holds now the one, now the other; None where there is none."""
+    """Return the kind of a variable for values of both kinds; None if there is none."""
     if a == b and not isinstance(a, Constant):
         return a
     left, right = as_number(a), as_number(b)

@@ -1,4 +1,4 @@
-"""What can be told from the syntax tree of a step function at a glance."""
+"""Properties of the syntax tree of a step function."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _read: WeakKeyDictionary[FunctionType, tuple[CodeType, Source]] = WeakKeyDiction
 
 @dataclass
 class Source:
-    """The syntax tree of a function, and what can be told from it; found once, for however many kinds of arguments."""
+    """The syntax tree of a function and its properties, computed once for all kinds of arguments."""
 
     tree: ast.FunctionDef
 
@@ -33,43 +33,45 @@ class Source:
 
     @cached_property
     def counters(self) -> set[str]:
-        """The loop variables that are neither assigned otherwise nor read outside of their loops."""
+        """The loop variables that are neither assigned nor read outside their loops."""
         return counters(self.tree)
 
     @cached_property
     def once(self) -> set[str]:
-        """Variables that are assigned to in one place, and no counters."""
+        """Variables with a single assignment, except counters."""
         return {name for name, times in self.assigned.items() if times == 1} - set(self.arguments) - self.counters
 
     @cached_property
     def fresh(self) -> set[str]:
-        """Those that are read only by the statements behind that one in the same block."""
+        """Those that are read only by later statements of the same block."""
         return within_block(self.tree) & self.once
 
 
 def source_of(function: FunctionType) -> Source:
     """Return the source of a function."""
     code, source = _read.get(function, (None, None))
-    if source is None or code is not function.__code__:  # notebooks that load edited files anew exchange it
+    if source is None or code is not function.__code__:  # notebooks replace the code when they reload edited files
         source = Source(tree_of(function))
         _read[function] = function.__code__, source
     return source
 
 
 def counters(tree: ast.FunctionDef) -> set[str]:
-    """Return the loop variables that are neither assigned otherwise nor read outside of their loops."""
+    """Return the loop variables that are neither assigned nor read outside their loops."""
     loops = [n for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)]
-    found = {_counter(loop) for loop in loops} - {a.arg for a in tree.args.args}
-    for name in list(found):
-        own = [loop for loop in loops if _counter(loop) == name]
-        inside = {id(n) for loop in own for part in loop.body for n in _named(part, name)} | {id(o.target) for o in own}
-        begun_within = any(
-            _counter(n) == name for loop in own for part in loop.body for n in ast.walk(part) if n in own
+    result = {_counter(loop) for loop in loops} - {a.arg for a in tree.args.args}
+    for name in list(result):
+        own_loops = [loop for loop in loops if _counter(loop) == name]
+        inside = {id(n) for loop in own_loops for part in loop.body for n in _named(part, name)} | {
+            id(o.target) for o in own_loops
+        }
+        is_nested = any(
+            _counter(n) == name for loop in own_loops for part in loop.body for n in ast.walk(part) if n in own_loops
         )
-        assigned = stores(tree).count(name) > len(own)
-        if begun_within or assigned or any(id(n) not in inside for n in _named(tree, name)):
-            found.discard(name)
-    return found
+        assigned = stores(tree).count(name) > len(own_loops)
+        if is_nested or assigned or any(id(n) not in inside for n in _named(tree, name)):
+            result.discard(name)
+    return result
 
 
 def _counter(loop: ast.AST) -> str:
@@ -82,16 +84,16 @@ def _named(tree: ast.AST, name: str) -> list[ast.Name]:
 
 
 def within_block(tree: ast.FunctionDef) -> set[str]:
-    """Return the variables that are assigned in one statement and read only by those that follow it in the same block."""
-    found, reads = set(), _reads(tree)
+    """Return the variables that are assigned in one statement and read only by later statements of the same block."""
+    result, reads = set(), _reads(tree)
     for node in ast.walk(tree):
         for body in (getattr(node, "body", None), getattr(node, "orelse", None)):
             later: Counter[str] = Counter()
             for statement in reversed(body if isinstance(body, list) else []):
                 if isinstance(statement, ast.Assign | ast.AnnAssign):
-                    found |= {name for name in stores(statement) if later[name] == reads[name]}
+                    result |= {name for name in stores(statement) if later[name] == reads[name]}
                 later += _reads(statement)
-    return found
+    return result
 
 
 def _reads(tree: ast.AST) -> Counter[str]:
@@ -100,7 +102,7 @@ def _reads(tree: ast.AST) -> Counter[str]:
 
 
 def ends(body: Sequence[ast.stmt]) -> bool:
-    """Return whether every way through some statements ends in a return."""
+    """Return whether every path through some statements ends in a return."""
     last = body[-1]
     if isinstance(last, ast.If):
         return ends(last.body) and bool(last.orelse) and ends(last.orelse)
@@ -108,7 +110,7 @@ def ends(body: Sequence[ast.stmt]) -> bool:
 
 
 def jumps(body: Sequence[ast.stmt]) -> bool:
-    """Return whether statements leave the loop that they are the body of, or begin its next round."""
+    """Return whether the body of a loop contains a break or continue of that loop."""
     for statement in body:
         if isinstance(statement, ast.Break | ast.Continue):
             return True

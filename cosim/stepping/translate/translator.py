@@ -1,8 +1,8 @@
-"""From one step function to one C function, for arguments of given kinds.
+"""Translate one step function to one C function, for arguments of given kinds.
 
-The language is what the contract of blocks leaves: numbers, arrays of float64 by index, loops over ranges, conditions, calls of
-other such functions. Each operation becomes the same operation of C in the same order, so that a compiler that contracts nothing
-gives the bits of plain Python. Loops stay loops: the C is as long as the Python, whatever the sizes of the arrays.
+The contract of blocks allows numbers, indexed arrays of float64, loops over ranges, conditions, and calls of other such
+functions. Each operation becomes the same operation of C in the same order, so a compiler without contraction gives the bits of
+Python. Loops stay loops: the length of the C does not depend on the sizes of the arrays.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 class Translator(Expressions):
     """The statements of one function.
 
-    It is read as often as it takes for the kinds of its variables to be settled: a variable that is a whole number at first and
-    a float later is a double all along.
+    The translation is repeated until the kinds of all variables are final: a variable that is first a whole number and later a
+    float is always a double.
     """
 
     def __init__(self, functions: Functions, function: FunctionType, kinds: Sequence[Kind]):
@@ -47,42 +47,43 @@ class Translator(Expressions):
         arguments = dict(zip(source.arguments, kinds, strict=True))
         super().__init__(functions, function, arguments, dict(references(function)))
         self.counters, self.once, self.fresh = source.counters, source.once, source.fresh
-        #: Names whose values do not change while a loop runs whose bounds they stand in.
+        #: Names that do not change during a loop, and so may be used in its bounds.
         self.steady = self.counters | self.once | (set(arguments) - set(source.assigned))
         self.declared: dict[str, Kind] = {}
         self.returns: Kind | None = None
         self.nothing = False
 
     def translate(self) -> None:
-        """Find the lines of C, the kinds of the variables and what the function returns."""
+        """Determine the lines of C, the kinds of the variables, and the result of the function."""
         before = None
-        while before != (known := self._known()):
-            before = known
+        while before != (present := self._known()):
+            before = present
             self.kinds = {name: kind for name, kind in self.declared.items() if name in self.arguments}
             self.constants, self.lines, self.depth, self.temporaries, self.kept = {}, [], 1, 0, set()
             self.spell((*self.arguments, *stores(self.tree)))
             self.block(self.tree.body)
         if self.returns is not None and (self.nothing or not ends(self.tree.body)):
-            self.refuse(self.tree, "returns something on one way and nothing on another; end it with a return")
+            self.refuse(self.tree, "returns a value on one path and nothing on another; end it with a return")
 
     def _known(self) -> tuple[object, ...]:
-        """Return all that a reading finds out for the next one."""
+        """Return the results of one pass that the next pass uses."""
         sets = frozenset(self.stored), frozenset(self.called)
         return dict(self.declared), self.returns, dict(self.roots), *sets
 
     def block(self, body: Sequence[ast.stmt]) -> None:
-        """Write statements."""
+        """Translate statements."""
         for statement in body:
             method = getattr(self, f"do_{type(statement).__name__}", None)
             if method is None:
                 kind = type(statement).__name__.lower()
                 self.refuse(
-                    statement, f"has a statement ({kind}) that C is not written for; use plain loops and assignments"
+                    statement,
+                    f"has a statement ({kind}) that cannot be translated to C; use plain loops and assignments",
                 )
             method(statement)
 
     def inner(self, head: str, body: Sequence[ast.stmt]) -> None:
-        """Write statements between braces."""
+        """Translate statements between braces."""
         self.emit(f"{head} {{")
         self.depth += 1
         self.block(body)
@@ -102,7 +103,7 @@ class Translator(Expressions):
         if isinstance(node.value, ast.Constant):
             return  # the docstring
         if not isinstance(node.value, ast.Call):
-            self.refuse(node, "has a line that does nothing; leave it out")
+            self.refuse(node, "has a line without effect; leave it out")
         self.call(node.value, wanted=False)
 
     def do_Return(self, node: ast.Return) -> None:
@@ -114,16 +115,16 @@ class Translator(Expressions):
         if isinstance(node.value, ast.Tuple):
             values = self.values(node.value.elts)
             kind = Record(tuple(replace(self.number(node, value), natural=False) for value in values))
-            held = self.new("t")
+            record_name = self.new("t")
             texts = (as_kind(value, item).text for value, item in zip(values, kind.items, strict=True))
-            self.emit(f"const {kind.c} {held} = {{ {', '.join(texts)} }};")
-            value = Value(held, kind)
+            self.emit(f"const {kind.c} {record_name} = {{ {', '.join(texts)} }};")
+            value = Value(record_name, kind)
         else:
             value = self.value(node.value)
             kind = value.kind if isinstance(value.kind, Record) else self.number(node, value)
         both = joined(self.returns, kind) if self.returns is not None else kind
         if both is None:
-            self.refuse(node, "returns values of different kinds; return the same everywhere")
+            self.refuse(node, "returns values of different kinds; return the same kind everywhere")
         self.returns = both
         self.emit(f"return {as_kind(value, both).text};")
 
@@ -142,17 +143,18 @@ class Translator(Expressions):
             self.assign(node.targets[0], self._unnamed(self.value(node.value)))
 
     def _unnamed(self, value: Value) -> Value:
-        """Return what the line before did nothing but name, without that line: it gets a better name."""
+        """Return the expression of the temporary variable in the last line, and remove that line."""
         begin = f"const {getattr(value.kind, 'c', '')} {value.text} = "
         if value.text not in self.kept or not self.lines or not self.lines[-1].lstrip().startswith(begin):
             return value
         return replace(value, text=self.lines.pop().lstrip().removeprefix(begin).removesuffix(";"))
 
     def _plain(self, target: ast.expr) -> None:
-        """Refuse to store where only a call tells: Python makes it behind those of the value."""
+        """Refuse a call in the target of an assignment: Python makes it after those of the value."""
         if self.calls(target):
             self.refuse(
-                target, f"calls a function to find where to store ({ast.unparse(target)}); call it in a line before"
+                target,
+                f"calls a function in the target of an assignment ({ast.unparse(target)}); call it in a line before",
             )
 
     def do_AnnAssign(self, node: ast.AnnAssign) -> None:
@@ -176,53 +178,59 @@ class Translator(Expressions):
             elif isinstance(whole.kind, Constant) and isinstance(whole.kind.value, tuple):
                 values = [constant(item) for item in whole.kind.value]
             else:
-                self.refuse(node, "takes apart what is no tuple")
+                self.refuse(node, "unpacks a value that is no tuple; assign it to one name")
         if len(values) != len(target.elts):
-            self.refuse(node, f"takes {len(target.elts)} values out of {len(values)}")
+            self.refuse(
+                node, f"unpacks {len(values)} values into {len(target.elts)} names; use as many names as values"
+            )
         read = {n.id for n in ast.walk(node.value) if isinstance(n, ast.Name)}
         if read & set(stores(target)) or any(isinstance(n, ast.Subscript) for n in ast.walk(target)):
-            values = [self.temporary(value) for value in values]  # all are read before the first is written
+            values = [self.temporary(value) for value in values]  # read all before writing the first
         for element, value in zip(target.elts, values, strict=True):
-            if not (isinstance(element, ast.Name) and element.id == "_"):  # whom nobody reads
+            if not (isinstance(element, ast.Name) and element.id == "_"):  # never read
                 self.assign(element, value)
 
     def assign(self, target: ast.expr, value: Value) -> None:
-        """Write an assignment."""
+        """Translate an assignment."""
         if isinstance(target, ast.Subscript):
             element = self.element(target, stored=True)
             if not isinstance(element.kind, Number):
-                self.refuse(target, "stores into a whole row or a tuple; store number by number, in a loop")
+                self.refuse(target, "assigns to a whole row or a tuple; assign number by number, in a loop")
             self.number(target, value)
             self.emit(f"{element.text} = {as_float(value).text};")
             return
         if not isinstance(target, ast.Name):
-            self.refuse(target, "assigns to what is neither a name nor an element of an array")
+            self.refuse(target, "assigns to something other than a name or an element of an array; use one of these")
         name = target.id
         if isinstance(value.kind, Constant) and name in self.once:
             self.constants[name] = value
             return
         if isinstance(value.kind, Constant) and as_number(value.kind) is None:
-            self.refuse(target, f"assigns {name!r} more than once, and once what is no number; take two names")
+            self.refuse(target, f"assigns {name!r} more than once, and not always a number; use two names")
         kind = as_number(value.kind) or value.kind
         if isinstance(kind, Array):
-            own = frozenset({name} if name in self.arguments else ())
-            self.roots[name] = self.roots.get(name, own) | value.roots
-        held = self._declare(target, name, kind)
-        text = as_kind(value, held).text
+            own_root = frozenset({name} if name in self.arguments else ())
+            self.roots[name] = self.roots.get(name, own_root) | value.roots
+        declared_kind = self._declare(target, name, kind)
+        text = as_kind(value, declared_kind).text
         start = ""
         if name in self.fresh:
-            start = self.pointer(self.roots[name]) if isinstance(held, Array) else f"const {getattr(held, 'c', '')} "
+            start = (
+                self.pointer(self.roots[name])
+                if isinstance(declared_kind, Array)
+                else f"const {getattr(declared_kind, 'c', '')} "
+            )
         self.emit(f"{start}{self.local(name)} = {text};")
 
     def _declare(self, node: ast.AST, name: str, kind: Kind) -> Kind:
-        """Take a variable to hold this kind, too."""
+        """Declare that a variable may have this kind."""
         if name in self.arguments:
             self.declared.setdefault(name, self.arguments[name])
         both = joined(self.declared.get(name, kind), kind)
         if both is None or (
             name in self.arguments and getattr(both, "c", "") != getattr(self.arguments[name], "c", "")
         ):
-            self.refuse(node, f"keeps values of different kinds in {name!r}; take two names")
+            self.refuse(node, f"assigns values of different kinds to {name!r}; use two names")
         self.declared[name] = self.kinds[name] = both
         return both
 
@@ -252,7 +260,7 @@ class Translator(Expressions):
             self.refuse(node, "has an else after a loop; write it without")
         call = node.iter
         if not isinstance(node.target, ast.Name) or not isinstance(call, ast.Call) or not self._is_range(call):
-            self.refuse(node, "loops over what is no range; write for i in range(n)")
+            self.refuse(node, "loops over something other than a range; write for i in range(n)")
         begin, end, step = self._bounds(node, call)
         if isinstance(begin.kind, Constant) and isinstance(end.kind, Constant):
             rounds = len(range(begin.kind.value, end.kind.value, step))
@@ -266,21 +274,21 @@ class Translator(Expressions):
         self._loop(node, node.target.id, begin, end, step)
 
     def _bounds(self, node: ast.For, call: ast.Call) -> tuple[Value, Value, int]:
-        """Return where a range begins and ends, and its step."""
+        """Return the begin, end and step of a range."""
         bounds = [as_whole(self.whole(call, value)) for value in self.values(call.args)]
         begin, end, by = (constant(0), *bounds, constant(1)) if len(bounds) == 1 else (*bounds, constant(1))[:3]
         if not isinstance(by.kind, Constant) or not by.kind.value:
-            self.refuse(node, "has a loop whose step is not known beforehand; write the step as a number")
+            self.refuse(node, "has a loop whose step is not constant; write the step as a number")
         return begin, end, int(by.kind.value)
 
     def _one_round(self, name: str, value: Value, body: Sequence[ast.stmt]) -> None:
-        """Write the body of a loop of one round, in which the counter is a number that is known."""
+        """Translate the body of a loop with one pass, where the counter is constant."""
         self.constants[name] = value
         self.block(body)
         del self.constants[name]
 
     def _loop(self, node: ast.For, name: str, begin: Value, end: Value, step: int) -> None:
-        """Write a loop; the counter lives outside of it if it is needed there."""
+        """Translate a loop; its counter is declared outside if it is used there."""
         upward = self.number(node, begin).natural and step > 0
         downward = step < 0 and isinstance(end.kind, Constant) and end.kind.value >= -1
         scoped = name in self.counters
@@ -305,7 +313,7 @@ class Translator(Expressions):
         return isinstance(called, Constant) and called.value is range
 
     def _is_steady(self, node: ast.expr) -> bool:
-        """Return whether an expression stays what it is while the loop runs: it reads no array, and names that are steady."""
+        """Return whether an expression does not change during the loop: it reads no arrays, and only steady names."""
         plain = (
             ast.Name,
             ast.Constant,

@@ -1,4 +1,4 @@
-"""Expressions of C on their way: their text, what they are, and how tightly their outermost operator binds."""
+"""Expressions of C: their text, their kind, and the precedence of their outermost operator."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import Any
 from bayesftc.cosim.stepping.translate.kinds import BOOL, FLOAT, NATURAL, Constant, Kind, Number, as_number
 
 ATOM, UNARY, PRODUCT, SUM, ORDER, EQUAL, AND, OR, CHOICE = range(9)
-"""How tightly an operator binds, as C has it."""
+"""Precedence of operators in C."""
 
 
 @dataclass(frozen=True)
 class Value:
-    """An expression of C, and what it is.
+    """An expression of C and its kind.
 
     Parameters
     ----------
     text : str
-        Its text; empty for what only has a meaning while the C is written, such as a function.
+        Its text; empty for values that exist only during translation, such as functions.
     kind : Kind
-        What it is.
+        Its kind.
     level : int
-        How tightly its outermost operator binds.
+        Precedence of its outermost operator.
     roots : frozenset of str
-        Of an array, the arguments whose numbers it may be part of.
+        For an array, the arguments of which it may be a part.
     """
 
     text: str
@@ -35,7 +35,7 @@ class Value:
 
 
 def literal(value: Any) -> str:
-    """Return a number as C reads it back, to the last bit."""
+    """Return a number as C text that preserves every bit."""
     value = value.item() if hasattr(value, "item") else value
     if isinstance(value, bool):
         return str(int(value))
@@ -47,7 +47,7 @@ def literal(value: Any) -> str:
 
 
 def constant(value: Any) -> Value:
-    """Return a value that is known now."""
+    """Return a constant value."""
     kind = Constant(value)
     if as_number(kind) is None:
         return Value("", kind)
@@ -66,19 +66,19 @@ def as_float(value: Value) -> Value:
 
 
 def as_whole(value: Value) -> Value:
-    """Return a truth value as a whole number of 64 bits, which it is when Python counts with it; others as they are."""
+    """Return a truth value as a whole number of 64 bits, as in Python's arithmetic; return other values unchanged."""
     if isinstance(value.kind, Constant):
         return constant(int(value.kind.value)) if isinstance(value.kind.value, bool) else value
     return Value(f"(int64_t){enclosed(value, UNARY)}", NATURAL, UNARY) if value.kind == BOOL else value
 
 
 def as_kind(value: Value, kind: Kind) -> Value:
-    """Return a value as what is to hold it."""
+    """Return a value converted to a kind."""
     if kind == FLOAT:
         return as_float(value)
     return as_whole(value) if isinstance(kind, Number) and kind.type == "int" else value
 
 
 def enclosed(value: Value, level: int) -> str:
-    """Return the text of an operand for an operator that binds as tightly as `level`."""
+    """Return the text of an operand, in parentheses if an operator of precedence `level` needs them."""
     return value.text if value.level <= level else f"({value.text})"

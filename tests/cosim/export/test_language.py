@@ -247,23 +247,26 @@ def test_rates_time_and_what_comes_from_outside(tmp_path, compiled):
 
 
 REFUSED = {
-    "array": (lambda: block_of(adds_array), "uses an array, a tuple or a function where a number must stand"),
-    "slice": (lambda: block_of(takes_slice), "takes a slice; write a loop over its elements"),
-    "value of and": (lambda: block_of(chooses_by_and), "takes a number out of 'and' or 'or'; use ops.select"),
-    "loop over array": (lambda: block_of(loops_over_array), "loops over what is no range; write for i in range"),
-    "two kinds": (lambda: block_of(two_kinds), "keeps values of different kinds in 'a'; take two names"),
-    "float index": (lambda: block_of(float_index), "counts with what is no whole number (y[u[0]])"),
-    "out of range": (lambda: block_of(out_of_range), "takes element 4 of 4 (y[4]); the last one is 3"),
-    "row": (lambda: block_of(stores_row), "stores into a whole row or a tuple"),
-    "lambda": (lambda: block_of(lambda u, y: None), "define it with def"),
+    "array": (lambda: block_of(adds_array), "uses an array, a tuple or a function where a number is needed"),
+    "slice": (lambda: block_of(takes_slice), "uses a slice; write a loop over its elements"),
+    "value of and": (lambda: block_of(chooses_by_and), "uses a number in 'and' or 'or'; use ops.select"),
+    "loop over array": (
+        lambda: block_of(loops_over_array),
+        "loops over something other than a range; write for i in range",
+    ),
+    "two kinds": (lambda: block_of(two_kinds), "assigns values of different kinds to 'a'; use two names"),
+    "float index": (lambda: block_of(float_index), "uses a number that is not whole as an index or count (y[u[0]])"),
+    "out of range": (lambda: block_of(out_of_range), "uses element 4 of 4 (y[4]); the last one is 3"),
+    "row": (lambda: block_of(stores_row), "assigns to a whole row or a tuple"),
+    "lambda": (lambda: block_of(lambda u, y: None), "is not defined with def"),
     "callback": (lambda: cosim.StateSpace(NONLINEAR), "calls back into Python, which the exported C has not"),
-    "target": (lambda: block_of(calls_to_store), "calls a function to find where to store (y[place(u)])"),
-    "chain": (lambda: block_of(calls_in_chain), "calls a function behind a second comparison"),
-    "mask": (lambda: block_of(masks), "takes an element by a truth value (u[u[0] > 0.0])"),
-    "truth": (lambda: block_of(adds_truth), "counts with truth values alone, of which NumPy makes no numbers"),
-    "huge": (lambda: block_of(is_huge), "uses the whole number 9223372036854775808, for which 64 bits are too few"),
-    "twice": (lambda: block_of(names_twice), "calls 'returned' with other arguments than it has (a, b)"),
-    "remainder": (lambda: block_of(float_remainder), "uses // or % on numbers that are not whole; use ops.floor"),
+    "target": (lambda: block_of(calls_to_store), "calls a function in the target of an assignment (y[place(u)])"),
+    "chain": (lambda: block_of(calls_in_chain), "calls a function after a second comparison"),
+    "mask": (lambda: block_of(masks), "uses a truth value as an index (u[u[0] > 0.0])"),
+    "truth": (lambda: block_of(adds_truth), "calculates with two truth values, which NumPy does not treat as numbers"),
+    "huge": (lambda: block_of(is_huge), "uses the whole number 9223372036854775808, which does not fit 64 bits"),
+    "twice": (lambda: block_of(names_twice), "calls 'returned' with wrong arguments; its arguments are a, b"),
+    "remainder": (lambda: block_of(float_remainder), "uses // or % with numbers that are not whole; use ops.floor"),
 }
 
 
@@ -362,7 +365,7 @@ def test_an_edited_file_is_noticed(tmp_path, monkeypatch):
     block = Written(edited.step)
     file.write_text("def step(u, y):\n    y[0] = u[0] + 2.0\n")
     linecache.checkcache()
-    with pytest.raises(cosim.KernelError, match="has been edited since it was loaded; start Python again"):
+    with pytest.raises(cosim.KernelError, match="has changed since it was loaded"):
         write_c(program_of(block, dt=0.1))
 
 

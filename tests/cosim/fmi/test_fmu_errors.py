@@ -281,8 +281,8 @@ def test_refused_instantiation_and_initialization(tmp_path, fmi):
     path = replaced(fmi, tmp_path / "token.fmu", token, "{00000000-0000-0000-0000-000000000000}")
     refused(
         lambda: FMU(path).instantiate(STEP, "car"),
-        "The FMU 'CruiseControl' could not be instantiated as 'car'. If it needs a tool or a licence, check that it is available. "
-        "Its log says: Instantiation: the token",
+        "The FMU 'CruiseControl' could not be instantiated as 'car'. If it needs a tool or a licence, check that it is "
+        "available. Its log says: Instantiation: the token",
     )
     needy = edited(path, tmp_path / "needy.fmu", lambda text: text.replace("<CoSimulation ", NEEDY))
     refused(lambda: FMU(needy).instantiate(STEP, "car"), "to run (needsExecutionTool): install it here, or export")

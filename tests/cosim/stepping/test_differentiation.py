@@ -252,8 +252,8 @@ def half_written(x, z):
             r"'remainder' .*unsupported operand type\(s\) for %: a number and 'int'\. Write plain loops",
         ),
         (slices, {"x": 2, "z": 1}, ["x"], "'slices' .*could not broadcast"),
-        (too_far, {"x": 2, "z": 1}, ["x"], "'too_far' .*reaches beyond its arguments: index 5"),
-        (reads_output, {"x": 1, "z": 1}, ["x"], "not yet written is read"),
+        (too_far, {"x": 2, "z": 1}, ["x"], "'too_far' .*uses an index beyond its arguments: index 5"),
+        (reads_output, {"x": 1, "z": 1}, ["x"], "read before it is written"),
         (two_sines, {"x": 1, "z": 1}, ["x"], "sin has 1 argument, not 2"),
         (text, {"x": 1, "z": 1}, ["x"], r"writes a str into z\[0\]"),
         (greedy, {"x": 1, "z": 1}, ["x"], "writes into x; it must write z only"),
@@ -261,7 +261,7 @@ def half_written(x, z):
         (half_written, {"x": 1, "z": 2}, ["x"], r"does not write z\[1\]"),
         (half_written, {"x": 1, "z": 1}, ["w"], "'w'"),
         (half_written, {"z": 1}, ["z"], "'x'"),
-        (half_written, {"x": (1, 1), "z": 1}, ["x"], "vectors only"),
+        (half_written, {"x": (1, 1), "z": 1}, ["x"], "only vectors"),
     ],
 )
 def test_what_cannot_be_differentiated_is_said(function, shapes, wrt, message):

@@ -182,7 +182,7 @@ def test_of_arrays_no_methods_can_be_called(make_block):
     def calls(y, motion):
         y[0] = motion.mean.sum()
 
-    with pytest.raises(cosim.KernelError, match="uses the attribute 'sum'; of arrays only shape, size and indexing"):
+    with pytest.raises(cosim.KernelError, match="uses the attribute 'sum'"):
         fed(make_block(output=calls, records=RECORDS, **{**PORTS, **PARTS})).simulate(0.1)
 
 

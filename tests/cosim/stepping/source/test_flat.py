@@ -134,15 +134,15 @@ def as_a_number(y, u, x):
 
 
 REFUSED = {
-    compares: "makes a record where a number or an array must stand",
-    takes_by_number: "uses the record 'pair' as a whole; take its fields",
-    makes_in_a_condition: "makes a record in the condition of a loop|makes a record beside other calls",
-    names_twice: "assigns the record 'pair' more than once; take two names",
+    compares: "creates a record where a number or an array is needed",
+    takes_by_number: "uses the record 'pair' as a whole; use its fields",
+    makes_in_a_condition: "creates a record in the condition of a loop|creates a record in a line with other calls",
+    names_twice: "assigns the record 'pair' more than once; use two names",
     is_given_one: "returns a record; return numbers, or write into arrays",
-    between_calls: "makes a record beside other calls; make it in a line before",
-    wrong_field: "uses the attribute 'third'; the record has first, second",
-    too_few: r"calls 'Pair' with other arguments than it has \(first, second\)",
-    as_a_number: "makes a record where a number or an array must stand",
+    between_calls: "creates a record in a line with other calls",
+    wrong_field: "uses the attribute 'third', but the record has first, second",
+    too_few: r"calls 'Pair' with wrong arguments; its arguments are first, second",
+    as_a_number: "creates a record where a number or an array is needed",
 }
 
 
