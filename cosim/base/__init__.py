@@ -1,1 +1,1 @@
-"""What everything else stands on: time, units, numbers, archives, caches, processes."""
+"""Foundations: time, units, numbers, archives, caches, processes."""

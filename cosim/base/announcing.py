@@ -1,7 +1,7 @@
-"""Says once in a process that step functions are compiled: without that, the first run is silent for many seconds.
+"""A message, once per process, that step functions are being compiled: else the first run is silent for many seconds.
 
-The sentence goes to the logger ``bayesftc`` (level INFO). Where nobody has set up logging it is written to stderr, which a
-notebook shows as well. ``logging.getLogger("bayesftc").setLevel("WARNING")`` turns it off.
+The message goes to the logger ``bayesftc`` (level INFO). If logging is not set up, it is written to stderr, which a notebook
+shows, too. ``logging.getLogger("bayesftc").setLevel("WARNING")`` turns it off.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from bayesftc.cosim.base.processes import has_host
 
 SENTENCE = "Compiling step functions that are new on this machine, for some seconds; later runs reuse them."
 PATIENCE = 1.0
-"""Seconds of compiling before it is said: small step functions take less."""
+"""Seconds of compiling before the message: small step functions take less."""
 
 
 class _Stderr(logging.Handler):
-    """Writes to stderr, unless the program has handlers of its own, which then get the same record."""
+    """Write to stderr, unless the program has its own handlers, which receive the same record."""
 
     def emit(self, record: logging.LogRecord) -> None:
         if not logging.getLogger().handlers:
@@ -30,10 +30,10 @@ class _Stderr(logging.Handler):
 
 
 class _Announcement:
-    """What has been said, and how long this process has compiled."""
+    """Whether the message was given, and how long this process has compiled."""
 
     def __init__(self) -> None:
-        self.said = has_host  # of several workers each would say it
+        self.said = has_host  # else each of several workers would give the message
         self.spent = 0.0
 
     def say(self) -> None:
@@ -52,7 +52,7 @@ announcement = _Announcement()
 
 @contextmanager
 def announced(needed: bool) -> Iterator[None]:
-    """Say that step functions are compiled, if what is done inside is that and has taken long."""
+    """Give the message if the code in this context compiles step functions (`needed`) and takes long."""
     if not needed or announcement.said():
         yield
         return

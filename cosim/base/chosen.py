@@ -1,4 +1,4 @@
-"""Settings that are choices, each with the reason for it beside it."""
+"""Settings whose default is a design choice, with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Packages that only some campaigns need: imported when they are, or named with the command that installs them."""
+"""Optional packages of some campaigns: imported when needed; if missing, the error names the command that installs them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def extra(module: str, purpose: str) -> Any:
     module : str
         Its full name, as ``"pyarrow.parquet"``.
     purpose : str
-        What needs it, for the message: "A stored campaign".
+        The feature that needs it, for the message: "A stored campaign".
 
     Raises
     ------
@@ -31,7 +31,7 @@ def extra(module: str, purpose: str) -> Any:
 
 
 def why_missing(*packages: str, purpose: str) -> str | None:
-    """Return the sentence of `extra` if one of the packages is not installed, else None; nothing is imported."""
+    """Return the message of `extra` if one of the packages is not installed, else None; nothing is imported."""
     missing = next((package for package in packages if find_spec(package) is None), None)
     return None if missing is None else f"{purpose} needs {_missing(missing)}"
 

@@ -1,4 +1,4 @@
-"""Tables of HTML, as notebooks show them in place of a ``repr``; every text is escaped."""
+"""HTML tables, which notebooks show instead of a ``repr``; all text is escaped."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 from bayesftc.cosim.errors import brief
 
 LARGEST = 64
-"""A matrix of more elements than this is shown by its size."""
+"""Most elements of a matrix that is shown in full; larger ones are shown by their size."""
 LENGTH = 400
-"""Letters of a text in a cell."""
+"""Most characters of a text in a cell."""
 
 _CELL = "text-align: left; vertical-align: top; white-space: pre-wrap"
 
@@ -27,9 +27,9 @@ def table(title: str, rows: Iterable[Sequence[object]], header: Sequence[str] = 
     Parameters
     ----------
     title : str
-        Stands above in bold.
+        The title, in bold.
     rows : iterable of sequence
-        The cells of each row; of an object that is no text `text_of` is shown.
+        The cells of each row; objects that are no strings are shown by `text_of`.
     header : sequence of str
         Names of the columns.
     """
@@ -41,15 +41,15 @@ def table(title: str, rows: Iterable[Sequence[object]], header: Sequence[str] = 
 
 
 def settings(thing: Any, first: Iterable[Sequence[object]] = ()) -> str:
-    """Return the table of a dataclass: its name, some rows, and a row for each of its settings."""
+    """Return the table of a dataclass: its name, the rows `first`, and a row for each setting."""
     first = list(first)
     names = [each.name for each in fields(thing)] if is_dataclass(thing) else []
-    own = [(name, getattr(thing, name)) for name in names if name not in [row[0] for row in first]]
-    return table(type(thing).__name__, [*first, *own])
+    further = [(name, getattr(thing, name)) for name in names if name not in [row[0] for row in first]]
+    return table(type(thing).__name__, [*first, *further])
 
 
 def text_of(value: object) -> str:
-    """Return a value as a short text: small matrices in full, dataclasses by the settings that are not the usual ones."""
+    """Return a value as a short text: small matrices in full, dataclasses with the settings that differ from defaults."""
     if isinstance(value, str):
         return value if len(value) <= LENGTH else f"{value[: LENGTH - 3]}..."
     if isinstance(value, Fraction | PurePath):
@@ -65,7 +65,11 @@ def text_of(value: object) -> str:
     if isinstance(sizes := getattr(value, "sizes", None), str):
         return f"{type(value).__name__}: {sizes}"
     if is_dataclass(value) and not isinstance(value, type):
-        changed = [f"{name}={brief(own)}" for name, own, default in _settings(value) if brief(own) != brief(default)]
+        changed = [
+            f"{name}={brief(setting)}"
+            for name, setting, default in _settings(value)
+            if brief(setting) != brief(default)
+        ]
         return text_of(f"{type(value).__name__}({', '.join(changed)})")
     return brief(value, LENGTH)
 

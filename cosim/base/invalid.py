@@ -1,4 +1,4 @@
-"""Values that devices send in place of a sample: -9999, 65535 and the like."""
+"""Values that devices send for a missing sample, such as -9999 or 65535."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ Invalid = float | Sequence[float] | Sequence[Sequence[float]]
 
 
 def invalid_values(who: str, given: Any, sensors: int) -> NDArray[np.float64]:
-    """Return the values that are no samples of each sensor.
+    """Return each sensor's values that mark missing samples.
 
     Parameters
     ----------
     who : str
-        Whose setting it is, for the error.
+        The owner of the setting, for the error.
     given : number, sequence of number, or sequence of these
-        As `Invalid` says; several lists are one for each sensor.
+        See `Invalid`; several lists are one for each sensor.
     sensors : int
         Their number m.
 
     Returns
     -------
     ndarray, shape (m, k)
-        Rows filled up with NaN, to which no sample is equal; k is at least 1.
+        Rows are filled up with NaN, which equals no sample; k is at least 1.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def invalid_values(who: str, given: Any, sensors: int) -> NDArray[np.float64]:
     each = [_listed(value) for value in values] if values and all(map(_is_list, values)) else [values] * sensors
     if len(each) != sensors:
         raise ModelError(
-            f"{who} has invalid={given!r}, a list for each of {len(each)} sensors, but there are {sensors}; give one list of "
+            f"{who} has invalid={given!r}, a list for each of {len(each)} sensors, but there are {sensors}. Give one list of "
             "numbers for all sensors, or a list for each."
         )
     for value in (value for row in each for value in row):
@@ -51,8 +51,8 @@ def invalid_values(who: str, given: Any, sensors: int) -> NDArray[np.float64]:
                 "list of them for each sensor (NaN and infinities are missing samples anyway)."
             )
     table = np.full((sensors, max(1, *map(len, each))), np.nan)
-    for row, own in zip(table, each, strict=True):
-        row[: len(own)] = own
+    for row, sensor_values in zip(table, each, strict=True):
+        row[: len(sensor_values)] = sensor_values
     return table
 
 

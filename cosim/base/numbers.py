@@ -1,4 +1,4 @@
-"""What a user gives as a number, as a float."""
+"""Conversion of users' numbers to floats."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from bayesftc.cosim.types import Floats
 
 
 def real(value: object) -> float:
-    """Return a number as a float: NaN of what is none, as texts and truth values, infinite of one that no float can hold."""
+    """Return a number as a float: NaN for anything else (strings, truth values), infinity if it is too large for a float."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return nan
     try:
         return float(value)
-    except OverflowError:  # whole numbers and fractions know no end
+    except OverflowError:  # whole numbers and fractions have no limit
         return inf if value > 0 else -inf  # type: ignore[operator]
 
 
 def reals(value: object) -> Floats:
-    """Return numbers as an array of floats; an empty one of what holds none, as texts or rows of different lengths."""
+    """Return numbers as an array of floats; an empty array for anything else, as strings or rows of different lengths."""
     try:
         array = np.asarray(value)
         if array.dtype.kind in "US":

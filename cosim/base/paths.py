@@ -1,4 +1,4 @@
-"""Paths as users give them, which may be any text: what asks the system about them says no where pathlib raises an error."""
+"""Paths from users, which may be any text: these checks return False where pathlib raises an error."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def expanded(path: str | os.PathLike[str]) -> Path:
-    """Return a path with the home folder in place of ``~``; where there is no such user, as it is."""
+    """Return a path with the home folder in place of ``~``; unchanged if there is no such user."""
     return Path(os.path.expanduser(path))
 
 

@@ -1,4 +1,4 @@
-"""What all processes that this package starts have in common: they die with their host, and a sentence says how they ended."""
+"""Start and end of this package's child processes: they end with their host, and messages state how they ended."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ _BOOT = (
     "sys.path[:] = sys.argv[4 + count:]; "
     "from importlib import import_module; getattr(import_module(module), function)(*arguments)"
 )
-_held: dict[int, Lifeline] = {}
-"""The lifelines that this process holds, by their descriptors."""
+_open_lifelines: dict[int, Lifeline] = {}
+"""The open lifelines of this process, by descriptor."""
 
 _NAMES = {
     "SIGSEGV": "a segmentation fault",
@@ -37,12 +37,12 @@ _NAMES = {
     "SIGFPE": "an arithmetic exception",
     "SIGILL": "an illegal instruction",
     "SIGBUS": "a bus error",
-    "SIGKILL": "the system or someone else",
+    "SIGKILL": "the system or a user",
 }
 
 
 def how_it_ended(code: int) -> str:
-    """Return in words what an exit code says of a process: "was killed by a segmentation fault (SIGSEGV)"."""
+    """Return the meaning of a process's exit code as text: "was killed by a segmentation fault (SIGSEGV)"."""
     if code >= 0:
         return f"ended itself with exit code {code}"
     try:
@@ -53,7 +53,7 @@ def how_it_ended(code: int) -> str:
 
 
 def can_start() -> bool:
-    """Return whether processes can be started here: on Linux and macOS, from a Python that is a program."""
+    """Return whether processes can be started: on Linux and macOS, if Python runs as a program."""
     return os.name == "posix" and bool(sys.executable)
 
 
@@ -61,34 +61,34 @@ _is_child = False
 
 
 class Lifeline:
-    """The end of a pipe that this process holds as long as another one is to live.
+    """The end of a pipe; while this process keeps it open, the process at the other end runs.
 
-    Each process needs one of its own. Linux tells only one process of a pipe's end: the last that asked.
+    Each process needs its own pipe, as Linux signals the end of a pipe to one process only: the last one that requested it.
     """
 
     def __init__(self) -> None:
         self.other, self._own = os.pipe()
-        _held[self._own] = self
+        _open_lifelines[self._own] = self
 
     def close(self) -> None:
-        """Let go of it, which ends the process at the other end."""
-        if _held.pop(self._own, None) is self:  # else a fork has closed it, and the number may be another's
+        """Close the pipe, which ends the process at the other end."""
+        if _open_lifelines.pop(self._own, None) is self:  # else a fork has closed it, and its number may be reused
             os.close(self._own)
 
 
 def start(
     function: str, descriptors: Iterable[int] = (), arguments: Iterable[str] = ()
 ) -> tuple[subprocess.Popen[bytes], Lifeline]:
-    """Start a program that calls a function of this package, in a group of its own, out of reach of Ctrl-C.
+    """Start a program that calls a function of this package, in a separate process group, which Ctrl-C does not reach.
 
     Parameters
     ----------
     function : str
-        As ``"package.module:function"``. Its arguments are texts: its lifeline, for `begin`, then the others.
+        As ``"package.module:function"``. Its arguments are strings: its lifeline (for `begin`), then the others.
     descriptors : iterable of int
-        Which it inherits; their numbers are its next arguments.
+        Descriptors that it inherits; their numbers are its next arguments.
     arguments : iterable of str
-        Its last ones.
+        Its last arguments.
     """
     lifeline = Lifeline()
     try:
@@ -112,40 +112,40 @@ def start(
 
 
 def has_host() -> bool:
-    """Return whether this process is a program that `start` has started."""
+    """Return whether `start` has started this process."""
     return _is_child
 
 
 def begin(*descriptors: int) -> None:
-    """Begin as a program that `start` has started; the first descriptor is its lifeline, the others are those it inherits."""
+    """Set up a process that `start` has started; the first descriptor is its lifeline, the others are inherited."""
     global _is_child
     _is_child = True
     for descriptor in descriptors:
-        os.set_inheritable(descriptor, False)  # programs that are started from here have no business with them
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the host's, which ends this process as it sees fit
+        os.set_inheritable(descriptor, False)  # not for programs that this process starts
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the host handles Ctrl-C, and ends this process if necessary
     _die_with_host(descriptors[0])
     if resource is not None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
 
 
 def kill_group(process: subprocess.Popen[bytes]) -> None:
-    """Kill a process that leads a group of its own, and all that it has started, unless it was waited for already."""
-    if process.returncode is None:  # else its number may be another's by now
+    """Kill a process that leads a group, and all processes that it has started, unless it was reaped already."""
+    if process.returncode is None:  # else its number may have been reused
         for kill in (os.killpg, os.kill):
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 kill(process.pid, signal.SIGKILL)
 
 
 def _die_with_host(lifeline: int) -> None:
-    """Have this process, which leads a group, killed as soon as the host's end of a pipe is closed, whatever it is doing then."""
+    """Make the system kill this process and its group as soon as the host's end of a pipe is closed."""
     if fcntl is not None and hasattr(fcntl, "F_SETSIG"):
-        fcntl.fcntl(lifeline, fcntl.F_SETOWN, -os.getpgrp())  # with all that it may have started
-        fcntl.fcntl(lifeline, fcntl.F_SETSIG, signal.SIGKILL)  # needs no cooperation of an FMU in an endless step
+        fcntl.fcntl(lifeline, fcntl.F_SETOWN, -os.getpgrp())  # including processes that it has started
+        fcntl.fcntl(lifeline, fcntl.F_SETSIG, signal.SIGKILL)  # works even during an endless step of an FMU
         fcntl.fcntl(lifeline, fcntl.F_SETFL, fcntl.fcntl(lifeline, fcntl.F_GETFL) | os.O_ASYNC)
-        gone = select.poll()  # unlike select, of descriptors of any number
-        gone.register(lifeline, select.POLLIN)
-        if gone.poll(0):
-            os._exit(0)  # it was gone before
+        poll = select.poll()  # unlike select, for descriptors with any number
+        poll.register(lifeline, select.POLLIN)
+        if poll.poll(0):
+            os._exit(0)  # the host has already ended
         return
 
     def watch() -> None:
@@ -156,11 +156,11 @@ def _die_with_host(lifeline: int) -> None:
 
 
 def _forked() -> None:
-    """Let go of what is the forked process's: as long as it held the lifelines too, no death of that one would be noticed."""
-    for descriptor in _held:
+    """Close the copies of lifelines in a forked process; else the end of the original process would not be noticed."""
+    for descriptor in _open_lifelines:
         with contextlib.suppress(OSError):
             os.close(descriptor)
-    _held.clear()
+    _open_lifelines.clear()
 
 
 if hasattr(os, "register_at_fork"):

@@ -1,7 +1,7 @@
-"""Temporary folders that are locked as long as their process lives: the next one sweeps what a killed one has left.
+"""Temporary folders that are locked while their process runs; the next process removes folders of killed processes.
 
-The lock is the system's, on the folder itself, and ends with the process however that ends. A number of the process in the name
-would not do: numbers are used again, and mean something else in a container or on another machine that shares the folder.
+The system's lock on the folder ends with the process, however that ends. The process's number in the name would not be enough:
+numbers are reused, and differ in containers and on other machines that share the folder.
 """
 
 from __future__ import annotations
@@ -20,38 +20,38 @@ from bayesftc.cosim.base.cache import is_own
 fcntl: ModuleType | None
 try:
     import fcntl
-except ImportError:  # Windows, which cannot lock a folder: there the leftovers of killed processes stay
+except ImportError:  # Windows cannot lock a folder: folders of killed processes stay
     fcntl = None
 
 BESIDE = ".bayesftc-"
-"""How the names of those begin that stand beside what they become."""
+"""Prefix of temporary folders beside their targets."""
 
 _RANDOM = 8
-"""Letters that `tempfile` puts behind a prefix."""
+"""Characters that `tempfile` adds to a prefix."""
 
 
 @contextmanager
 def temporary_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
-    """Give an empty folder that only this user can open, and remove it at the end; sweep those of processes that were killed.
+    """Provide an empty folder that only this user can open; remove it at the end, and those of killed processes, too.
 
     Parameters
     ----------
     prefix : str
-        How its name begins, and those of the folders to sweep: nothing of a user's may begin so.
+        Prefix of its name, and of the folders to remove; no user's files may begin with it.
     parent : pathlib.Path, optional
-        Where; by default where the system has temporary files.
+        Its parent folder; by default the system's folder for temporary files.
 
     Raises
     ------
     OSError
-        If it cannot be made.
+        If it cannot be created.
     """
     parent = parent or Path(tempfile.gettempdir())
     _sweep(prefix, parent)
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
         lock = _locked(folder, wait=True)
-        if folder.exists():  # else someone else has swept it before it was locked
+        if folder.exists():  # else another process has removed it before it was locked
             break
         _unlock(lock)
     try:
@@ -62,7 +62,7 @@ def temporary_folder(prefix: str, parent: Path | None = None) -> Iterator[Path]:
 
 
 def _sweep(prefix: str, parent: Path) -> None:
-    with suppress(OSError):  # it is someone else's, or gone: whatever is there hurts nobody
+    with suppress(OSError):  # another user's folder, or already removed: leftovers are harmless
         for folder in parent.glob(glob.escape(prefix) + "?" * _RANDOM):
             if not folder.is_symlink() and folder.is_dir() and is_own(folder):
                 lock = _locked(folder, wait=False)
@@ -72,7 +72,7 @@ def _sweep(prefix: str, parent: Path) -> None:
 
 
 def _locked(folder: Path, *, wait: bool) -> int | None:
-    """Return the descriptor of a folder that is locked now; None where it is another's, or nothing can be locked there."""
+    """Lock a folder and return its descriptor; None if another process has locked it, or locks are not supported."""
     if fcntl is None:
         return None
     descriptor = None

@@ -14,11 +14,11 @@ _HALF_UNIT = Fraction(1, 2**54)
 _LONGEST = 10**30
 
 EXACT = 2**53
-"""Whole numbers up to here are doubles, so that the quotient of two of them is the double nearest to the true one."""
+"""Whole numbers up to here are exact doubles, so that the quotient of two of them is the double nearest to the exact one."""
 
 
 def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fraction:
-    """Return the step as a fraction of a second: ``0.02``, ``"1/30"`` and ``1/30`` all mean what they say.
+    """Return the step as an exact fraction of a second, for ``0.02``, ``"1/30"`` and ``1/30``.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fr
             f"{what} is {brief(dt)} s; it must be between {1 / _LONGEST:g} s and {float(_LONGEST):g} s."
         )
     if not isinstance(dt, str | Rational):
-        # The simplest fraction that rounds to this double; 3 * 0.1 is a rounding error away from 3/10, which is meant.
+        # The simplest fraction that rounds to this double; 3 * 0.1 becomes 3/10 despite its rounding error.
         for limit in (10**3, 10**6, 10**9, 10**12, EXACT):
             simple = exact.limit_denominator(limit)
             if simple > 0 and abs(simple - exact) <= exact * (_ROUNDING if limit <= 10**6 else _HALF_UNIT):
@@ -42,42 +42,42 @@ def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fr
 
 
 def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> int:
-    """Return how many steps make up `duration` seconds.
+    """Return the number of steps in `duration` seconds.
 
     Raises
     ------
     StepSizeError
-        If `duration` is no whole number of steps (to one part in a million million), or if it is so many that t_k would
-        not be the double nearest to k steps.
+        If `duration` is no whole number of steps (with a relative tolerance of 1e-12), or so long that t_k would not be the
+        double nearest to k steps.
     """
     exact = _exact(duration, what)
     if exact < 0:
         raise StepSizeError(f"{what} is {brief(duration)} s; it must not be negative.")
     if exact > _LONGEST:
         raise StepSizeError(
-            f"{what} is {brief(duration)} s, at whose end times cannot be told apart; take a shorter run."
+            f"{what} is {brief(duration)} s, so long that times cannot be distinguished; use a shorter run."
         )
     ratio = exact / step
     count = round(ratio)
     if abs(ratio - count) > Fraction(1, 10**12) * max(count, 1):
         fewer, more = math.floor(ratio), math.ceil(ratio)
         near = " or ".join(f"{float(steps * step):g} s" for steps in (fewer, more) if steps)
-        raise StepSizeError(f"{what} of {float(exact):g} s is no whole number of steps of {show(step)} s; take {near}.")
+        raise StepSizeError(f"{what} of {float(exact):g} s is no whole number of steps of {show(step)} s; use {near}.")
     if max(count, 1) * step.numerator > EXACT or step.denominator > EXACT:
         raise StepSizeError(
-            f"{what} of {float(exact):g} s is {count} steps of {step} s, and times so far out cannot be told apart exactly; "
-            "take a step that is a simpler fraction, as '1/50', or a shorter run."
+            f"{what} of {float(exact):g} s is {count} steps of {step} s, so long that times are not exact. Use a step that is a "
+            "simpler fraction, as '1/50', or a shorter run."
         )
     return count
 
 
 def step_at(t: float, step: Fraction) -> int:
-    """Return the number of the step at whose beginning, or within which, the time `t` lies."""
+    """Return the number of the step that begins at, or contains, the time `t`."""
     return math.floor(t * step.denominator / step.numerator + 1e-6)
 
 
 def whole_number(value: object, what: str) -> int:
-    """Return a number of steps as an integer; `what` begins the sentence if it is none, as ``"decimation="``."""
+    """Return a number of steps as an integer; `what` begins the error message, as ``"decimation="``."""
     number = real(value)
     if 1 <= number <= EXACT and number.is_integer():
         return int(number)
@@ -93,12 +93,12 @@ def _exact(seconds: float | str | Fraction, what: str) -> Fraction:
         if isinstance(seconds, str) and "/" in seconds:
             return Fraction(seconds)
         rounded = float(seconds)
-        # As an exact power of ten, what is out of the range of doubles (1e999999999) would take for ever.
+        # Numbers out of the range of doubles (1e999999999) would take for ever as exact powers of ten.
         return Fraction(seconds if isinstance(seconds, str) and rounded and math.isfinite(rounded) else rounded)
     except (ValueError, TypeError, OverflowError, ZeroDivisionError):
         raise StepSizeError(f"{what} {brief(seconds)} is no finite number; give seconds, as 0.02 or '1/50'.") from None
 
 
 def show(step: Fraction) -> str:
-    """Return the step for a message: ``0.02`` or ``1/30``."""
+    """Return the step as text for a message: ``0.02`` or ``1/30``."""
     return f"{float(step):g}" if Fraction(f"{float(step):g}") == step else str(step)

@@ -1,7 +1,7 @@
-"""Physical units: read from text by pint, or given by an FMU's own definitions; compared and converted.
+"""Physical units: parsed by pint, or defined by an FMU; comparison and conversion.
 
-A value ``x`` in a unit is ``factor * x + offset`` in SI. The radian counts as a base unit, but where units are compared it is 1,
-as in the SI, except against the hertz: 1 Hz is 2 pi rad/s, and whoever mixes the two must say so.
+A value ``x`` in a unit is ``factor * x + offset`` in SI. The radian is a base unit. In comparisons it is 1, as in the SI, except
+with the hertz: 1 Hz is 2 pi rad/s, so a conversion between them must be explicit.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ BASE = ("kilogram", "meter", "second", "ampere", "kelvin", "mole", "candela", "r
 """The base units of FMI, in its order, by their names in pint."""
 
 _SAME = 1e-9
-"""Relative difference up to which two factors are one: definitions are printed with ten digits or so."""
+"""Relative difference up to which two factors are equal: definitions have about ten digits."""
 
 _LONGEST = 200
-"""Characters of a unit, with its number or without; to search longer texts for one may take for ever."""
+"""Most characters of a unit, with or without its number; matching longer texts may take for ever."""
 
 _SPELLINGS = {"Nm": "N.m", "Ohm": "ohm", "rev": "revolution", "-": "1", "1": "1"}
 _TOKEN = re.compile(
@@ -34,7 +34,7 @@ _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?=.*[^\
 
 @dataclass(frozen=True)
 class Unit:
-    """What a unit's name means.
+    """The meaning of a unit in SI.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Unit:
     factor, offset : float
         A value ``x`` in this unit is ``factor * x + offset`` in SI.
     cycles : bool
-        Whether it counts cycles (Hz), which are no radians.
+        Whether it counts cycles (Hz) instead of radians.
     """
 
     powers: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
@@ -52,28 +52,28 @@ class Unit:
     cycles: bool = False
 
     def fits(self, other: Unit) -> bool:
-        """Return whether values of the two can be converted: their dimensions are the same."""
-        ours, theirs = ({n: p for n, p in u.powers.items() if n != "radian"} for u in (self, other))
-        if ours != theirs:
+        """Return whether values of the two can be converted, because their dimensions are equal."""
+        powers, other_powers = ({n: p for n, p in u.powers.items() if n != "radian"} for u in (self, other))
+        if powers != other_powers:
             return False
         return self.powers.get("radian") == other.powers.get("radian") or not (self.cycles or other.cycles)
 
     def to(self, other: Unit) -> tuple[float, float]:
-        """Return gain and offset that bring a value from this unit to another that fits."""
+        """Return gain and offset of the conversion from this unit to another that fits."""
         gain, offset = self.factor / other.factor, (self.offset - other.offset) / other.factor
         return 1.0 if isclose(gain, 1.0, rel_tol=_SAME) else gain, offset
 
 
 @dataclass(frozen=True)
 class UnitDefinition:
-    """What an FMU says of one of its units.
+    """The definition of a unit in an FMU.
 
     Attributes
     ----------
     unit : Unit or None
-        Its meaning in SI; None where the FMU does not say.
+        Its meaning in SI; None if the FMU does not define it.
     displays : mapping of str to (float, float)
-        Factor and offset of each unit in which values may be shown: ``shown = factor * value + offset``.
+        Factor and offset of each display unit: ``shown = factor * value + offset``.
     """
 
     unit: Unit | None = None
@@ -81,17 +81,17 @@ class UnitDefinition:
 
 
 def parse(text: str) -> Unit | None:
-    """Return what a unit means to pint, in FMI's spelling (``kg.m2/s2``) or pint's (``kg * m**2 / s**2``).
+    """Return pint's meaning of a unit, in FMI's spelling (``kg.m2/s2``) or pint's (``kg * m**2 / s**2``).
 
     Parameters
     ----------
     text : str
-        Products and quotients of names with whole powers; ``/`` divides by the one factor, or bracket, that follows it.
+        Products and quotients of names with whole powers; ``/`` divides by the next factor or bracket only.
 
     Returns
     -------
     Unit or None
-        None where it cannot be read, or is no fixed multiple of SI units (as dB).
+        None if it cannot be parsed, or is no fixed multiple of SI units (as dB).
     """
     return _parse(text.strip())
 
@@ -105,10 +105,10 @@ def _parse(text: str) -> Unit | None:
     if not tokens:
         return None
     if len(tokens) == 1 and tokens[0][0] == "name" and tokens[0][2] == 1:
-        return _named(tokens[0][1])  # alone, a unit may have an offset (degC); among factors it is a difference
+        return _named(tokens[0][1])  # a single unit may have an offset (degC); as a factor it is a difference
     powers: dict[str, int] = {}
     factor, cycles = 1.0, False
-    sign, signs, started = 1, [1], False  # of the next factor; of what is in each open bracket
+    sign, signs, started = 1, [1], False  # sign of the next factor; signs of the open brackets
     for kind, name, power in tokens:
         if kind == "name":
             unit = _named(name)
@@ -117,8 +117,8 @@ def _parse(text: str) -> Unit | None:
             exponent = sign * signs[-1] * power
             factor *= unit.factor**exponent
             cycles = cycles or unit.cycles
-            for base, own in unit.powers.items():
-                powers[base] = powers.get(base, 0) + exponent * own
+            for base, base_power in unit.powers.items():
+                powers[base] = powers.get(base, 0) + exponent * base_power
         elif name == "/" and (sign < 0 or not started):
             return None
         elif name == "(":
@@ -134,23 +134,23 @@ def _parse(text: str) -> Unit | None:
 
 
 def _tokens(text: str) -> list[tuple[str, str, int]]:
-    """Return names with their powers, and signs; nothing where something else stands in the text.
+    """Return names with their powers, and signs; nothing if the text contains anything else.
 
-    A grammar of our own, without numbers and arithmetic: the text may come from a file that means harm.
+    This is a separate grammar, without numbers and arithmetic, as the text may come from a hostile file.
     """
     tokens: list[tuple[str, str, int]] = []
     position = 0
     while position < len(text):
-        found = _TOKEN.match(text, position)
-        if found is None:
+        match = _TOKEN.match(text, position)
+        if match is None:
             return []
-        position = found.end()
-        if found["name"]:
-            tokens.append(("name", _SPELLINGS.get(found["name"], found["name"]), int(found["power"] or 1)))
-        elif found["one"]:
+        position = match.end()
+        if match["name"]:
+            tokens.append(("name", _SPELLINGS.get(match["name"], match["name"]), int(match["power"] or 1)))
+        elif match["one"]:
             tokens.append(("one", "1", 1))
-        elif found["sign"] not in {" ", "*", ".", "·"}:
-            tokens.append(("sign", found["sign"], 1))
+        elif match["sign"] not in {" ", "*", ".", "·"}:
+            tokens.append(("sign", match["sign"], 1))
     return tokens
 
 
@@ -171,7 +171,7 @@ def _named(name: str) -> Unit | None:
         zero, one, two = (registry.Quantity(x, exact).to_base_units() for x in (0.0, 1.0, 2.0))
         offset = float(zero.magnitude)
         factor = float((registry.Quantity(1.0, f"delta_{exact}").to_base_units() if offset else one).magnitude)
-    except Exception:  # noqa: BLE001 - pint raises a dozen classes for names that it does not know or cannot convert
+    except Exception:  # noqa: BLE001 - pint raises a dozen classes for unknown or inconvertible names
         return None
     powers = {base: int(power) for base, power in one.unit_items()}
     whole = all(power == int(power) for _, power in one.unit_items())
@@ -181,7 +181,7 @@ def _named(name: str) -> Unit | None:
 
 
 def gain(source: Unit, target: Unit) -> tuple[float, float] | str:
-    """Return gain and offset that bring a value from one unit to another, or why there are none, as the end of a sentence."""
+    """Return gain and offset of a conversion, or, as the end of a sentence, why there is none."""
     if source.fits(target):
         return source.to(target)
     if source.cycles != target.cycles and replace(source, cycles=False).fits(replace(target, cycles=False)):
@@ -190,65 +190,65 @@ def gain(source: Unit, target: Unit) -> tuple[float, float] | str:
 
 
 def difference(source: str, target: str, *meanings: Unit | None) -> str | None:
-    """Return what stands between an output in one unit and an input in another, as the end of a sentence, or None.
+    """Return, as the end of a sentence, how to connect an output and an input of different units; None if they are equal.
 
     Parameters
     ----------
     source, target : str
-        The two units. Those that pint does not know are compared by their spelling.
+        The two units. Units that pint does not know are compared by their spelling.
     *meanings : Unit or None
-        What the two mean, where someone said so (an FMU of its own units).
+        Definitions of the two, if there are any (from an FMU).
     """
     if _spelt(source) == _spelt(target):
         return None
     first, second = (
-        known or parse(text) for known, text in zip(meanings or (None, None), (source, target), strict=True)
+        defined or parse(text) for defined, text in zip(meanings or (None, None), (source, target), strict=True)
     )
     if first is None or second is None:
         return "; put a Gain between them that converts."
-    found = gain(first, second)
-    if isinstance(found, str):
-        return f": {found}; put a block between them that computes one from the other."
-    factor, offset = found
-    if found == (1.0, 0.0):
+    factors = gain(first, second)
+    if isinstance(factors, str):
+        return f": {factors}; put a block between them that computes one from the other."
+    factor, offset = factors
+    if factors == (1.0, 0.0):
         return None
     more = f", offset={offset:.12g}" if offset else ""
     return f"; put Gain({factor:.12g}{more}) between them."
 
 
-def conversion(given: str, wanted: str, own: Mapping[str, UnitDefinition]) -> tuple[float, float] | str:
-    """Return how a number that a user gives in some unit becomes one in a variable's unit.
+def conversion(given: str, target: str, definitions: Mapping[str, UnitDefinition]) -> tuple[float, float] | str:
+    """Return the conversion of a user's number from its unit to a variable's unit.
 
     Parameters
     ----------
-    given, wanted : str
+    given, target : str
         The user's unit, and the variable's.
-    own : mapping of str to UnitDefinition
-        What the FMU says of its units: it counts first, before what pint knows.
+    definitions : mapping of str to UnitDefinition
+        The FMU's unit definitions; they override pint's.
 
     Returns
     -------
     tuple of float, or str
         Gain and offset; or why there are none, as the end of a sentence.
     """
-    if _spelt(given) == _spelt(wanted):
+    if _spelt(given) == _spelt(target):
         return 1.0, 0.0
-    if wanted in own and given in own[wanted].displays:
-        factor, offset = own[wanted].displays[given]
+    if target in definitions and given in definitions[target].displays:
+        factor, offset = definitions[target].displays[given]
         return 1.0 / factor, -offset / factor
-    units = [_defined(name, own) or parse(name) for name in (given, wanted)]
-    for unit, name in zip(units, (given, wanted), strict=True):
+    units = [_defined(name, definitions) or parse(name) for name in (given, target)]
+    for unit, name in zip(units, (given, target), strict=True):
         if unit is None:
-            return f"what {name!r} means is not known"
+            return f"the unit {name!r} is not known"
     assert units[0] is not None
     assert units[1] is not None
     return gain(units[0], units[1])
 
 
-def _defined(name: str, own: Mapping[str, UnitDefinition]) -> Unit | None:
-    if name in own:
-        return own[name].unit
-    for definition in own.values():
+def _defined(name: str, definitions: Mapping[str, UnitDefinition]) -> Unit | None:
+    if name in definitions:
+        return definitions[name].unit
+    for definition in definitions.values():
         if name in definition.displays and definition.unit is not None:
             base, (factor, offset) = definition.unit, definition.displays[name]
             return replace(base, factor=base.factor / factor, offset=base.offset - base.factor * offset / factor)
@@ -260,6 +260,6 @@ def _spelt(unit: str) -> str:
 
 
 def split(text: str) -> tuple[float, str] | None:
-    """Return number and unit of a text such as ``"3.6 km/h"``, or None where it is none."""
-    found = _NUMBER.match(text) if len(text) <= _LONGEST else None
-    return (float(found[1]), found[2].strip()) if found else None
+    """Return number and unit of a text such as ``"3.6 km/h"``; None for any other text."""
+    match = _NUMBER.match(text) if len(text) <= _LONGEST else None
+    return (float(match[1]), match[2].strip()) if match else None

@@ -1,4 +1,4 @@
-"""Warnings that show the user's line, however many calls of this package lie between it and what warns."""
+"""Warnings that show the user's line, however deep in this package they are raised."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PACKAGE = os.path.dirname(os.path.abspath(bayesftc.__file__)) + os.sep
 
 
 def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
-    """Warn at the innermost line outside this package; at the outermost one where there is none."""
+    """Warn at the innermost line outside this package, or at the outermost line if there is none."""
     level = 1
     frame: FrameType | None = sys._getframe()
     while frame is not None and frame.f_code.co_filename.startswith(_PACKAGE):

@@ -1,1 +1,1 @@
-"""Blocks and diagrams as FMUs and as C."""
+"""Export of blocks and diagrams as FMUs and as C."""

@@ -1,4 +1,4 @@
-"""The C of a program: a file and its header, which need the mathematics of the C library and nothing else."""
+"""The C of a program: a file and its header, which need only the mathematics of the C library."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _FILL = (
 _CAREFUL = """\
 #if defined __FAST_MATH__ || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__) || defined __ASSOCIATIVE_MATH__ \\
     || defined __RECIPROCAL_MATH__ || defined _M_FP_FAST
-#error "Compile without -ffast-math or part of it: a NaN is a missing sample, and sums are made in the order that is written."
+#error "Compile without -ffast-math or parts of it: a NaN is a missing sample, and the order of sums must stay."
 #endif
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
-/* Every product and sum is rounded by itself; and gcc 12 takes 0.0 - n for -n where n cannot be a negative zero. */
+/* Every product and sum is rounded separately; and gcc 12 replaces 0.0 - n by -n where n cannot be a negative zero. */
 #pragma GCC optimize("fp-contract=off", "rounding-math")
 #ifndef __OPTIMIZE_SIZE__
 #pragma GCC optimize("peel-loops") /* short loops are unrolled: a fifth faster, and a fifth longer */
@@ -43,9 +43,9 @@ _OF_LIBRARY = ("cos", "exp", "log", "sin")
 _BY_LIBRARY = """\
 static double op_{name}(double x)
 {{
-    const volatile double told = x;
+    const volatile double argument = x;
 
-    return {name}(told);
+    return {name}(argument);
 }}
 #define {name} op_{name}"""
 _HOW = """\
@@ -58,12 +58,12 @@ _HOW = """\
  *     {name}_init(&c);
  *     every {step} s: fill u, then {name}_step(&c, &u, &y), then use y
  *
- * A step computes the outputs at this time from the inputs at this time, and moves on. Where the outputs are needed before
- * the state may move on, call {name}_evaluate and then {name}_advance, which are the two halves of a step.
- * All memory is in the structure: nothing is allocated, there are no global variables, and several can run side by side.
- * A NaN among the inputs is a missing sample. Arrays lie row by row.
- * For the digits of the original the compiler must not fuse products and sums (-ffp-contract=off; gcc and clang are told
- * so in the file itself) nor reorder them (never -ffast-math), and doubles must be computed as such.
+ * A step computes the outputs at this time from the inputs at this time, and then the next state. If the outputs are needed
+ * before the state changes, call {name}_evaluate and then {name}_advance, which are the two halves of a step.
+ * All memory is in the structure: nothing is allocated, there are no global variables, and several instances can run at once.
+ * A NaN among the inputs is a missing sample. Arrays are stored row by row.
+ * For the same bits as the original, the compiler must not fuse products and sums (-ffp-contract=off; the file sets this for
+ * gcc and clang) nor reorder them (never -ffast-math), and must compute doubles in double precision.
  */"""
 
 
@@ -74,13 +74,13 @@ class CFile:
     Parameters
     ----------
     name : str
-        What types and functions begin with, and both files are called.
+        Prefix of types and functions, and name of both files.
     header, source : str
         Their texts.
     memory, constants : int
-        How many doubles are kept from a step to the next, scratch included, and how many stand in tables.
+        Numbers of doubles in memory (including scratch) and in constant tables.
     changes_state : bool
-        Whether computing outputs changes the state of a block: it must then be done once a step.
+        Whether computing outputs changes the state of a block; then they must be computed exactly once a step.
     """
 
     name: str
@@ -120,12 +120,12 @@ def write_c(program: Program) -> CFile:
 
 
 def _shown(program: Program, layout: Layout) -> list[str]:
-    """Return the lines that hand the outputs to the caller."""
+    """Return the lines that write the outputs for the caller."""
     return [f"y->{member(s)}[{e}] = {layout.element(at)};" for s in program.outputs for e, at in enumerate(s.places)]
 
 
 def _beginning(program: Program, runs: Sequence[tuple[int, int, float]]) -> list[str]:
-    """Return the lines that put state and parameters to the beginning."""
+    """Return the lines that set the initial state and parameters."""
     return [
         "for (size_t i = 0; i < sizeof c->memory / sizeof *c->memory; ++i) {",
         "    c->memory[i] = 0.0;",
@@ -154,9 +154,9 @@ def _source(
     evaluate: Sequence[str],
     advance: Sequence[str],
 ) -> str:
-    """Return the C file: tables and functions, and below them what the header declares, of which the lines are given."""
+    """Return the C file: tables and functions, and then the functions of the header, from their lines."""
     step = program.step
-    known = {
+    variables = {
         "m": "double *const m = c->memory;",
         "k": "const int64_t k = (int64_t)c->step;",
         # The quotient of two whole numbers: the double nearest to the time, as in the engines.
@@ -165,11 +165,11 @@ def _source(
     body = "\n\n".join(parts)
     library = [_BY_LIBRARY.format(name=each) for each in _OF_LIBRARY if re.search(rf"\b{each}\(", body)]
     if library:
-        who = "#if !defined __GNUC__ || defined __clang__ /* who compute those of constants themselves, unlike the library */"
-        library = [who, *library, "#endif", ""]
+        guard = "#if !defined __GNUC__ || defined __clang__ /* these compute functions of constants other than the library */"
+        library = [guard, *library, "#endif", ""]
     signature = f"({name} *c, const {name}_inputs *u, {name}_outputs *y)"
     lines = [
-        f"/* {name}: {name}.h says how to use it. */",
+        f"/* {name}: see {name}.h for its use. */",
         "#if defined _MSC_VER && !defined _UCRT_NOISY_NAN",
         "#define _UCRT_NOISY_NAN /* else NAN is no constant in the Windows SDK 10.0.26100 */",
         "#endif",
@@ -185,15 +185,15 @@ def _source(
         body,
         "",
         *_function(f"void {name}_init({name} *c)", {}, init),
-        *_function(f"void {name}_evaluate{signature}", known, evaluate),
-        *_function(f"void {name}_advance({name} *c)", known, advance),
+        *_function(f"void {name}_evaluate{signature}", variables, evaluate),
+        *_function(f"void {name}_advance({name} *c)", variables, advance),
         *_function(f"void {name}_step{signature}", {}, [f"{name}_evaluate(c, u, y);", f"{name}_advance(c);"]),
     ]
     return "\n".join(lines)
 
 
 def _initial(runs: Sequence[tuple[int, int, float]]) -> list[str]:
-    """Return the table of what memory is at the beginning where it is not zero."""
+    """Return the table of initial values that are not zero."""
     if not runs:
         return []
     rows = ", ".join(f"{{ {begin}, {count}, {literal(value)} }}" for begin, count, value in runs)
@@ -202,7 +202,7 @@ def _initial(runs: Sequence[tuple[int, int, float]]) -> list[str]:
 
 
 def _written(program: Program, functions: Functions, call: Call) -> Written | None:
-    """Return the C of a call's step function; None where only inputs are brought."""
+    """Return the C of a call's step function; None if the call only copies inputs."""
     kernel = program.schedule.kernel(call)
     if kernel is None:
         return None
@@ -211,25 +211,29 @@ def _written(program: Program, functions: Functions, call: Call) -> Written | No
 
 
 def _phase(program: Program, layout: Layout, functions: Functions, calls: Iterable[Call]) -> list[str]:
-    """Return the lines that make calls, and bring what they need before each."""
+    """Return the lines of calls; before each, its inputs are copied."""
     lines: list[str] = []
     for call in calls:
         if program.schedule.nodes[call.node].name == OUTSIDE:
             continue
-        own = [f"{layout.element(to)} = {layout.element(origin)};" for to, origin in call.gathers]
+        call_lines = [f"{layout.element(to)} = {layout.element(origin)};" for to, origin in call.gathers]
         written, every = _written(program, functions, call), program.schedule.every(call)
         if written is not None:
-            known = {"t": "t", "k": "k" if every == 1 else f"k / {every}"}
-            given = [known.get(n) or layout.pointer(call.node, n) for n in written.arguments if n in written.passed]
-            own.append(f"{written.name}({', '.join(given)});")
-        lines += own if every == 1 else [f"if (k % {every} == 0) {{", *(f"    {line}" for line in own), "}"]
+            time_arguments = {"t": "t", "k": "k" if every == 1 else f"k / {every}"}
+            arguments = [
+                time_arguments.get(n) or layout.pointer(call.node, n) for n in written.arguments if n in written.passed
+            ]
+            call_lines.append(f"{written.name}({', '.join(arguments)});")
+        lines += (
+            call_lines if every == 1 else [f"if (k % {every} == 0) {{", *(f"    {line}" for line in call_lines), "}"]
+        )
     return lines
 
 
-def _function(head: str, known: dict[str, str], lines: Sequence[str]) -> list[str]:
-    """Return a function that begins with what it needs of what is known."""
-    first = [line for name, line in known.items() if name in words("\n".join(lines))]
-    body = [*first, *([""] if first else []), *lines]
+def _function(head: str, variables: dict[str, str], lines: Sequence[str]) -> list[str]:
+    """Return a function that begins with the definitions of the variables that it uses."""
+    definitions = [line for name, line in variables.items() if name in words("\n".join(lines))]
+    body = [*definitions, *([""] if definitions else []), *lines]
     return [head, "{", *(piece for line in body for piece in wrapped(f"    {line}" if line else "")), "}", ""]
 
 
@@ -252,7 +256,7 @@ def _header(program: Program, name: str, memory: int) -> str:
         f"    double memory[{name.upper()}_MEMORY];",
         *([f"    {name}_parameters parameters; /* may be changed between steps */"] if program.tunables else []),
         "    double start; /* time of the first step in seconds */",
-        "    double step;  /* how many have been made */",
+        "    double step;  /* number of steps so far */",
         f"}} {name};",
         "",
         f"void {name}_init({name} *c);",
@@ -270,14 +274,14 @@ def _header(program: Program, name: str, memory: int) -> str:
 
 
 def _sizes(program: Program, name: str, memory: int) -> list[str]:
-    """Return how many numbers each array has, and the step, as constants."""
+    """Return the sizes of arrays, and the step, as constants."""
     groups = (("IN", program.inputs), ("OUT", program.outputs), ("PARAMETER", program.tunables))
     sizes = [(f"{what}_{member(s)}", len(s.start)) for what, group in groups for s in group]
-    if len({title.upper() for title, _ in sizes}) == len(sizes):  # y and Y may be two
+    if len({title.upper() for title, _ in sizes}) == len(sizes):  # y and Y may be different signals
         sizes = [(title.upper(), size) for title, size in sizes]
     step = program.step
     return [
-        f"#define {name.upper()}_SECONDS ({step.numerator}.0 / {step.denominator}.0) /* from step to step */",
+        f"#define {name.upper()}_SECONDS ({step.numerator}.0 / {step.denominator}.0) /* step size */",
         "",
         "enum {",
         *(f"    {name.upper()}_{title} = {size}," for title, size in sizes),

@@ -1,4 +1,4 @@
-"""Which inputs and parameters an output depends on at the same time, element by element."""
+"""The inputs and parameters on which outputs depend at the same time, element by element."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ Elements = dict[str, tuple[frozenset[str], ...]]
 
 
 def feeding(program: Program, elements: Elements) -> dict[str, frozenset[str]]:
-    """Return, for each output, the names of the inputs and parameters that its value at t_k is computed from."""
-    given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
-    whole = {element: signal.name for signal in given for element in labels(signal.name, signal.shape)}
+    """Return, for each output, the names of the inputs and parameters on which its value at t_k depends."""
+    signals: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
+    whole = {element: signal.name for signal in signals for element in labels(signal.name, signal.shape)}
     return {output: frozenset(whole[name] for of in each for name in of) for output, each in elements.items()}
 
 
 def feeding_elements(program: Program) -> Elements:
-    """Return, for each element of each output, the elements of inputs and parameters that its value at t_k is computed from.
+    """Return, for each element of each output, the elements of inputs and parameters on which its value at t_k depends.
 
-    Step functions are run on sets. Of one that branches on data, each output is taken to depend on all that it reads. What
-    a number is multiplied with that is always zero, it does not depend on.
+    Step functions are run on sets. If one branches on data, each of its outputs depends on everything that it reads. Factors of
+    a number that is always zero are no dependencies.
     """
     schedule = program.schedule
     memory, names = _memory(program)
@@ -40,14 +40,14 @@ def feeding_elements(program: Program) -> Elements:
 
 
 def _memory(program: Program) -> tuple[Memory, list[str]]:
-    """Return the schedule's memory before a step, in which inputs and parameters are their own origins, and their names."""
+    """Return the schedule's memory before a step, with inputs and parameters as their own origins, and their names."""
     schedule = program.schedule
     memory: Memory = np.array([*map(np.float64, schedule.initial.tolist()), None], dtype=object)[:-1]
     names: list[str] = []
-    Origins.made = 0  # by another program
+    Origins.made = 0  # counted for another program
     nothing = Origins(0)
 
-    def known(name: str, shape: tuple[int, ...]) -> list[Origins]:
+    def new_origins(name: str, shape: tuple[int, ...]) -> list[Origins]:
         before = len(names)
         names.extend(labels(name, shape))
         return [Origins(1 << i) for i in range(before, len(names))]
@@ -58,20 +58,20 @@ def _memory(program: Program) -> tuple[Memory, list[str]]:
                 begin = slots.start[section] + offset
                 memory[begin : begin + int(np.prod(shape, dtype=int))] = nothing
         if node.name == OUTSIDE:
-            given = [element for signal in program.inputs for element in known(signal.name, signal.shape)]
-            for place, element in enumerate(given, slots.start["outputs"]):
+            elements = [element for signal in program.inputs for element in new_origins(signal.name, signal.shape)]
+            for place, element in enumerate(elements, slots.start["outputs"]):
                 memory[place] = element
     for tunable in program.tunables:
-        for element, places in zip(known(tunable.name, tunable.shape), tunable.places, strict=True):
+        for element, places in zip(new_origins(tunable.name, tunable.shape), tunable.places, strict=True):
             for parameter, j in places:
                 memory[schedule.slots[tunable.node].offset(parameter) + j] = element
     return memory, names
 
 
 def _named(number: object, names: list[str]) -> frozenset[str]:
-    of, found = origins(number), []
+    of, result = origins(number), []
     while of:
         lowest = of & -of
-        found.append(names[lowest.bit_length() - 1])
+        result.append(names[lowest.bit_length() - 1])
         of ^= lowest
-    return frozenset(found)
+    return frozenset(result)

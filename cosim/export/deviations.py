@@ -1,4 +1,4 @@
-"""How far two recordings of a signal are apart."""
+"""The deviation between two recordings of a signal."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from bayesftc.cosim.types import Floats
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far a signal of the FMU is from that of the blocks.
+    """The deviation of a signal of the FMU from that of the blocks.
 
     Attributes
     ----------
     signal : str
         Its name in the diagram.
     largest : float
-        The largest absolute difference of any element at any step; infinite where one of the two is NaN and the other is not.
+        The largest absolute difference of any element at any step; infinite if only one of the two is NaN.
     time : float or None
-        When it is met first, in seconds; None where there is no difference.
+        When it first occurs, in seconds; None if there is no difference.
     ulps : float
-        That difference in units in the last place: how many doubles lie between the two, plus one.
+        This difference in units in the last place: the number of doubles between the two, plus one.
     relative : float
-        It, by the largest absolute value of the signal.
+        This difference, divided by the largest absolute value of the signal.
     """
 
     signal: str
@@ -34,22 +34,22 @@ class Deviation:
     relative: float
 
 
-def deviation(signal: str, time: Floats, expected: Floats, got: Floats) -> Deviation:
-    """Return how far apart two recordings of a signal are, with a row for each time."""
+def deviation(signal: str, time: Floats, expected: Floats, actual: Floats) -> Deviation:
+    """Return the deviation between two recordings of a signal, which have a row for each time."""
     with np.errstate(invalid="ignore"):  # the difference of infinities
-        apart = np.abs(got - expected)
-    apart[np.isnan(apart)] = np.inf
-    apart[(got == expected) | (np.isnan(got) & np.isnan(expected))] = 0.0
-    row, column = np.unravel_index(int(np.argmax(apart)), apart.shape)
-    largest = float(apart[row, column])
+        difference = np.abs(actual - expected)
+    difference[np.isnan(difference)] = np.inf
+    difference[(actual == expected) | (np.isnan(actual) & np.isnan(expected))] = 0.0
+    row, column = np.unravel_index(int(np.argmax(difference)), difference.shape)
+    largest = float(difference[row, column])
     if largest == 0.0:
         return Deviation(signal, 0.0, None, 0.0, 0.0)
     size = float(np.max(np.abs(expected[np.isfinite(expected)]), initial=0.0))
-    ulps = np.inf if not np.isfinite(largest) else float(_between(got[row, column], expected[row, column]))
+    ulps = np.inf if not np.isfinite(largest) else float(_between(actual[row, column], expected[row, column]))
     return Deviation(signal, largest, float(time[row]), ulps, largest / size if size else np.inf)
 
 
 def _between(one: float, other: float) -> int:
-    """Return how many steps from a double to the next one lead from one number to another."""
+    """Return the distance of two numbers in units in the last place."""
     first, second = (int(np.float64(abs(x)).view(np.int64)) * (-1 if x < 0.0 else 1) for x in (one, other))
     return abs(first - second)

@@ -1,4 +1,4 @@
-"""Takes blocks away from Python: as an FMU that runs in any other tool, or as C for firmware."""
+"""Export blocks for use without Python: as an FMU for any other tool, or as C for firmware."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from bayesftc.cosim.export.platforms import platforms_of
 from bayesftc.cosim.export.program import program_of
 
 _LONGEST = 200
-"""Bytes of an FMU's file name: others, a little longer, are made of it."""
+"""Most bytes of an FMU's file name; slightly longer names are derived from it."""
 
 
 def export_fmu(
@@ -45,29 +45,28 @@ def export_fmu(
     Parameters
     ----------
     exported : Block or Diagram
-        What to export.
+        The block, or the diagram with the blocks, to export.
     path : str or path
-        The file to write; its stem becomes the model's name, spelt as C allows it (``Regler 1.fmu``: ``Regler_1``). What was
-        there is replaced when all is done.
+        The file to write. Its stem becomes the model's name, spelt as C allows it (``Regler 1.fmu``: ``Regler_1``). An existing
+        file is replaced at the end.
     fmi : {"2.0", "3.0"}
         Version of the standard. Vectors are arrays in FMI 3, and one variable for each element in FMI 2: ``y[0]``, ``y[1]``.
     platforms : sequence of str, optional
-        For which the FMU gets binaries, besides its C sources: ``"linux-x86_64"``, ``"linux-aarch64"``, ``"windows-x86_64"``,
-        ``"macos-x86_64"``, ``"macos-aarch64"``, or ``"all"``. What is named is compiled by ``ziglang``
-        (``pip install 'bayesftc[export]'``) for old systems (glibc 2.17, macOS 11), to the same bytes on any machine; what it
-        needs for a platform it makes at the first time, which takes minutes. By default this machine's, by its own C compiler
-        where there is one.
+        Platforms of the FMU's binaries, which are added to its C sources: ``"linux-x86_64"``, ``"linux-aarch64"``,
+        ``"windows-x86_64"``, ``"macos-x86_64"``, ``"macos-aarch64"``, or ``"all"``. Given platforms are compiled by ``ziglang``
+        (``pip install 'bayesftc[export]'``) for old systems (glibc 2.17, macOS 11), to the same bytes on any machine. The first
+        use for a platform takes minutes. By default this machine's platform, by its C compiler if there is one.
     blocks : sequence of str, optional
         Names of the blocks of a diagram that become one FMU; by default all. An FMU cannot be among them.
     inputs, outputs : sequence of str or mapping of str to str, optional
-        The signals that the outside sees; a mapping gives each a new name. By default all inputs that nothing within feeds,
-        random ones too, and all outputs; called as their ports, the block's name before it where there are several blocks.
+        The inputs and outputs of the FMU; a mapping gives new names. By default all unconnected inputs, including random ones,
+        and all outputs. They have the names of their ports, with the block's name before it if there are several blocks.
     dt : float, str or Fraction, optional
-        The sample time of a block that has none of its own.
+        The sample time, for a block that does not define one.
     timing : {"plant", "sampled"}, optional
-        When the outputs hold. Sampled: a step takes the inputs at its beginning, and the outputs after it are those computed
-        from them, as a controller's must be. Plant: they are those at the end of the step; only where no input acts on an output
-        directly. By default what fits.
+        When the outputs hold. Sampled: the outputs after a step are computed from the inputs at its beginning, as for a
+        controller. Plant: the outputs after a step are those at its end; only if no input acts on an output directly. The
+        default is plant where possible.
     description : str
         A sentence or two for the user of the FMU.
 
@@ -79,9 +78,9 @@ def export_fmu(
     Raises
     ------
     KernelError
-        If a step function cannot become C; the sentence names the line.
+        If a step function cannot be translated to C; the message names the line.
     ModelError
-        If something in it is an FMU or calls back into Python, or the settings do not fit.
+        If a block is an FMU or calls Python, or the settings are not valid.
     FMUError
         If there is no C compiler for a platform, or it fails.
     ResultFileError
@@ -105,15 +104,15 @@ def export_fmu(
         raise ModelError(f"export_fmu has timing={timing!r}; it must be 'plant' or 'sampled'.")
     if not isinstance(description, str) or not all(letter.isprintable() or letter.isspace() for letter in description):
         raise ModelError(
-            f"export_fmu has description={brief(description)}; it must be a text without control characters."
+            f"export_fmu has description={brief(description)}; it must be a string without control characters."
         )
-    wanted = platforms_of(platforms)
+    requested = platforms_of(platforms)
     program = program_of(exported, name=program_name(target.stem), blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
     with _staged(target.parent) as scratch:
         model = model_of(program, write_c(program), timing, description)
         try:
-            build_fmu(model, scratch, fmi=fmi, platforms=wanted).replace(target)
-        except RuntimeError as error:  # no compiler, one that fails, or no platform that is known
+            build_fmu(model, scratch, fmi=fmi, platforms=requested).replace(target)
+        except RuntimeError as error:  # no compiler, a failing one, or an unknown platform
             raise FMUError(f"{target} cannot be built: {error}") from error
     return target
 
@@ -130,23 +129,23 @@ def export_c(
 ) -> tuple[Path, Path]:
     """Write a block, or some blocks of a diagram, as C99 that needs nothing but the mathematics of the C library.
 
-    ``<name>_init`` is called once, ``<name>_step`` at each step, from the inputs at that time to the outputs at that time; the
-    header says more. Nothing is allocated; all that is remembered lies in one structure of known size.
+    Call ``<name>_init`` once and ``<name>_step`` at each step: it computes the outputs from the inputs of the same time. The
+    header explains more. Nothing is allocated; all memory is in one structure of fixed size.
 
     Parameters
     ----------
     exported : Block or Diagram
-        What to export.
+        The block, or the diagram with the blocks, to export.
     folder : str or path
-        Where ``<name>.c`` and ``<name>.h`` are written, made if it is not there; what was there under these names is replaced.
+        The folder for ``<name>.c`` and ``<name>.h``, created if it does not exist; existing files of these names are replaced.
     name : str, optional
-        What types and functions begin with, and both files are called, spelt as C allows it; by default the block's name.
+        Prefix of types and functions and name of both files, spelt as C allows it; by default the block's name.
     blocks : sequence of str, optional
         Names of the blocks of a diagram that become one step; by default all. An FMU cannot be among them.
     inputs, outputs : sequence of str or mapping of str to str, optional
-        The signals that the outside sees, as of `export_fmu`.
+        The inputs and outputs of the program, as of `export_fmu`.
     dt : float, str or Fraction, optional
-        The sample time of a block that has none of its own.
+        The sample time, for a block that does not define one.
 
     Returns
     -------
@@ -156,9 +155,9 @@ def export_c(
     Raises
     ------
     KernelError
-        If a step function cannot become C; the sentence names the line.
+        If a step function cannot be translated to C; the message names the line.
     ModelError
-        If something in it is an FMU or calls back into Python, or the settings do not fit.
+        If a block is an FMU or calls Python, or the settings are not valid.
     ResultFileError
         If the files cannot be written.
 
@@ -174,7 +173,7 @@ def export_c(
     target = expanded(folder)
     if target.suffix.lower() in {".c", ".h", ".fmu"} and not target.is_dir():
         raise ResultFileError(
-            f"C is written into a folder, as <name>.c and <name>.h, and {target} is called as a file; give a folder, such as "
+            f"{target} is the name of a file, but C is written into a folder, as <name>.c and <name>.h. Give a folder, such as "
             f"{target.stem}."
         )
     _folder(target if target.exists() else target.parent)
@@ -191,14 +190,14 @@ def export_c(
 
 
 def _file(path: str | PathLike[str]) -> Path:
-    """Return the FMU's path, in a folder that is there."""
+    """Return the FMU's path, in an existing folder."""
     target = expanded(path)
     if target.suffix.lower() != ".fmu":
-        named = "controller.fmu, say" if target.stem in ("", ".fmu") else f"{target.stem}.fmu"
-        raise ResultFileError(f"{path} does not end in .fmu, by which other tools know an FMU; call it {named}.")
+        example = "controller.fmu, say" if target.stem in ("", ".fmu") else f"{target.stem}.fmu"
+        raise ResultFileError(f"{path} does not end in .fmu, which other tools need; name it {example}.")
     if len(os.fsencode(target.name)) > _LONGEST:
         raise ResultFileError(
-            f"The name {brief(target.name)} is too long for a file; take one of at most {_LONGEST} bytes."
+            f"The name {brief(target.name)} is too long for a file; use one of at most {_LONGEST} bytes."
         )
     if target.is_dir():
         raise ResultFileError(f"{target} is a folder; give the FMU another name.")
@@ -208,16 +207,16 @@ def _file(path: str | PathLike[str]) -> Path:
 def _folder(folder: str | PathLike[str]) -> Path:
     target = expanded(folder)
     if not target.is_dir():
-        what = "does not exist; make the folder, or choose another"
+        what = "does not exist; create the folder, or choose another"
         if target.exists():
-            what = "is no folder, but a file; choose another name"
+            what = "is a file and no folder; choose another name"
         raise ResultFileError(f"Nothing can be written into {target}: it {what}.")
     return target
 
 
 @contextmanager
 def _staged(folder: Path) -> Iterator[Path]:
-    """Give a folder beside the files to be, so that each appears under its name only when it is whole."""
+    """Provide a temporary folder beside the target, so that each file appears under its name only when it is complete."""
     try:
         folder.mkdir(exist_ok=True)
         with temporary_folder(BESIDE, folder) as scratch:

@@ -1,4 +1,4 @@
-"""The model of a program for the FMI wrappers of this package: its C, what puts it behind them, and its description."""
+"""The model of a program for this package's FMI wrappers: its C, the code that connects both, and its description."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from bayesftc.fmus.spec import Model, Unit, Variable
 Timing = Literal["plant", "sampled"]
 
 _SECONDS, _STEPS = 20, 100
-"""How long an importer that is told nothing runs it, at least. It is a whole number of steps: part of one is refused."""
+"""Least seconds and steps of the default experiment. It is a whole number of steps, as parts of steps are refused."""
 
 _BEHIND_FMI = """\
-/* {name} behind the contract of model.h: inputs, outputs and parameters lie in x as in its structures, its memory behind. */
+/* {name} with the interface of model.h: x contains inputs, outputs and parameters as in its structures, then its memory. */
 #include <string.h>
 
 #include "model.h"
@@ -66,7 +66,7 @@ int model_step(double *x, double h)
 """
 
 
-def model_of(program: Program, file: CFile, asked: Timing | None, description: str) -> Model:
+def model_of(program: Program, file: CFile, requested: Timing | None, description: str) -> Model:
     """Return the model of a program.
 
     Parameters
@@ -75,20 +75,20 @@ def model_of(program: Program, file: CFile, asked: Timing | None, description: s
         The program.
     file : CFile
         Its C.
-    asked : {"plant", "sampled"} or None
-        Whether the outputs after a step are those at its end, or those that were computed from the inputs at its beginning;
-        None for what fits.
+    requested : {"plant", "sampled"} or None
+        Whether the outputs after a step are those at its end, or computed from the inputs at its beginning; None for the
+        default.
     description : str
         A sentence or two for the user of the FMU.
 
     Raises
     ------
     ModelError
-        If the outputs cannot be those at the end of a step.
+        If ``"plant"`` is requested but not possible.
     """
-    fed = feeding_elements(program)
-    whole = feeding(program, fed)
-    timing = _timing(program, whole, asked, once=file.changes_state)
+    element_sources = feeding_elements(program)
+    sources = feeding(program, element_sources)
+    timing = _timing(program, sources, requested, once=file.changes_state)
     return Model(
         name=file.name,
         description=description,
@@ -99,13 +99,13 @@ def model_of(program: Program, file: CFile, asked: Timing | None, description: s
         },
         variables=(
             *(_variable(signal, "input") for signal in program.inputs),
-            *_outputs(program, whole, fed),
+            *_outputs(program, sources, element_sources),
             *(_variable(tunable, "parameter") for tunable in program.tunables),
         ),
         step=float(program.step),
         fixed_step=True,
         stop_time=float(program.step * max(ceil(_SECONDS / program.step), _STEPS)),
-        hidden=file.memory + _size(program.tunables) + 2,  # time of the first step, and how many have been made
+        hidden=file.memory + _size(program.tunables) + 2,  # time of the first step, and number of steps
         timing=timing,
         libraries=("m",),
         blocks=program.blocks,
@@ -113,14 +113,14 @@ def model_of(program: Program, file: CFile, asked: Timing | None, description: s
     )
 
 
-def _outputs(program: Program, whole: Mapping[str, frozenset[str]], fed: Elements) -> Iterator[Variable]:
-    """Yield the outputs; what each depends on, in the order of the variables."""
-    given: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
-    names = {signal.name: i for i, signal in enumerate(given)}
-    elements = {name: i for i, name in enumerate(n for s in given for n in labels(s.name, s.shape))}
+def _outputs(program: Program, sources: Mapping[str, frozenset[str]], element_sources: Elements) -> Iterator[Variable]:
+    """Yield the outputs, with their dependencies in the order of the variables."""
+    signals: tuple[Signal | Tunable, ...] = (*program.inputs, *program.tunables)
+    names = {signal.name: i for i, signal in enumerate(signals)}
+    elements = {name: i for i, name in enumerate(n for s in signals for n in labels(s.name, s.shape))}
     for signal in program.outputs:
-        initial = tuple(sorted(whole[signal.name], key=names.__getitem__))
-        each = tuple(tuple(sorted(of, key=elements.__getitem__)) for of in fed[signal.name])
+        initial = tuple(sorted(sources[signal.name], key=names.__getitem__))
+        each = tuple(tuple(sorted(of, key=elements.__getitem__)) for of in element_sources[signal.name])
         yield _variable(signal, "output", initial, each)
 
 
@@ -139,17 +139,17 @@ def _size(group: Sequence[Signal | Tunable]) -> int:
     return sum(len(each.start) for each in group)
 
 
-def _timing(program: Program, fed: Mapping[str, frozenset[str]], asked: Timing | None, *, once: bool) -> Timing:
-    """Return when the outputs hold; `once` says that they must be computed once a step."""
+def _timing(program: Program, sources: Mapping[str, frozenset[str]], requested: Timing | None, *, once: bool) -> Timing:
+    """Return the timing of the outputs; with `once`, they must be computed exactly once a step."""
     inputs = {signal.name for signal in program.inputs}
-    direct = next(((output, sorted(by & inputs)) for output, by in fed.items() if by & inputs), None)
+    direct = next(((output, sorted(names & inputs)) for output, names in sources.items() if names & inputs), None)
     if direct is None and not once:
-        return asked or "plant"
-    if asked == "plant":
-        why = "computing its outputs changes a state"
+        return requested or "plant"
+    if requested == "plant":
+        reason = "computing its outputs changes a state"
         if direct is not None:
-            why = f"the input {direct[1][0]!r} acts on the output {direct[0]!r} directly"
-        raise ModelError(f"{program.name} cannot be exported with timing='plant': {why}; leave it 'sampled'.")
+            reason = f"the input {direct[1][0]!r} acts on the output {direct[0]!r} directly"
+        raise ModelError(f"{program.name} cannot be exported with timing='plant': {reason}. Give timing='sampled'.")
     return "sampled"
 
 
@@ -174,12 +174,12 @@ def _variable(
 
 
 def _renamed(signal: Signal) -> str:
-    """Return what a signal is called in its diagram, where the outside does not call it so, with or without its block's name."""
+    """Return the name of a signal in its diagram, if the export has renamed it; the block's name may be left out."""
     return "" if signal.name in {signal.origin, signal.origin.partition(".")[2]} else signal.origin
 
 
 def _unit(text: str | None) -> Unit | None:
-    """Return a unit with its meaning; without one where nobody knows it."""
+    """Return a unit with its definition, if it is known."""
     if not text:
         return None
     meaning = parse(text)

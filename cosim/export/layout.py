@@ -1,4 +1,4 @@
-"""Where the numbers of a program lie in C: what changes in one array, what never does in tables, what can be tuned by name."""
+"""The memory layout of a program in C: variables in one array, constants in tables, tunable parameters by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from bayesftc.cosim.types import Floats
 
 
 def member(signal: Signal | Tunable) -> str:
-    """Return what a signal or a parameter is called in its structure."""
+    """Return the name of a signal or a parameter in its structure."""
     return in_c(signal.name)
 
 
@@ -29,14 +29,14 @@ class Layout:
     program : Program
         The program.
     functions : Functions
-        The functions of its file, among whose names the tables have theirs.
+        The functions of its file, which also reserve the names of tables.
 
     Attributes
     ----------
     initial : ndarray
-        The array of what changes, at the beginning.
+        The initial values of the array.
     tables : dict of str to (str, int)
-        The texts of the tables by their names, and how many numbers each has.
+        The text and the size of each table, by name.
     """
 
     def __init__(self, program: Program, functions: Functions):
@@ -45,7 +45,7 @@ class Layout:
         mixed = {(t.node, name) for t in self._parts for places in t.places for name, _ in places}
         self._places: dict[int, int] = {}  # from the schedule's memory to the array
         self._tables: dict[tuple[int, str], str] = {}
-        self._brought: dict[int, str] = {}  # what comes from outside, by its place in the schedule's memory
+        self._brought: dict[int, str] = {}  # inputs of the program, by index in the schedule's memory
         self.tables: dict[str, tuple[str, int]] = {}
         values = program.schedule.initial
         for i, node in enumerate(program.schedule.nodes):
@@ -57,7 +57,7 @@ class Layout:
             for name, (section, offset, shape) in self._slots[i].sections.items():
                 begin, size = self._slots[i].start[section] + offset, _size(shape)
                 if section != "parameters" or (i, name) in mixed:
-                    if name not in {"inputs", "outputs"}:  # which are all of them once more
+                    if name not in {"inputs", "outputs"}:  # these contain all ports again
                         self._places |= {begin + j: len(self._places) + j for j in range(size)}
                 elif size and (i, name) not in self._tuned:
                     table = self._tables[i, name] = functions.name(f"{node.name}_{name}")
@@ -67,17 +67,17 @@ class Layout:
             self.initial[at] = values[place]
 
     def runs(self) -> list[tuple[int, int, float]]:
-        """Return where the array is not zero at the beginning: places of equal value, as (first, how many, value)."""
-        found: list[tuple[int, int, float]] = []
+        """Return the initial values that are not zero, in runs of equal values: (first index, count, value)."""
+        result: list[tuple[int, int, float]] = []
         for at, value in enumerate(self.initial.tolist()):
-            if found and sum(found[-1][:2]) == at and same(found[-1][2], value):
-                found[-1] = found[-1][0], found[-1][1] + 1, value
+            if result and sum(result[-1][:2]) == at and same(result[-1][2], value):
+                result[-1] = result[-1][0], result[-1][1] + 1, value
             elif not same(value, 0.0):
-                found.append((at, 1, value))
-        return found
+                result.append((at, 1, value))
+        return result
 
     def tuned(self) -> list[str]:
-        """Return the lines that bring tunable numbers to where step functions find them among others."""
+        """Return the lines that copy tunable numbers into parameters that also have other numbers."""
         return [
             f"m[{self._places[self._slots[t.node].offset(name) + e]}] = c->parameters.{member(t)}[{j}];"
             for t in self._parts
@@ -86,7 +86,7 @@ class Layout:
         ]
 
     def pointer(self, i: int, name: str) -> str:
-        """Return where the numbers of an argument of block `i` begin."""
+        """Return the C pointer to an argument of block `i`."""
         section, offset, shape = self._slots[i].sections[name]
         if (i, name) in self._tuned:
             return f"c->parameters.{member(self._tuned[i, name])}"
@@ -96,7 +96,7 @@ class Layout:
         return f"m + {at}" if at else "m"
 
     def element(self, place: int) -> str:
-        """Return the number at a place of the schedule's memory."""
+        """Return the C expression for an index of the schedule's memory."""
         return self._brought.get(place) or f"m[{self._places[place]}]"
 
 

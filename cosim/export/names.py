@@ -1,4 +1,4 @@
-"""Names that FMI and C both allow, each once."""
+"""Unique names that both FMI and C allow."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _LETTERS = {
 _GREEK = re.compile(r"GREEK (?:SMALL|CAPITAL) LETTER (\w+)$")
 
 _TAKEN = frozenset({"time", "TIME", "HIDDEN"})
-"""What FMI 3 calls the time, which is a variable there, and the wrapper's C its own."""
+"""Names that FMI 3 (for the time, which is a variable there) and the wrapper's C use."""
 
 
 def legal(name: str) -> str:
-    """Return a name with what FMI does not allow spelt otherwise: ``größe-1.y`` becomes ``groesse_1.y``."""
+    """Return a name with characters that FMI does not allow replaced: ``größe-1.y`` becomes ``groesse_1.y``."""
     if _LEGAL.fullmatch(name):
         return name
     pieces = _INDEX.split(name)
@@ -56,11 +56,11 @@ def _spelt(letter: str) -> str:
 
 
 def check(name: str, what: str) -> None:
-    """Refuse a name that was given and that FMI does not allow."""
+    """Refuse a user's name that FMI does not allow."""
     if not isinstance(name, str) or not _LEGAL.fullmatch(name):
         raise ModelError(
-            f"The {what} of what is exported cannot be called {brief(name)}; FMI allows letters from a to z, digits and '_', "
-            "parts after a '.', and an index such as '[1]', and no digit to begin with."
+            f"An {what} of the export cannot be named {brief(name)}. FMI allows letters from a to z, digits (not at the "
+            "beginning) and '_', parts after a '.', and an index such as '[1]'."
         )
 
 
@@ -69,7 +69,7 @@ _HEADERS = (
     "stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype "
     "fmi2 fmi3 instance model model_config runge_kutta"
 )
-"""Files of the C library and of an FMU's own sources, in whose place one of the same name would be found."""
+"""Files of the C library and of an FMU's sources, which a file of the same name would hide."""
 
 _LIBRARY = (
     "PROGRAM INPUTS OUTPUTS program begin tune initial model_initialize model_step "
@@ -81,17 +81,17 @@ _LIBRARY = (
     "strncat strncmp strncpy strpbrk strrchr strspn strstr strtok strxfrm asctime clock ctime difftime gmtime localtime mktime "
     "strftime raise close link open pause pipe read select sleep sync wait write index"
 )
-"""What the C itself, the C library and POSIX call so, and a type cannot be called, too."""
+"""Names in the generated C, the C library and POSIX, which a type cannot have."""
 
 _FILES, _CLASHING = frozenset(_HEADERS.split()), frozenset(_LIBRARY.split())
 
 
 def program_name(name: str) -> str:
-    """Return what files, types and functions begin with: a name as C, the C library and the FMI wrappers allow it.
+    """Return the prefix of files, types and functions: a name that C, the C library and the FMI wrappers allow.
 
     ``Größe 1`` becomes ``Groesse_1``, ``2fast`` becomes ``block_2fast``, and ``model`` ``model_``.
     """
-    plain = Functions.allowed(_plain(name).replace(".", "_").lstrip("_"))  # C keeps names with a _ first for itself
+    plain = Functions.allowed(_plain(name).replace(".", "_").lstrip("_"))  # C reserves names with a leading _
     if not plain[:1].isalpha():
         plain = f"block_{plain}".rstrip("_")
     taken = plain in _CLASHING or plain.lower() in _FILES or len(plain) == 1
@@ -99,26 +99,26 @@ def program_name(name: str) -> str:
 
 
 def in_c(name: str) -> str:
-    """Return what a signal or a parameter is called in its structure."""
+    """Return the name of a signal or a parameter in its structure."""
     return Functions.allowed(name.replace("]", "").replace("[", "_").replace(",", "_").replace(".", "_"))
 
 
-def unique(wanted: Iterable[tuple[str, tuple[int, ...]]]) -> list[str]:
-    """Return legal names for signals of these names and shapes, no two of them the same to FMI, to C, or to the wrapper's C.
+def unique(signals: Iterable[tuple[str, tuple[int, ...]]]) -> list[str]:
+    """Return legal names for signals of these names and shapes, all different in FMI, in C, and in the wrapper's C.
 
-    The first keeps its name; a number is added to a later one.
+    The first of equal names stays; the others get a number.
     """
     seen = set(_TAKEN)
-    found = []
-    for name, shape in wanted:
+    result = []
+    for name, shape in signals:
         plain, count = legal(name), 1
         candidate = plain
         while not seen.isdisjoint(_spellings(candidate, shape)):
             count += 1
             candidate = _numbered(plain, count)
         seen |= _spellings(candidate, shape)
-        found.append(candidate)
-    return found
+        result.append(candidate)
+    return result
 
 
 def _spellings(name: str, shape: tuple[int, ...]) -> set[str]:

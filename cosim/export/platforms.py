@@ -1,4 +1,4 @@
-"""The platforms that someone names."""
+"""Names of platforms."""
 
 from __future__ import annotations
 
@@ -14,38 +14,37 @@ ALL = "all"
 
 
 def platforms_of(given: Sequence[str] | str | None) -> tuple[Platform, ...] | None:
-    """Return the platforms of some names, each once and in the package's own order; None where none is named.
+    """Return the platforms of some names, each once, in the package's order; None for None.
 
     Parameters
     ----------
     given : sequence of str or str or None
-        Names as ``"linux-x86_64"``, or as the folders of FMI 3.0 and 2.0 are called, ``"x86_64-linux"`` and ``"linux64"``;
-        ``"all"`` for all.
+        Names as ``"linux-x86_64"``, or folder names of FMI 3.0 and 2.0, as ``"x86_64-linux"`` and ``"linux64"``; or ``"all"``.
 
     Raises
     ------
     UnknownNameError
         If there is no such platform.
     ModelError
-        If what is given are no names, or none.
+        If these are no names, or there are none.
     """
     from bayesftc.fmus._platforms import PLATFORMS
 
     if given is None:
         return None
     names = [given] if isinstance(given, str) else list(given) if isinstance(given, Sequence) else [given]
-    known = {platform.name: platform for platform in PLATFORMS}
-    found = {name: platform for platform in PLATFORMS for name in (platform.fmi2, platform.fmi3)} | known
+    by_name = {platform.name: platform for platform in PLATFORMS}
+    by_any_name = {name: platform for platform in PLATFORMS for name in (platform.fmi2, platform.fmi3)} | by_name
     for name in names:
         if not isinstance(name, str):
-            raise ModelError(f"platforms={given!r} has {name!r} in it, which is no name; {did_you_mean('', known)}")
-        if name != ALL and name not in found:
+            raise ModelError(f"platforms={given!r} contains {name!r}, which is no name; {did_you_mean('', by_name)}")
+        if name != ALL and name not in by_any_name:
             raise UnknownNameError(
-                f"Binaries cannot be made for the platform {name!r}; {did_you_mean(name, [*known, ALL])}"
+                f"Binaries for the platform {name!r} are not supported; {did_you_mean(name, [*by_name, ALL])}"
             )
     if not names:
         raise ModelError(
-            f"platforms={given!r} names none; leave it away for this machine's, or name some of {', '.join(known)}."
+            f"platforms={given!r} is empty; leave it out for this machine's platform, or choose from {', '.join(by_name)}."
         )
-    wanted = PLATFORMS if ALL in names else {found[name] for name in names}
-    return tuple(platform for platform in PLATFORMS if platform in wanted)
+    selected = PLATFORMS if ALL in names else {by_any_name[name] for name in names}
+    return tuple(platform for platform in PLATFORMS if platform in selected)

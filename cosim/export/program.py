@@ -1,4 +1,4 @@
-"""What is exported: a block or some blocks of a diagram, as all that their C is written from."""
+"""The program to export: a block, or some blocks of a diagram, with everything that its C needs."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Program:
     Parameters
     ----------
     name : str
-        What it is called.
+        Its name.
     schedule : Schedule
-        The order of calls and the layout of memory; the inputs come out of a block called ``<outside>``, element by element.
+        The order of calls and the layout of memory. The inputs are outputs of a block named ``<outside>``, element by element.
     inputs, outputs : tuple of Signal
-        What goes in and what comes out at each step.
+        The signals that it reads and writes at each step.
     tunables : tuple of Tunable
-        What can be changed between steps.
+        The parameters that can change between steps.
     """
 
     name: str
@@ -70,44 +70,48 @@ def program_of(
     Parameters
     ----------
     exported : Block or Diagram
-        What to export.
+        The block, or the diagram with the blocks, to export.
     name : str, optional
         Its name; by default the block's.
     blocks : sequence of str, optional
-        Those of a diagram; by default all.
+        Names of blocks of the diagram; by default all.
     inputs, outputs : names, optional
-        Which of the signals the outside sees, a mapping gives new names; by default all inputs that nothing within feeds, random
-        ones too, and all outputs. Called as their ports, with the block's name before it where there are several blocks.
+        Its inputs and outputs; a mapping gives new names. By default all unconnected inputs, including random ones, and all
+        outputs. They have the names of their ports, with the block's name before it if there are several blocks.
     dt : float, str or Fraction, optional
-        The sample time of a block that has none of its own.
+        The sample time, for a block that does not define one.
 
     Raises
     ------
     ModelError
-        If there is something in it that cannot be exported.
+        If something cannot be exported.
     UnknownNameError
         If there is no block or signal of that name.
     """
     diagram = _as_diagram(exported, dt)
     part, units = _part(diagram, blocks), units_of(diagram)
     alone = len(part.nodes) == 1
-    given, shown = _taken_in(part, inputs), _named(_ports(part, "outputs"), outputs, "output")
-    whole, _ = opened(part, [place for places in given.values() for place in places], "the exported blocks")
+    input_places, output_places = _program_inputs(part, inputs), _named(_ports(part, "outputs"), outputs, "output")
+    whole, _ = opened(part, [place for places in input_places.values() for place in places], "the exported blocks")
     schedule = whole.schedule
     _refuse_python(schedule)
     program = Program(
         name or (part.nodes[0].name if alone else "diagram"),
         schedule,
-        tuple(signal_of(schedule, label, places, units) for label, places in given.items()),
-        tuple(signal_of(schedule, label, places, units) for label, places in shown.items()),
+        tuple(signal_of(schedule, label, places, units) for label, places in input_places.items()),
+        tuple(signal_of(schedule, label, places, units) for label, places in output_places.items()),
         tuple(tunables_of(schedule, alone, units)),
     )
-    called = [(names, what) for names, what in ((inputs, "input"), (outputs, "output")) if isinstance(names, Mapping)]
-    return _with_names(program, [(new, what) for names, what in called for old, new in names.items() if new != old])
+    named_sides = [
+        (names, what) for names, what in ((inputs, "input"), (outputs, "output")) if isinstance(names, Mapping)
+    ]
+    return _with_names(
+        program, [(new, what) for names, what in named_sides for old, new in names.items() if new != old]
+    )
 
 
 def _ports(part: Diagram, side: Literal["inputs", "outputs"]) -> dict[str, Places]:
-    """Return all ports of a side, called as they are in their block, with its name before where there are several blocks."""
+    """Return all ports of a side by name, with the block's name before it if there are several blocks."""
     alone = len(part.nodes) == 1
     return {
         port.name if alone else f"{node.name}.{port.name}": tuple((node, port, i) for i in range(port.size))
@@ -116,29 +120,29 @@ def _ports(part: Diagram, side: Literal["inputs", "outputs"]) -> dict[str, Place
     }
 
 
-def _taken_in(part: Diagram, names: Names | None) -> dict[str, Places]:
-    """Return the inputs that the outside sees."""
+def _program_inputs(part: Diagram, names: Names | None) -> dict[str, Places]:
+    """Return the inputs of the program."""
     unfed: dict[str, Places] = {}
     for label, places in _ports(part, "inputs").items():
         unfed |= _unfed(part, label, places)
     if names is not None:
-        found = _named(unfed, names, "input")
-    else:  # what has no start value that FMI can write stays what it is, unless it is asked for
-        found = {name: at for name, at in unfed.items() if np.isfinite(np.asarray(at[0][1].default or 0.0)).all()}
-    brought = {place for places in found.values() for place in places}
+        result = _named(unfed, names, "input")
+    else:  # inputs whose start value FMI cannot write keep it, unless they are requested
+        result = {name: at for name, at in unfed.items() if np.isfinite(np.asarray(at[0][1].default or 0.0)).all()}
+    included = {place for places in result.values() for place in places}
     for signal, (place, *_) in unfed.items():
-        if place[1].default is None and place[1].draw is None and place not in brought:
-            raise ModelError(f"The input {signal} has neither a source nor a start value; leave it among the inputs.")
-    return found
+        if place[1].default is None and place[1].draw is None and place not in included:
+            raise ModelError(f"The input {signal} has neither a source nor a start value; include it in the inputs.")
+    return result
 
 
 def _refuse_python(schedule: Schedule) -> None:
     for node, definition in zip(schedule.nodes, schedule.definitions, strict=True):
         if definition is not None and not definition.compiled:
             raise ModelError(
-                f"The block {node.name!r} ({type(node.block).__name__}) calls back into Python, which the exported C has not; "
-                "write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False; of "
-                "classifiers take one that is linear in its features, of filters filter='own'."
+                f"The block {node.name!r} ({type(node.block).__name__}) calls Python, which is not available in the exported C. "
+                "Write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False. Use a "
+                "classifier that is linear in its features, and filter='own' for filters."
             )
 
 
@@ -149,35 +153,35 @@ def _as_diagram(exported: Block | Diagram, dt: float | str | Fraction | None) ->
         raise ModelError(f"Only a block or a diagram can be exported, not {exported!r}.")
     step = exported.sample_time if dt is None else rational_step(dt)
     if step is None:
-        raise ModelError(f"{type(exported).__name__} does not know its sample time; give dt=... in seconds.")
+        raise ModelError(f"{type(exported).__name__} has no sample time; give dt=... in seconds.")
     diagram = Diagram(step)
     diagram.add(exported)
     return diagram
 
 
 def _part(diagram: Diagram, blocks: Sequence[str] | str | None) -> Diagram:
-    """Return a diagram of some blocks of another one, at the slowest step at which all of them run."""
-    wanted = [blocks] if isinstance(blocks, str) else list(diagram._nodes if blocks is None else blocks)
-    nodes = [diagram[name] for name in diagram._nodes if name in {diagram[each].name for each in wanted}]
+    """Return a diagram of some blocks of another one, with the largest possible base step."""
+    requested = [blocks] if isinstance(blocks, str) else list(diagram._nodes if blocks is None else blocks)
+    nodes = [diagram[name] for name in diagram._nodes if name in {diagram[each].name for each in requested}]
     if not nodes:
         raise ModelError("There is no block to export; name at least one.")
     for node in nodes:
         if is_external(node):
             raise ModelError(
-                f"The block {node.name!r} is an FMU ({type(node.block).__name__}), which has C of its own; export the blocks "
-                "around it, and connect both in the tool that runs them."
+                f"The block {node.name!r} is an FMU ({type(node.block).__name__}), which cannot be exported again. Export the "
+                "blocks around it, and connect both in the tool that runs them."
             )
     every = gcd(*(node.every for node in nodes))
     part = Diagram(diagram.step * every)
     new = {node.name: part.add(node.block, node.name, node.every // every) for node in nodes}
-    for (name, port, element), (source, taken) in diagram._sources.items():
+    for (name, port, element), (source, source_element) in diagram._sources.items():
         if name in new and source.node.name in new:
-            part._sources[name, port, element] = new[source.node.name][source.port.name], taken
+            part._sources[name, port, element] = new[source.node.name][source.port.name], source_element
     return part
 
 
 def _unfed(part: Diagram, label: str, places: Places) -> dict[str, Places]:
-    """Return what of an input nothing feeds: all of it as one signal, or its elements one by one."""
+    """Return the unconnected part of an input: all of it as one signal, or its elements one by one."""
     unfed = [place for place in places if part.source_of(*place) is None]
     if len(unfed) == len(places):
         return {label: places}
@@ -185,56 +189,54 @@ def _unfed(part: Diagram, label: str, places: Places) -> dict[str, Places]:
     return {names[i]: ((node, port, i),) for node, port, i in unfed}
 
 
-def _named(found: Mapping[str, Places], names: Names | None, what: str) -> dict[str, Places]:
+def _named(available: Mapping[str, Places], names: Names | None, what: str) -> dict[str, Places]:
     if names is None:
-        return dict(found)
-    listed = [names] if isinstance(names, str) else names
-    renamed = names if isinstance(names, Mapping) else {name: name for name in listed}
-    elements = {element: place for label, places in found.items() for element, place in _elements(label, places)}
+        return dict(available)
+    requested = [names] if isinstance(names, str) else names
+    renamed = names if isinstance(names, Mapping) else {name: name for name in requested}
+    elements = {element: place for label, places in available.items() for element, place in _elements(label, places)}
     for name in renamed:
-        if name not in found and name not in elements:
-            raise UnknownNameError(f"What is exported has no {what} {name!r}; {did_you_mean(name, found)}")
-    if len(set(renamed.values())) < len(listed):
-        raise ModelError(f"Two {what}s of what is exported would have one name ({', '.join(renamed.values())}).")
-    chosen = {label: found.get(name) or OneElement((elements[name],)) for name, label in renamed.items()}
-    taken: set[tuple[str, str, int]] = set()
+        if name not in available and name not in elements:
+            raise UnknownNameError(f"The export has no {what} {name!r}; {did_you_mean(name, available)}")
+    if len(set(renamed.values())) < len(requested):
+        raise ModelError(
+            f"Two {what}s of the export have one name ({', '.join(renamed.values())}); rename one of them."
+        )
+    chosen = {label: available.get(name) or OneElement((elements[name],)) for name, label in renamed.items()}
+    used: set[tuple[str, str, int]] = set()
     for label, places in chosen.items():
-        new = {(node.name, port.name, i) for node, port, i in places}
-        if taken & new:
-            raise ModelError(
-                f"The {what} {label!r} of what is exported is part of another one; name each element once."
-            )
-        taken |= new
+        places_used = {(node.name, port.name, i) for node, port, i in places}
+        if used & places_used:
+            raise ModelError(f"The {what} {label!r} of the export is part of another one; name each element once.")
+        used |= places_used
     return chosen
 
 
 def _elements(label: str, places: Places) -> Iterator[tuple[str, Place]]:
-    """Yield the elements of a signal that is a whole port, each with the name that it has alone."""
+    """Yield the elements of a signal that is a whole port, each with its name."""
     _, port, _ = places[0]
     if len(places) == port.size and port.shape:
         yield from zip(labels(label, port.shape), places, strict=True)
 
 
 def _with_names(program: Program, given: Sequence[tuple[str, str]]) -> Program:
-    """Return the program with names for all signals and parameters that FMI and C allow; those that were given stay."""
+    """Return the program with names that FMI and C allow, for all signals and parameters; the user's names stay."""
     for name, what in given:
         check(name, what)
     groups = program.inputs, program.outputs, program.tunables
-    everything = [each for group in groups for each in group]
-    # What was given keeps its name, then what is legal as it is, and the others make way.
+    signals = [each for group in groups for each in group]
+    # First the user's names are reserved, then legal names; the others are changed.
     fixed = {name for name, _ in given}
-    names_now = [each.name for each in everything]
-    order = sorted(
-        range(len(everything)), key=lambda i: (names_now[i] not in fixed, legal(names_now[i]) != names_now[i])
-    )
-    names = dict(zip(order, unique((everything[i].name, everything[i].shape) for i in order), strict=True))
-    renamed = iter([replace(each, name=names[i]) for i, each in enumerate(everything)])
+    names_now = [each.name for each in signals]
+    order = sorted(range(len(signals)), key=lambda i: (names_now[i] not in fixed, legal(names_now[i]) != names_now[i]))
+    names = dict(zip(order, unique((signals[i].name, signals[i].shape) for i in order), strict=True))
+    renamed = iter([replace(each, name=names[i]) for i, each in enumerate(signals)])
     inputs, outputs, tunables = (tuple(islice(renamed, len(group))) for group in groups)
-    kept = {"input": {each.name for each in inputs}, "output": {each.name for each in outputs}}
+    final_names = {"input": {each.name for each in inputs}, "output": {each.name for each in outputs}}
     for name, what in given:
-        if name not in kept[what]:
+        if name not in final_names[what]:
             raise ModelError(
-                f"The {what} of what is exported cannot be called {name!r}: another signal, the time or the C itself has that "
-                "name; give it another one."
+                f"An {what} of the export cannot be named {name!r}: another signal, the time or the C code has that name. Give "
+                "it another name."
             )
     return replace(program, inputs=inputs, outputs=outputs, tunables=tunables)  # type: ignore[arg-type]

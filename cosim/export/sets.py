@@ -1,8 +1,8 @@
-"""Step functions run on sets: each number is what it was computed from, and an operation unites its operands.
+"""Step functions on sets: each number is replaced by its origins, and an operation unites the origins of its operands.
 
-A number that is known stays a number, so that `select` and a factor of zero among the parameters drop what they drop whenever
-the step function runs (for finite numbers: zero times a missing sample is missing). A zero in the text of the step function
-drops nothing: it is there just to hand on that something is missing.
+A constant stays a number, so that `select` and parameters of zero remove dependencies as they do in a run (for finite numbers:
+zero times a missing sample is missing). A zero in the text of the step function removes none: its purpose is to pass on that
+a sample is missing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Memory = NDArray[Any]
 """An array of objects."""
 
 MOST = 200_000
-"""A step function that makes more operations is not followed: that would take seconds."""
+"""Most operations of a step function; following more would take seconds."""
 
 
 class TooLong(Exception):
@@ -31,7 +31,7 @@ class TooLong(Exception):
 
 
 class Origins:
-    """A number that is not known now, and what it was computed from.
+    """A number that is not constant, and its origins.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Origins:
     """
 
     __slots__ = ("of",)
-    __array_ufunc__ = None  # numpy's scalars leave arithmetic to this class
+    __array_ufunc__ = None  # makes NumPy's scalars use this class's operators
     __hash__ = None  # type: ignore[assignment]
 
     made = 0
@@ -65,7 +65,7 @@ class Origins:
         return self
 
     def __bool__(self) -> NoReturn:
-        raise TypeError("what is not known cannot be branched on")
+        raise TypeError("a number that is not constant cannot be used in a branch")
 
     __add__ = __radd__ = __sub__ = __rsub__ = __truediv__ = __floordiv__ = __rfloordiv__ = __mod__ = __rmod__ = _with
     __lt__ = __le__ = __gt__ = __ge__ = _with
@@ -79,11 +79,11 @@ def _operation(name: str) -> Callable[..., Any]:
     real = getattr(ops, name)
 
     def operation(*arguments: Any) -> Any:
-        found = None
+        united = None
         for argument in arguments:
             if isinstance(argument, Origins):
-                found = argument if found is None else found._with(argument)
-        return real(*arguments) if found is None else found
+                united = argument if united is None else united._with(argument)
+        return real(*arguments) if united is None else united
 
     return operation
 
@@ -98,14 +98,14 @@ _OPERATIONS: Mapping[str, Callable[..., Any]] = {name: _operation(name) for name
 
 
 def origins(value: Any) -> int:
-    """Return what a number was computed from; nothing, if it is known."""
+    """Return the origins of a number; the empty set of a constant."""
     return value.of if isinstance(value, Origins) else 0
 
 
 def run(kernel: Kernel, slots: Slots, memory: Memory) -> None:
-    """Run a step function on memory in which numbers are `Origins` or known.
+    """Run a step function on memory of `Origins` and constants.
 
-    If it branches on what is not known, or takes too long, its outputs are computed from all that it reads.
+    If it branches on numbers that are not constant, or takes too long, its outputs depend on everything that it reads.
     """
     read = [name for name in argument_names(kernel) if name not in {"t", "k"}]
     before = 0

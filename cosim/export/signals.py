@@ -1,4 +1,4 @@
-"""What of a program the outside sees: its inputs and outputs, and what it can change between steps."""
+"""The interface of a program: its inputs, its outputs, and its tunable parameters."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ Places = tuple[Place, ...]
 
 
 class OneElement(tuple[Place]):
-    """One element of a port, which the outside sees as a number even where the port has no other."""
+    """One element of a port, which is a scalar in the interface even if the port has no other element."""
 
 
 @dataclass(frozen=True)
 class Signal:
-    """An input or output that the outside sees.
+    """An input or output of a program.
 
     Parameters
     ----------
     name : str
-        What the outside calls it.
+        Its name in the interface.
     shape : tuple of int
         ``()`` for a number.
     unit : str or None
-        As its port says.
+        The unit of its port.
     start : tuple of float
-        Of an input, what it is until it is set.
+        For an input, its value until it is set.
     places : tuple of int
-        Where its elements lie in the memory of the schedule.
+        The indices of its elements in the memory of the schedule.
     draw : str or None
-        Of an input that takes random numbers, their distribution.
+        For an input of random numbers, their distribution.
     description : str
-        What it is, in words.
+        A description for users.
     origin : str
-        What it is called in the diagram, as ``controller.y``.
+        Its name in the diagram, as ``controller.y``.
     """
 
     name: str
@@ -58,28 +58,28 @@ class Signal:
 
 @dataclass(frozen=True)
 class Tunable:
-    """A parameter of a step function that the outside may change while it runs.
+    """A parameter of a step function that can change while the program runs.
 
     Parameters
     ----------
     name : str
-        What the outside calls it.
+        Its name in the interface.
     shape : tuple of int
         ``()`` for a number.
     start : tuple of float
-        What it is until it is changed.
+        Its value until it is changed.
     node : int
         The number of its block in the schedule.
     parameter : str or None
-        If it is all of one parameter of the step functions, in the same order: the name of that.
+        The parameter of the step functions with exactly these numbers, in the same order, if there is one.
     description : str
-        What it is, in words.
+        A description for users.
     setting : str
-        What the block calls it, as ``precision.forgetting``.
+        The setting of the block, as ``precision.forgetting``.
     places : tuple of tuple of (str, int)
-        Where each of its numbers stands among the parameters: in which, and which element of it, row by row.
+        For each of its numbers, the places among the parameters: the parameter's name, and the element, row by row.
     unit : str or None
-        As the block says, or that of the port that the block names.
+        The unit that the block declares, or that of the port to which it refers.
     """
 
     name: str
@@ -94,13 +94,13 @@ class Tunable:
 
 
 def signal_of(schedule: Schedule, label: str, places: Places, units: Units) -> Signal:
-    """Return the signal of this name that these elements of a port are."""
+    """Return the signal of this name for these elements of a port."""
     node, port, _ = places[0]
     begin = schedule.signal(node, port).start
     at = tuple(begin + i for _, _, i in places)
     shape = port.shape if len(places) == port.size and not isinstance(places, OneElement) else ()
-    drawn = {"uniform": 0.5, "normal": 0.0}.get(port.draw or "")
-    start = tuple(float(schedule.initial[i]) if drawn is None else drawn for i in at)
+    draw_value = {"uniform": 0.5, "normal": 0.0}.get(port.draw or "")
+    start = tuple(float(schedule.initial[i]) if draw_value is None else draw_value for i in at)
     if any(port.name == output.name for output in node.block.outputs):
         start = (0.0,) * len(at)
     origin = f"{node.name}.{port.name}"
@@ -119,7 +119,7 @@ def _description(node: Node, port: Port) -> str:
 
 
 def tunables_of(schedule: Schedule, alone: bool, units: Units) -> Iterator[Tunable]:
-    """Yield the settings of all blocks that may change; `alone` says that they need no block's name before them."""
+    """Yield the tunable settings of all blocks; with `alone`, without the block's name before them."""
     for i, (node, definition) in enumerate(zip(schedule.nodes, schedule.definitions, strict=True)):
         if definition is None or node.name == OUTSIDE:
             continue

@@ -1,4 +1,4 @@
-"""An FMU in the place of the blocks that it stands for: which of its variables is which of their signals."""
+"""An FMU in place of the blocks from which it was exported: the counterparts of its variables among their signals."""
 
 from __future__ import annotations
 
@@ -18,58 +18,62 @@ from bayesftc.cosim.ports import Port, labels
 from bayesftc.cosim.types import Floats
 
 FED, PLACED = "<fed>", "<placed>"
-"""Names of what plays recorded inputs, and of the FMU."""
+"""Names of the block that replays recorded inputs, and of the FMU."""
 
 Place = tuple[str, str, int]
 """Block, port and element."""
 
 
 class StandIn:
-    """An FMU, the blocks that it stands for, and which of its elements is which of theirs.
+    """An FMU, the blocks that it replaces, and the counterparts of their elements.
 
     Attributes
     ----------
     blocks : tuple of str
-        Their names.
+        The names of the blocks.
     into : dict of Place to (str, int)
-        The elements of their inputs, in the order of the FMU's, and port and element of it.
+        For elements of the blocks' inputs, the FMU's port and element, in the order of the FMU's inputs.
     out : dict of Place to (str, int)
-        The same of outputs.
+        The same for outputs.
     notes : list of str
-        What has no counterpart, in sentences.
+        Sentences about signals without a counterpart.
     """
 
     def __init__(self, fmu: FMU, diagram: Diagram, blocks: Sequence[str] | str | None):
         self.fmu, self.diagram = fmu, diagram
-        self.blocks = _meant(fmu, diagram, blocks)
+        self.blocks = _blocks_of(fmu, diagram, blocks)
         self.every = gcd(*(diagram[name].every for name in self.blocks))
         self._check_step()
         nodes = [diagram[name] for name in self.blocks]
-        into, strange = _counterparts(fmu, nodes, "inputs")
-        if strange:
-            known = [_called(self.blocks, n, p) for n in nodes for p in n.block.inputs]
+        into, unmatched = _counterparts(fmu, nodes, "inputs")
+        if unmatched:
+            port_names = [_label(self.blocks, n, p) for n in nodes for p in n.block.inputs]
             raise UnknownNameError(
-                f"{_file(fmu)} has the input {strange[0]!r}, and {' and '.join(self.blocks)} none that is called so; "
-                f"{did_you_mean(strange[0], known)}"
+                f"{_file(fmu)} has the input {unmatched[0]!r}, but {' and '.join(self.blocks)} has none of this name; "
+                f"{did_you_mean(unmatched[0], port_names)}"
             )
         self.into = into
-        self.out, strange = _counterparts(fmu, nodes, "outputs")
+        self.out, unmatched = _counterparts(fmu, nodes, "outputs")
         if not self.out:
-            known = [_called(self.blocks, n, p) for n in nodes for p in n.block.outputs]
+            port_names = [_label(self.blocks, n, p) for n in nodes for p in n.block.outputs]
             raise UnknownNameError(
-                f"{_file(fmu)} has no output that {' and '.join(self.blocks)} has; {did_you_mean((strange or [''])[0], known)}"
+                f"{_file(fmu)} has no output of {' and '.join(self.blocks)}; {did_you_mean((unmatched or [''])[0], port_names)}"
             )
-        self.notes = list(self._without_counterpart(nodes, strange))
+        self.notes = list(self._without_counterpart(nodes, unmatched))
 
-    def _without_counterpart(self, nodes: Sequence[Node], strange: Sequence[str]) -> Iterator[str]:
-        """Yield in sentences what is not compared, and what the FMU cannot be given."""
-        if strange:
-            yield f"Not compared, as the diagram does not have them: {_some(strange)}."
+    def _without_counterpart(self, nodes: Sequence[Node], unmatched: Sequence[str]) -> Iterator[str]:
+        """Yield sentences about outputs that are not compared, and inputs that the FMU does not have."""
+        if unmatched:
+            yield f"Not compared, as the diagram does not have them: {_some(unmatched)}."
         missing: list[str] = []
         for name, port in [(n.name, p) for n in nodes for p in n.block.outputs]:
-            lacking = [i for i in range(port.size) if (name, port.name, i) not in self.out]
+            missing_elements = [i for i in range(port.size) if (name, port.name, i) not in self.out]
             whole = f"{name}.{port.name}"
-            missing += [whole] if len(lacking) == port.size else [labels(whole, port.shape)[i] for i in lacking]
+            missing += (
+                [whole]
+                if len(missing_elements) == port.size
+                else [labels(whole, port.shape)[i] for i in missing_elements]
+            )
         if missing:
             yield f"Not compared, as the FMU does not have them: {_some(missing)}."
         unfed = [
@@ -80,29 +84,29 @@ class StandIn:
             if (n.name, p.name, i) not in self.into and self._moves(n, p, i)
         ]
         if unfed:
-            yield f"The FMU has no input for what the diagram brings to {_some(unfed)}."
+            yield f"The FMU has no inputs for {_some(unfed)}, which change in the diagram."
 
     def _moves(self, node: Node, port: Port, i: int) -> bool:
-        """Return whether an input changes by what is not among the blocks."""
+        """Return whether an input changes by random numbers or a source outside the blocks."""
         source = self.diagram.source_of(node, port, i)
         return port.draw is not None if source is None else source[0].node.name not in self.blocks
 
     def _check_step(self) -> None:
         description = self.fmu.description
-        own = description.default_experiment.get("stepSize")
+        own_step = description.default_experiment.get("stepSize")
         step = float(self.diagram.step * self.every)
         free = description.capabilities.get("canHandleVariableCommunicationStepSize")
-        if own and not free and self.fmu.kind == "co-simulation" and not isclose(own, step, rel_tol=1e-9):
+        if own_step and not free and self.fmu.kind == "co-simulation" and not isclose(own_step, step, rel_tol=1e-9):
             raise StepSizeError(
-                f"{_file(self.fmu)} makes steps of {own:g} s, and {' and '.join(self.blocks)} one every {step:g} s; "
-                "export it with that step."
+                f"{_file(self.fmu)} makes steps of {own_step:g} s, but {' and '.join(self.blocks)} one every {step:g} s. "
+                "Export it with that step."
             )
 
     def place(self, diagram: Diagram, fed: Floats, live: Mapping[Place, tuple[Node, str, int]] | None = None) -> Node:
-        """Add the FMU to a diagram, fed with what was recorded or with what is live; return what hands on its outputs."""
+        """Add the FMU to a diagram, with recorded or live inputs; return the block that passes on its outputs."""
         live = live or {}
         played = diagram.add(_Played(fed), FED)
-        # Between FMUs, so that none of them sees of another what a block would not show it.
+        # Separates FMUs, so that none uses values of another that it would not get from a block.
         gate = diagram.add(HandOn(len(self.into) + 1), f"{PLACED}.in")
         node = diagram.add(self.fmu, PLACED, self.every)
         after = diagram.add(HandOn(len(self.out)), f"{PLACED}.out")
@@ -115,15 +119,15 @@ class StandIn:
         return after
 
     def unheard(self) -> str:
-        """Return an output that other blocks of the diagram hear and the FMU lacks, or nothing."""
+        """Return an output that other blocks of the diagram use and the FMU lacks, or nothing."""
         for (name, _, _), (source, element) in self.diagram._sources.items():
-            heard = source.node.name, source.port.name, element
-            if name not in self.blocks and source.node.name in self.blocks and heard not in self.out:
-                return labels(f"{heard[0]}.{heard[1]}", source.port.shape)[element]
+            used = source.node.name, source.port.name, element
+            if name not in self.blocks and source.node.name in self.blocks and used not in self.out:
+                return labels(f"{used[0]}.{used[1]}", source.port.shape)[element]
         return ""
 
     def in_loop(self, fed: Floats) -> Diagram:
-        """Return the diagram with the FMU in the place of the blocks."""
+        """Return the diagram with the FMU in place of the blocks."""
         whole, old = Diagram(self.diagram.step), self.diagram
         nodes = {n.name: whole.add(n.block, n.name, n.every) for n in old.nodes if n.name not in self.blocks}
         live = {}
@@ -132,74 +136,76 @@ class StandIn:
             if fed_by is not None and fed_by[0].node.name in nodes:
                 live[place] = nodes[fed_by[0].node.name], fed_by[0].port.name, fed_by[1]
         after, order = self.place(whole, fed, live), list(self.out)
-        for (name, port, element), (source, taken) in old._sources.items():
+        for (name, port, element), (source, source_element) in old._sources.items():
             if name in nodes:
                 if source.node.name in nodes:
-                    whole._sources[name, port, element] = nodes[source.node.name][source.port.name], taken
+                    whole._sources[name, port, element] = nodes[source.node.name][source.port.name], source_element
                 else:
-                    at = order.index((source.node.name, source.port.name, taken))
+                    at = order.index((source.node.name, source.port.name, source_element))
                     whole._sources[name, port, element] = after["y"], at
         return whole.build(old._coupling)
 
 
-def _meant(fmu: FMU, diagram: Diagram, blocks: Sequence[str] | str | None) -> tuple[str, ...]:
-    """Return the blocks that an FMU stands for."""
+def _blocks_of(fmu: FMU, diagram: Diagram, blocks: Sequence[str] | str | None) -> tuple[str, ...]:
+    """Return the blocks that an FMU replaces."""
     if blocks is not None:
         names = (blocks,) if isinstance(blocks, str) else tuple(blocks)
         if not names:
             raise ModelError("There is no block to compare with; name at least one.")
         for name in names:
             if is_external(diagram[name]):
-                raise ModelError(f"The block {name!r} is an FMU itself; name the block that {_file(fmu)} stands for.")
+                raise ModelError(
+                    f"The block {name!r} is an FMU itself; name the block from which {_file(fmu)} was exported."
+                )
         return names
-    said = fmu.description.blocks
+    declared = fmu.description.blocks
     candidates = [node for node in diagram.nodes if not is_external(node)]
-    if said and all(any(node.name == name for node in candidates) for name in said):
-        return said
+    if declared and all(any(node.name == name for node in candidates) for name in declared):
+        return declared
     fitting = [node.name for node in candidates if _fits(fmu, node)]
     if len(fitting) == 1:
         return (fitting[0],)
-    why = "no block has its inputs and outputs"
+    reason = "no block has its inputs and outputs"
     if fitting:
-        why = f"{', '.join(fitting[:-1])} and {fitting[-1]} have its inputs and outputs"
-    was = f" It was exported from {' and '.join(said)}." if said else ""
+        reason = f"{', '.join(fitting[:-1])} and {fitting[-1]} have its inputs and outputs"
+    note = f" It was exported from {' and '.join(declared)}." if declared else ""
     raise ModelError(
-        f"Which block {_file(fmu)} stands for cannot be said: {why}.{was} Name it, blocks=... (on the command line --block); "
-        f"there are {_some([node.name for node in candidates])}."
+        f"The block from which {_file(fmu)} was exported is not clear: {reason}.{note} Name it by blocks=... (on the command "
+        f"line --block); there are {_some([node.name for node in candidates])}."
     )
 
 
 def _fits(fmu: FMU, node: Node) -> bool:
     sides = [_counterparts(fmu, [node], side) for side in ("inputs", "outputs")]
-    return not any(strange for _, strange in sides) and bool(sides[1][0])
+    return not any(unmatched for _, unmatched in sides) and bool(sides[1][0])
 
 
 def _counterparts(fmu: FMU, nodes: Sequence[Node], side: str) -> tuple[dict[Place, tuple[str, int]], list[str]]:
-    """Return which element of the FMU is which of the blocks', and the ports of it that are none."""
+    """Return the FMU's port and element for elements of the blocks, and the FMU's ports without a counterpart."""
     blocks = [node.name for node in nodes]
     whole = {f"{n.name}.{p.name}": (n, p) for n in nodes for p in getattr(n.block, side)}
     single = {
         label: (n.name, p.name, i) for name, (n, p) in whole.items() for i, label in enumerate(labels(name, p.shape))
     }
-    found: dict[Place, tuple[str, int]] = {}
-    strange, said = [], fmu.description.blocks
+    result: dict[Place, tuple[str, int]] = {}
+    unmatched, declared = [], fmu.description.blocks
     for port in getattr(fmu, side):
         name = fmu.description.origins.get(port.name, port.name)
-        if len(blocks) == len(said) == 1:  # a block that was exported by itself has another name here
-            name = name.removeprefix(f"{said[0]}.")
+        if len(blocks) == len(declared) == 1:  # a block that was exported alone may have another name here
+            name = name.removeprefix(f"{declared[0]}.")
         names = (name, f"{blocks[0]}.{name}") if len(blocks) == 1 else (name,)
-        meant = next((whole[n] for n in names if n in whole and whole[n][1].size == port.size), None)
-        one = next((single[n] for n in names if n in single and port.size == 1), None)
-        if meant is not None:
-            found |= {(meant[0].name, meant[1].name, i): (port.name, i) for i in range(port.size)}
-        elif one is not None:
-            found[one] = port.name, 0
+        port_match = next((whole[n] for n in names if n in whole and whole[n][1].size == port.size), None)
+        element_match = next((single[n] for n in names if n in single and port.size == 1), None)
+        if port_match is not None:
+            result |= {(port_match[0].name, port_match[1].name, i): (port.name, i) for i in range(port.size)}
+        elif element_match is not None:
+            result[element_match] = port.name, 0
         else:
-            strange.append(port.name)
-    return found, strange
+            unmatched.append(port.name)
+    return result, unmatched
 
 
-def _called(blocks: Sequence[str], node: Node, port: Port) -> str:
+def _label(blocks: Sequence[str], node: Node, port: Port) -> str:
     return port.name if len(blocks) == 1 else f"{node.name}.{port.name}"
 
 

@@ -1,12 +1,12 @@
-"""Which settings of a block may change while it runs: those that its step functions find as they are among the parameters.
+"""The tunable settings of a block: those whose values are, unchanged, among the parameters of its step functions.
 
-Nobody declares them: a block is made anew with another value of a setting, and what it then does is compared. A setting is
-tunable if nothing but numbers among the parameters has changed, and these have become the setting's new value, to the bit. Then
-a block whose number is changed does what the block with that setting does. One from which something else is computed (a matrix,
-a step function, the beginning of a state) is not.
+They are not declared but found by comparison: a block is created again with another value of a setting. The setting is tunable if
+only numbers among the parameters have changed, and exactly to the setting's new value. Then changing these numbers has the same
+effect as that setting. A setting from which something else is computed (a matrix, a step function, an initial state) is not
+tunable.
 
-Settings of settings count as well, as ``precision.forgetting``; a model does not, for it is what a block was designed for. The
-zeros of a matrix are its structure, and stay; a limit that is infinite stays, too, for FMI cannot write it.
+Nested settings are included, as ``precision.forgetting``. A model is not, because the block was designed for it. Zeros of a
+matrix are its structure and not tunable; neither are infinite limits, which FMI cannot write.
 """
 
 from __future__ import annotations
@@ -28,41 +28,41 @@ from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
 
 Element = tuple[str, int]
-"""A number of a parameter: the parameter's name, and which of its elements, row by row."""
+"""A number of a parameter: the parameter's name, and the index of the element, row by row."""
 
 _DESIGN = frozenset({"model", "system"})
-"""Settings that a block was designed for."""
+"""Settings for which a block was designed."""
 
 _TRIED = ((0.8, 0.2), (1.25, 0.7), (0.96, 0.04), (1.04, -0.2), (0.5, -0.7), (2.0, 1.0))
-"""Other values of a number, as factor, and as what becomes of zero; two of them must be allowed."""
+"""Other values to try for a number: a factor, and the value instead of zero. Two of them must be allowed."""
 
-_WANTED = 2
+_TRIALS = 2
 
 _MOST = 100
-"""A setting of more numbers is data; in C it stays in a table that never changes."""
+"""Most numbers of a tunable setting; larger ones are data, and constant tables in C."""
 
 _TELLING = 15
-"""A first sentence with fewer characters is a unit, such as ``Seconds.``; the next one belongs to it."""
+"""A first sentence with fewer characters is only a unit, such as ``Seconds.``; the next one is added."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """A setting that may change.
+    """A tunable setting.
 
     Parameters
     ----------
     name : str
-        Its path in the block: ``u_max``, ``precision.forgetting``, ``u_max[1]`` if it is the only element that may.
+        Its path in the block: ``u_max``, ``precision.forgetting``, ``u_max[1]`` if only that element is tunable.
     shape : tuple of int
         ``()`` for a number.
     start : tuple of float
-        Its numbers as they are.
+        Its present numbers.
     places : tuple of tuple of (str, int)
-        Where each of them stands among the parameters.
+        The places of each number among the parameters.
     description : str
-        What the docstring says of it.
+        Its description in the docstring.
     unit : str
-        What its field says of it: ``s``, or ``{u}/s`` where ``{u}`` stands for the unit of the port ``u``; empty for nothing.
+        The unit in its field: ``s``, or ``{u}/s``, where ``{u}`` is the unit of the port ``u``; empty for none.
     """
 
     name: str
@@ -74,24 +74,24 @@ class Setting:
 
 
 def settings_of(block: Block, definition: Definition, step: Fraction) -> list[Setting]:
-    """Return the settings of a block that may change, in the order of its fields."""
+    """Return the tunable settings of a block, in the order of its fields."""
     if not is_dataclass(block):
         return []
-    now = _Numbers(block, definition)
-    taken: set[Element] = set()
-    found = []
+    numbers = _Numbers(block, definition)
+    used: set[Element] = set()
+    settings = []
     for name, value, owner, exchanged in _paths(block, "", lambda new: new):
-        places = _found(value, exchanged, now, step)
-        if places is None or any(place in taken for each in places.values() for place in each):
+        places = _places_of(value, exchanged, numbers, step)
+        if places is None or any(place in used for each in places.values() for place in each):
             continue
-        taken |= {place for each in places.values() for place in each}
+        used |= {place for each in places.values() for place in each}
         field = name.rpartition(".")[2]
-        found += _split(name, value, places, _described(type(owner), field), _measured(type(owner), field))
-    return found
+        settings += _split(name, value, places, _described(type(owner), field), _measured(type(owner), field))
+    return settings
 
 
 class _Numbers:
-    """All numbers of a definition, and what must not change."""
+    """All numbers of a definition, and the parts that must not change."""
 
     def __init__(self, block: Block, definition: Definition):
         self.kept = (
@@ -112,7 +112,7 @@ def _bits(value: Any) -> tuple[tuple[int, ...], bytes]:
 def _paths(
     holder: Any, path: str, rebuilt: Callable[[Any], Any]
 ) -> Iterator[tuple[str, Floats, Any, Callable[[Any], Any]]]:
-    """Yield all numbers and arrays among the settings: path, value, whose they are, and what exchanges them."""
+    """Yield all numbers and arrays among the settings: path, value, owner, and a function that replaces the value."""
     for field in fields(holder):
         if not field.init or field.name in _DESIGN or field.name.startswith("_") or _counts(field):
             continue
@@ -135,13 +135,13 @@ def _paths(
 
 
 def _counts(field: Field[Any]) -> bool:
-    """Return whether a setting is a whole number: how many there are of something, or which of them is meant."""
+    """Return whether a setting is a whole number: a count or an index."""
     kind = field.type if isinstance(field.type, str) else getattr(field.type, "__name__", "")
     return kind.partition(" ")[0] == "int"
 
 
 def _as_numbers(value: Any) -> Floats | None:
-    """Return a setting that consists of numbers, some of them finite."""
+    """Return the numbers of a setting; None if it has no finite numbers."""
     if isinstance(value, bool | np.bool_ | str | Fraction) or not isinstance(value, Real | list | tuple | np.ndarray):
         return None
     try:
@@ -153,15 +153,15 @@ def _as_numbers(value: Any) -> Floats | None:
     return array.astype(np.float64)
 
 
-def _found(
-    value: Floats, exchanged: Callable[[Any], Any], now: _Numbers, step: Fraction
+def _places_of(
+    value: Floats, exchanged: Callable[[Any], Any], numbers: _Numbers, step: Fraction
 ) -> dict[int, list[Element]] | None:
-    """Return where each element of a setting that may change stands among the parameters; None where it may not."""
-    open_ = np.isfinite(value) & ((value != 0.0) if value.ndim > 1 else True)
-    if not open_.any() or not np.isin(value[open_], now.values).all():
+    """Return the places of each tunable element of a setting among the parameters; None if it is not tunable."""
+    candidates = np.isfinite(value) & ((value != 0.0) if value.ndim > 1 else True)
+    if not candidates.any() or not np.isin(value[candidates], numbers.values).all():
         return None
-    elements = np.flatnonzero(open_)
-    agreed: dict[int, list[int]] | None = None
+    elements = np.flatnonzero(candidates)
+    agreed_places: dict[int, list[int]] | None = None
     allowed = 0
     for factor, at_zero in _TRIED:
         new = _other(value, elements, factor, at_zero)
@@ -172,45 +172,45 @@ def _found(
                 then = _Numbers(block, block.define(step))
         except Exception:  # noqa: BLE001 - whatever a block raises where a value is not allowed
             continue
-        if then.kept != now.kept:
+        if then.kept != numbers.kept:
             return None
         if len(np.unique(new.ravel()[elements])) < len(elements):
             continue  # two elements have become equal
-        where = _where(value, new, elements, now, then)
-        if where is None or (agreed is not None and where != agreed):
+        located = _where(value, new, elements, numbers, then)
+        if located is None or (agreed_places is not None and located != agreed_places):
             return None
-        agreed, allowed = where, allowed + 1
-        if allowed == _WANTED:
-            return {element: [now.places[place] for place in places] for element, places in where.items()}
+        agreed_places, allowed = located, allowed + 1
+        if allowed == _TRIALS:
+            return {element: [numbers.places[place] for place in indices] for element, indices in located.items()}
     return None
 
 
 def _other(value: Floats, elements: NDArray[np.intp], factor: float, at_zero: float) -> Floats:
-    """Return a setting of which these elements have other values, each one of its own."""
+    """Return a setting with other, different values for these elements."""
     new = value.copy()
-    apart = 1.0 + np.linspace(0.0, 0.01, len(elements))
-    old = new.ravel()[elements]
-    new.ravel()[elements] = np.where(old == 0.0, at_zero, factor * old) * apart
+    spread = 1.0 + np.linspace(0.0, 0.01, len(elements))
+    values = new.ravel()[elements]
+    new.ravel()[elements] = np.where(values == 0.0, at_zero, factor * values) * spread
     return new
 
 
 def _where(
     value: Floats, new: Floats, elements: NDArray[np.intp], now: _Numbers, then: _Numbers
 ) -> dict[int, list[int]] | None:
-    """Return which numbers have changed with each element; None where one has changed otherwise, or none with an element."""
-    which = dict(zip(new.ravel()[elements].tolist(), elements.tolist(), strict=True))
-    where: dict[int, list[int]] = {element: [] for element in elements.tolist()}
+    """Return the numbers that changed with each element; None if others changed, or an element changed no number."""
+    element_of = dict(zip(new.ravel()[elements].tolist(), elements.tolist(), strict=True))
+    result: dict[int, list[int]] = {element: [] for element in elements.tolist()}
     for place in np.flatnonzero(then.values.view(np.int64) != now.values.view(np.int64)).tolist():
-        # What is the new value now, and was the old one, is this element.
-        element = which.get(float(then.values[place]))
+        # A number that changed from an element's old value to its new value belongs to this element.
+        element = element_of.get(float(then.values[place]))
         if element is None or value.ravel()[element] != now.values[place]:
             return None
-        where[element].append(place)
-    return where if all(where.values()) else None
+        result[element].append(place)
+    return result if all(result.values()) else None
 
 
 def _like(value: Floats) -> Any:
-    """Return an array as settings are given: a number, or tuples of numbers."""
+    """Return an array in the form of settings: a number, or tuples of numbers."""
     return float(value) if value.ndim == 0 else _tuples(value.tolist())
 
 
@@ -221,7 +221,7 @@ def _tuples(rows: Any) -> Any:
 def _split(
     name: str, value: Floats, places: dict[int, list[Element]], description: str, unit: str
 ) -> Iterator[Setting]:
-    """Yield a setting as one, or, where not all of its elements may change, those that may one by one."""
+    """Yield a setting as a whole, or its tunable elements one by one if not all are tunable."""
     if len(places) == value.size:
         start = tuple(value.ravel().tolist())
         yield Setting(name, value.shape, start, tuple(tuple(places[i]) for i in range(value.size)), description, unit)
@@ -232,16 +232,16 @@ def _split(
 
 
 def _measured(kind: type, name: str) -> str:
-    """Return the unit that a setting has in the metadata of its field."""
+    """Return the unit of a setting from the metadata of its field."""
     return next(str(field.metadata.get("unit", "")) for field in fields(kind) if field.name == name)
 
 
 def _described(kind: type, name: str) -> str:
-    """Return what a docstring in numpydoc's form says first of a setting, of the class or of one that it inherits from."""
+    """Return the first sentence about a setting in the NumPy-style docstring of the class or of a base class."""
     for each in kind.__mro__:
-        found = _entry(getdoc(each) or "", name) if "__doc__" in vars(each) else ""
-        if found and not found.startswith("See "):
-            return found
+        description = _entry(getdoc(each) or "", name) if "__doc__" in vars(each) else ""
+        if description and not description.startswith("See "):
+            return description
     return f"{name} of {kind.__name__}"
 
 
@@ -251,9 +251,9 @@ def _entry(text: str, name: str) -> str:
     entry = re.search(rf"{names}((?:    [^\n]*\n?)+)", section[1] if section else "", re.MULTILINE)
     if entry is None:
         return ""
-    said = ""
+    result = ""
     for sentence in re.split(r"(?<=[^.\d][.;:]) ", " ".join(entry[1].split()).replace("`", "")):
-        said = f"{said} {sentence}".strip()
-        if len(said) >= _TELLING:
+        result = f"{result} {sentence}".strip()
+        if len(result) >= _TELLING:
             break
-    return said.rstrip(".;:")
+    return result.rstrip(".;:")

@@ -1,4 +1,4 @@
-"""Whether an FMU does what its blocks do: both run side by side, then the FMU runs in their place."""
+"""Check that an FMU does what its blocks do: both run on the same inputs, then the FMU runs in their place."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from bayesftc.cosim.run.result import Result
 from bayesftc.cosim.types import Floats
 
 _SHORT = 20_000
-"""Steps up to which the loop around an FMU takes less time in plain Python than to be compiled."""
+"""Most steps for which the loop around an FMU is faster in Python than its compilation."""
 
 
 @dataclass(frozen=True, repr=False)
 class Verification:
-    """What came out when an FMU ran beside the blocks that it stands for; its text is a table.
+    """The comparison of an FMU with the blocks that it replaces; its text is a table.
 
     Attributes
     ----------
     path : pathlib.Path
         The FMU.
     blocks : tuple of str
-        The blocks that it stands for.
+        The blocks that it replaces.
     steps : int
-        How many steps were compared.
+        Number of compared steps.
     step : Fraction
         The sample time in seconds.
     seed : int
         Seed of noise and faults.
     beside : tuple of Deviation
-        Of each output, with the inputs of the blocks, random ones too.
+        For each output, with the inputs of the blocks, including random ones.
     in_loop : tuple of Deviation or None
-        Of each signal of the diagram, with the FMU in the place of the blocks; None where that cannot be.
+        For each signal of the diagram, with the FMU in place of the blocks; None if that is not possible.
     notes : tuple of str
-        What is not compared, and why, in sentences.
+        Sentences about signals that are not compared.
     """
 
     path: Path
@@ -62,7 +62,7 @@ class Verification:
         Parameters
         ----------
         tolerance : float
-            0 for the same numbers. Where ``exp``, ``log`` or ``sin`` come from another C library, 1e-9 is usual.
+            0 for the same numbers. If ``exp``, ``log`` or ``sin`` come from another C library, use 1e-9.
         """
         return all(each.relative <= tolerance for each in self._all)
 
@@ -72,12 +72,12 @@ class Verification:
         return max(self.in_loop or (), key=_relative, default=None)
 
     def verdict(self, tolerance: float = 0.0) -> str:
-        """Return in a sentence or two whether the FMU does what the blocks do.
+        """Return, in one or two sentences, whether the FMU does what the blocks do.
 
         Parameters
         ----------
         tolerance : float
-            As of `agrees`.
+            As for `agrees`.
         """
         first, last = ", ".join(self.blocks[:-1]), self.blocks[-1]
         what = f"what {first} and {last} do" if first else f"what {last} does"
@@ -89,7 +89,9 @@ class Verification:
         if self.agrees(tolerance):
             return f"{self.path.name} does {what}, to the tolerance of {tolerance:g}: it differs by {size} at most."
         usual = (
-            "" if worst.relative > 1e-9 else " So little is usual where exp, log or sin come from another C library."
+            ""
+            if worst.relative > 1e-9
+            else " Such differences are usual if exp, log or sin come from another C library."
         )
         return f"{self.path.name} does NOT do {what}: it differs by {size}.{usual}"
 
@@ -99,7 +101,7 @@ class Verification:
 
     @property
     def _at_all(self) -> str:
-        return "the one step that was made" if self.steps == 1 else f"all {self.steps} steps"
+        return "the only step" if self.steps == 1 else f"all {self.steps} steps"
 
     def __repr__(self) -> str:
         return self.report()
@@ -110,7 +112,7 @@ class Verification:
         Parameters
         ----------
         tolerance : float
-            As of `agrees`.
+            As for `agrees`.
         """
         rows = [("output", "largest difference", "at t in s", "units in the last place")]
         rows += [
@@ -137,11 +139,11 @@ def verify_fmu(
     isolate: bool = False,
     engine: Literal["auto", "compiled", "interpreted"] = "auto",
 ) -> Verification:
-    """Run an FMU beside the blocks of a diagram that it stands for, and then in their place.
+    """Run an FMU beside the blocks that it replaces in a diagram, and then in their place.
 
-    The diagram runs first, with its noise and faults. Then the FMU gets what went into the blocks at each step, random numbers
-    too, and its outputs are compared with theirs. At last it is put into the diagram instead of them, with the same random
-    numbers, and all signals are compared. A NaN, a missing sample, equals a NaN.
+    First the diagram runs, with its noise and faults. Then the FMU runs with the recorded inputs of the blocks, including random
+    numbers, and its outputs are compared with theirs. At last it replaces the blocks in the diagram, with the same random
+    numbers, and all signals are compared. A NaN (a missing sample) equals a NaN.
 
     Parameters
     ----------
@@ -150,18 +152,18 @@ def verify_fmu(
     diagram : Diagram
         The diagram; it is built and frozen if it is not yet.
     blocks : sequence of str, optional
-        The blocks that the FMU stands for. By default those that it was exported from, else the only one with its inputs and
+        The blocks that the FMU replaces. By default those from which it was exported, else the only one with its inputs and
         outputs.
     duration : float, str or Fraction
         Seconds.
     seed : int
         Seed of all random numbers.
     timing : {"plant", "sampled"}, optional
-        When the FMU's outputs hold, as `FMU` has it; by default what it says.
+        When the FMU's outputs hold, see `FMU`; by default from its description.
     isolate : bool
-        Run the FMU in a process of its own: what would take this process down becomes `FMUCrashed`.
+        Run the FMU in a separate process: a crash ends that process, not yours, and raises `FMUCrashed`.
     engine : {"auto", "compiled", "interpreted"}
-        What the diagram runs with. Around the FMU short runs are interpreted; the numbers are the same.
+        The engine for the diagram. Short runs with the FMU are interpreted; the numbers are the same.
 
     Returns
     -------
@@ -175,11 +177,11 @@ def verify_fmu(
     UnknownNameError
         If there is no such block, or the FMU has inputs that the blocks do not have.
     ModelError
-        If nobody says which blocks the FMU stands for.
+        If it is not clear which blocks the FMU replaces.
     StepSizeError
-        If the FMU makes steps of another size.
+        If the FMU has another step size.
     SimulationError
-        If a run has to stop.
+        If a run stops with an error.
 
     Examples
     --------
@@ -198,44 +200,48 @@ def verify_fmu(
     limit.fmu does what limit does: the same numbers at all 101 steps.
     """
     fmu = FMU(path, timing=timing, isolate=isolate)
-    stands = StandIn(fmu, diagram, blocks)
-    recorded = [f"{block}.{port}" for block, port, _ in (*stands.into, *stands.out)]
-    shown = [f"{n.name}.{p.name}" for n in diagram.nodes for p in n.block.outputs]
-    real = diagram.simulate(duration, seed=seed, engine=engine, record=[*dict.fromkeys([*recorded, *shown])])
-    if real.stopped:
-        raise SimulationError(real.stopped, real)
-    fed = np.column_stack([np.zeros(len(real.time)), *(_column(real, place) for place in stands.into)])
+    stand_in = StandIn(fmu, diagram, blocks)
+    recorded = [f"{block}.{port}" for block, port, _ in (*stand_in.into, *stand_in.out)]
+    all_outputs = [f"{n.name}.{p.name}" for n in diagram.nodes for p in n.block.outputs]
+    reference = diagram.simulate(duration, seed=seed, engine=engine, record=[*dict.fromkeys([*recorded, *all_outputs])])
+    if reference.stopped:
+        raise SimulationError(reference.stopped, reference)
+    recorded_inputs = np.column_stack(
+        [np.zeros(len(reference.time)), *(_column(reference, place) for place in stand_in.into)]
+    )
 
-    alone = Diagram(diagram.step)
-    stands.place(alone, fed)
-    beside = _deviations(real, _placed(alone.simulate(duration, engine="interpreted"), stands))
+    open_loop = Diagram(diagram.step)
+    stand_in.place(open_loop, recorded_inputs)
+    beside = _deviations(reference, _placed(open_loop.simulate(duration, engine="interpreted"), stand_in))
 
-    notes = list(stands.notes)
+    notes = list(stand_in.notes)
     in_loop = None
-    if deaf := stands.unheard():
-        notes.append(f"It cannot be put in their place: the diagram hears {deaf}, which the FMU does not have.")
+    if missing := stand_in.unheard():
+        notes.append(f"It cannot run in their place: the diagram uses {missing}, which the FMU does not have.")
     else:
-        around: Literal["auto", "interpreted"] = "interpreted" if len(real.time) <= _SHORT else "auto"
-        run = stands.in_loop(fed).simulate(duration, seed=seed, engine=around)
-        in_loop = _deviations(real, _placed(run, stands) | _others(run, diagram, stands))
-    return Verification(Path(path), stands.blocks, len(real.time), diagram.step, seed, beside, in_loop, tuple(notes))
+        loop_engine: Literal["auto", "interpreted"] = "interpreted" if len(reference.time) <= _SHORT else "auto"
+        run = stand_in.in_loop(recorded_inputs).simulate(duration, seed=seed, engine=loop_engine)
+        in_loop = _deviations(reference, _placed(run, stand_in) | _others(run, diagram, stand_in))
+    return Verification(
+        Path(path), stand_in.blocks, len(reference.time), diagram.step, seed, beside, in_loop, tuple(notes)
+    )
 
 
 def _relative(each: Deviation) -> float:
     return each.relative
 
 
-def _placed(run: Result, stands: StandIn) -> dict[Place, Floats]:
-    """Return the outputs of the FMU by the elements of the blocks that they stand for."""
-    return {place: _column(run, (PLACED, *at)) for place, at in stands.out.items()}
+def _placed(run: Result, stand_in: StandIn) -> dict[Place, Floats]:
+    """Return the outputs of the FMU by the elements of the blocks that they replace."""
+    return {place: _column(run, (PLACED, *at)) for place, at in stand_in.out.items()}
 
 
-def _others(run: Result, diagram: Diagram, stands: StandIn) -> dict[Place, Floats]:
-    """Return the outputs of all blocks that the FMU does not stand for."""
+def _others(run: Result, diagram: Diagram, stand_in: StandIn) -> dict[Place, Floats]:
+    """Return the outputs of all other blocks."""
     return {
         (node.name, port.name, i): _column(run, (node.name, port.name, i))
         for node in diagram.nodes
-        if node.name not in stands.blocks
+        if node.name not in stand_in.blocks
         for port in node.block.outputs
         for i in range(port.size)
     }
@@ -246,17 +252,18 @@ def _column(result: Result, place: Place) -> Floats:
     return values.reshape(len(values), -1)[:, place[2]]
 
 
-def _deviations(real: Result, values: Mapping[Place, Floats]) -> tuple[Deviation, ...]:
+def _deviations(reference: Result, values: Mapping[Place, Floats]) -> tuple[Deviation, ...]:
     signals: dict[str, list[Place]] = {}
     for place in values:
         signals.setdefault(f"{place[0]}.{place[1]}", []).append(place)
-    found = []
+    result = []
     for name, places in signals.items():
-        expected, got = (
-            np.column_stack(columns) for columns in zip(*((_column(real, p), values[p]) for p in places), strict=True)
+        expected, actual = (
+            np.column_stack(columns)
+            for columns in zip(*((_column(reference, p), values[p]) for p in places), strict=True)
         )
-        found.append(deviation(name, real.time, expected, got))
-    return tuple(found)
+        result.append(deviation(name, reference.time, expected, actual))
+    return tuple(result)
 
 
 __all__ = ["Deviation", "Verification", "verify_fmu"]

@@ -94,7 +94,7 @@ def test_the_c_alone(bayesftc_, scenarios, tmp_path):
 WRONG = {
     "a block that is not there": (5, "no block 'contoller'; did you mean 'controller'?", ("--block", "contoller")),
     "an FMU": (9, "The block 'plant' is an FMU", ("--block", "plant")),
-    "no folder": (12, "does not exist; make the folder", ("--block", "controller", "-o", "no/brain.fmu")),
+    "no folder": (12, "does not exist; create the folder", ("--block", "controller", "-o", "no/brain.fmu")),
     "another ending": (12, "call it brain.fmu", ("--block", "controller", "-o", "brain.zip")),
     "C by the name of a file": (
         12,

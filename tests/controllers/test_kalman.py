@@ -179,7 +179,7 @@ def test_what_computes_by_filterpy_says_where_it_cannot(tmp_path):
     model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, 0.02)
     learner = controllers.SERFDI(filter="filterpy")
     controller = controllers.BayesianController(model, precision=learner)
-    with pytest.raises(ModelError, match="calls back into Python, which the exported C has not"):
+    with pytest.raises(ModelError, match="calls Python, which is not available in the exported C"):
         cosim.export_fmu(controller, tmp_path / "ser.fmu")
     diagram = cosim.Diagram(dt=0.02)
     block, goal = diagram.add(controller), diagram.add(cosim.Constant(0.0))

@@ -171,8 +171,8 @@ def test_fmi_3_in_a_tool_that_knows_no_arrays(exported, ecos, readings, expected
 
 def test_an_element_is_named_once(tmp_path):
     for names, words in (
-        ({"y": "y", "y[0]": "first"}, "'first' of what is exported is part of another one"),
-        ({"y[0]": "a", "y[1]": "a"}, "would have one name"),
+        ({"y": "y", "y[0]": "first"}, "'first' of the export is part of another one"),
+        ({"y[0]": "a", "y[1]": "a"}, "have one name"),
     ):
         with pytest.raises(cosim.ModelError, match=words):
             cosim.export_fmu(BRAIN, tmp_path / "it.fmu", inputs=names)

@@ -58,7 +58,7 @@ def test_a_wrong_name_is_answered_with_the_near_ones(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("given", "sentence"), [([], "names none"), ([64], "has 64 in it"), (7, "has 7 in it")])
+@pytest.mark.parametrize(("given", "sentence"), [([], "is empty"), ([64], "contains 64"), (7, "contains 7")])
 def test_what_names_no_platform_is_said(given, sentence):
     with pytest.raises(cosim.ModelError, match=sentence):
         platforms_of(given)

@@ -127,7 +127,7 @@ def test_entries_that_leave_the_folder(tmp_path, name):
     path = edited(SHIPPED["2.0"], tmp_path / "evil.fmu")
     with zipfile.ZipFile(path, "a") as archive:
         archive.writestr(zipfile.ZipInfo(name), "evil")
-    refused(lambda: FMU(path), repr(name), "could be unpacked outside of its folder; nothing was unpacked")
+    refused(lambda: FMU(path), repr(name), "could be unpacked outside its folder; nothing was unpacked")
 
 
 @pytest.mark.parametrize("version", ["2.1", "4.0", ""])

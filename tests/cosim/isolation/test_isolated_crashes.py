@@ -43,7 +43,7 @@ CRASHES = [
     ),
     ("EXIT", 6, r"crashed in its step: it ended its own process with exit code 3\. It logged nothing\."),
     ("ABORT", 6, r"its process was killed by abort\(\) \(SIGABRT\)"),
-    ("KILLED", 6, r"its process was killed by the system or someone else \(SIGKILL\)"),
+    ("KILLED", 6, r"its process was killed by the system or a user \(SIGKILL\)"),
     ("CRASH_IN_GET", 5, r"crashed while its outputs were computed: its process was killed by a segmentation fault"),
     ("LAST_WORDS", 6, r"\(SIGSEGV\)\. Its log says: these are my last words$"),
     ("ENDLESS", 6, r"was ended because its step took more than 1\.5 s; if it needs longer, give a larger time_limit\."),

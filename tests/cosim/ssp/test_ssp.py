@@ -221,7 +221,7 @@ def test_units_on_the_way(tmp_path, unit, linear, suppress, factor, offset):
 def test_units_that_cannot_be_converted(tmp_path):
     for unit, words in (
         ("kg", "from m/s to kg: their dimensions differ"),
-        ("smoots", "what 'smoots' means is not known"),
+        ("smoots", "the unit 'smoots' is not known"),
     ):
         inner = system(component("b"), link("in", "b.disturbance"), name="s", connectors=middle(unit))
         text = ssd(system(component("a") + inner, link("a.v", "s.in")))
@@ -471,7 +471,7 @@ def test_hostile_files(tmp_path, cache):
     path = packed(tmp_path, ssd(system(component("a", bindings=binding))), **{"evil.txt": evil})
     refused(path, "evil.txt", "document type declaration (DOCTYPE)")
     path = packed(tmp_path, ssd(system(A)), **{"../evil": "evil"})
-    refused(path, "The SSP", "'../evil', which could be unpacked outside of its folder; nothing was unpacked")
+    refused(path, "The SSP", "'../evil', which could be unpacked outside its folder; nothing was unpacked")
     unpacked = [p.name for p in cache.rglob("*") if p.suffix in {".fmu", ".ssd"}] if cache.exists() else []
     assert set(unpacked) <= {"SystemStructure.ssd", *(c.name for c in CAR.values())}
     with pytest.raises(SSPError):

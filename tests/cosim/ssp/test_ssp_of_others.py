@@ -266,7 +266,7 @@ def test_units_in_brackets(tmp_path):
     tonnes = values(m=0.2).replace("<ssv:Real", '<ssv:Real unit="[t]"')
     text = structure(car("a", bound("a.ssv")), "", experiment=osp(H))
     assert cosim.open_ssp(packed(tmp_path, text, a__ssv=tonnes))["a"].block.parameters == {"m": pytest.approx(200.0)}
-    refused(packed(tmp_path, text, a__ssv=tonnes.replace("[t]", "[smoots]")), "what '[smoots]' means is not known")
+    refused(packed(tmp_path, text, a__ssv=tonnes.replace("[t]", "[smoots]")), "the unit '[smoots]' is not known")
 
 
 def test_parts_in_another_order_and_empty_lists(tmp_path):

@@ -609,7 +609,7 @@ def test_cache_folders_that_cannot_be_used(tmp_path, monkeypatch, make_block):
     for root in ("file", "file/below"):
         monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / root))
         with pytest.raises(
-            cosim.BayesFTCError, match=r"The cache folder .* cannot be written \(.*\); set BAYESFTC_CACHE to a folder"
+            cosim.BayesFTCError, match=r"The cache folder .* cannot be written \(.*\); set BAYESFTC_CACHE to a"
         ):
             block.online(1)
     monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "gone"))
@@ -641,7 +641,9 @@ def test_a_cache_folder_that_others_can_write_is_refused(tmp_path, monkeypatch, 
     monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "open"))
     user = pwd.getpwuid(os.geteuid()).pw_name
     monkeypatch.setattr(grp, "getgrgid", lambda number: grp.struct_group((user, "x", number, [user, "somebody"])))
-    with pytest.raises(cosim.BayesFTCError, match=r"Other users can write into .* and take that away \(chmod go-w "):
+    with pytest.raises(
+        cosim.BayesFTCError, match=r"Other users can write into .* and remove that permission \(chmod go-w "
+    ):
         cache_directory("compiled")
     folder.chmod(0o755)
     assert cache_directory("compiled") == tmp_path / "open" / "compiled"
@@ -699,7 +701,7 @@ def test_a_cache_folder_of_someone_else_is_refused(tmp_path, monkeypatch, kind):
     own = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: own + 1)  # as if someone else had made them
     with pytest.raises(
-        cosim.BayesFTCError, match=rf"belongs to another user \(number {own}\), who could have left code"
+        cosim.BayesFTCError, match=rf"belongs to another user \(number {own}\), who could have put code"
     ):
         cache_directory(kind)
 

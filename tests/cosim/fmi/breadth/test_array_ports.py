@@ -192,7 +192,7 @@ def test_whole_numbers_that_are_not_written_are_no_zeros(breadth, alone, lie, wo
         ('start="1 0 0 1"', 'start="1 0 0"', r"'K' .* start value '1 0 0', which is no Float64 of shape \(2, 2\)"),
         ('start="1 0 0 1"', 'start="1 a 0 1"', "start value '1 a 0 1', which is no Float64"),
         ('<Int8 name="byte"', '<UInt16 name="byte"', "fmi3SetUInt16 of 'byte' returned Error"),
-        ('factor="1.8"', 'factor="0"', "what 'Rankine' means is not known"),
+        ('factor="1.8"', 'factor="0"', "the unit 'Rankine' is not known"),
     ],
 )
 def test_descriptions_of_arrays_that_lie_end_in_a_sentence(breadth, alone, tmp_path, old, new, words):

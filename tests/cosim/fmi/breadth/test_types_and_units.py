@@ -103,7 +103,7 @@ def test_values_with_units_become_the_variables_own(breadth):
             {"m": "100 s"},
             "'m' of the FMU CruiseControl.fmu is in kg, and '100.0 s' cannot be converted to that: their dimensions",
         ),
-        ({"m": (1, "blorps")}, "what 'blorps' means is not known"),
+        ({"m": (1, "blorps")}, "the unit 'blorps' is not known"),
         ({"m": "kg 100"}, "must be a finite number, not 'kg 100'"),
     ):
         with pytest.raises(FMUError, match=re.escape(words)):
