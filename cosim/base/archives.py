@@ -313,7 +313,7 @@ def _check_table(
 
 def _doubtful(path: Path, kind: Kind, name: str) -> FMUError:
     return kind.error(
-        f"The {kind.noun} {path} has two different entries called {name!r}, so its content is ambiguous; nothing was unpacked. "
+        f"The {kind.noun} {path} has an entry called {name!r} twice, with different contents; nothing was unpacked. "
         "Do not use this file; ask its maker for one with unique names."
     )
 

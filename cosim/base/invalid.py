@@ -47,8 +47,8 @@ def invalid_values(who: str, given: Any, sensors: int) -> NDArray[np.float64]:
     for value in (value for row in each for value in row):
         if not np.isfinite(real(value)):
             raise ModelError(
-                f"{who} has invalid={given!r}; its values must be finite numbers, such as [-9999, 65535] for all sensors, or a "
-                "list of them for each sensor (NaN and infinities are missing samples anyway)."
+                f"{who} has invalid={given!r}, but its values must be finite numbers (NaN and infinities are missing samples "
+                "anyway). Give numbers such as [-9999, 65535] for all sensors, or a list of them for each sensor."
             )
     table = np.full((sensors, max(1, *map(len, each))), np.nan)
     for row, sensor_values in zip(table, each, strict=True):

@@ -47,7 +47,7 @@ def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> 
     Raises
     ------
     StepSizeError
-        If `duration` is no whole number of steps (with a relative tolerance of 1e-12), or so long that t_k would not be the
+        If `duration` is no whole number of steps, with a relative tolerance of 1e-12. If it is so long that t_k would not be the
         double nearest to k steps.
     """
     exact = _exact(duration, what)

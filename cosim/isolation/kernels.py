@@ -4,7 +4,7 @@ The host's functions have the engine's signature; the words named below are at t
 `serve`, answers steps until another command comes.
 """
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated"
 
 from llvmlite import ir

@@ -248,7 +248,7 @@ class _Worker:
 class _CompiledLoop:
     """The compiled loop over commands, which stays on the host's processor.
 
-    Host and FMU run alternately, so a second processor has no benefit, and waking a process on an idle one takes many times as
+    Host and FMU run alternately, so a second processor has no benefit. Waking a process on an idle processor takes many times as
     long as a step of most FMUs. An FMU with longer steps may use all processors, as it may have its own threads.
     """
 

@@ -67,8 +67,8 @@ def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
     Raises
     ------
     SSPError
-        If SSP cannot represent the diagram (any other block, a sum of signals, elements of arrays, FMUs at several rates, an FMU
-        with ``timing="sampled"``), or the file cannot be written.
+        If the file cannot be written, or SSP cannot represent the diagram: other blocks, sums of signals, elements of arrays,
+        FMUs at several rates, FMUs with ``timing="sampled"``.
     """
     path = absolute(path, "save_ssp", "the .ssp file to write", SSPError)
     if not isinstance(diagram, Diagram):

@@ -84,7 +84,7 @@ def _visit(
         elif not _allowed(value):
             at = where(function, line_of(function, name))
             raise KernelError(
-                f"Step function {at} uses {name!r} ({_describe(value)}), but a step function may use only numbers, "
+                f"Step function {at} uses {name!r} ({_describe(value)}). A step function may use only numbers, "
                 "range, len, other step functions, classes of records, and the mathematics of bayesftc.cosim.ops "
                 f"({', '.join(ops.NAMES)})."
                 f"{instead_of(function, name, value)}"

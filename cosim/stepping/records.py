@@ -65,8 +65,8 @@ def _key(record: Any) -> tuple[Any, ...]:
     cls = type(record)
     if not is_record_class(cls) or cls._field_defaults or len(record) > MOST_FIELDS:
         raise KernelError(
-            f"A record must be a NamedTuple of at most {MOST_FIELDS} fields, none with a default, filled with the names of ports "
-            f"and entries or with other records, not {record!r}."
+            f"{record!r} is no valid record. Use a NamedTuple of at most {MOST_FIELDS} fields without defaults; fill it with the "
+            "names of ports and entries, or with other records."
         )
     for field in record:
         if isinstance(field, str) and (not field.isidentifier() or iskeyword(field)):

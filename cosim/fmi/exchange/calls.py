@@ -1,6 +1,6 @@
 """Calls, by address, of the functions of model exchange FMUs and of CVODE, for compiled code."""
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated"
 
 from llvmlite import ir

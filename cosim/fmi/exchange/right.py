@@ -1,6 +1,6 @@
 """The right-hand side and the event indicators of a model exchange FMU as compiled functions for integrators."""
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc"
 
 from bayesftc.cosim.fmi.exchange.calls import at_time, completed, update2, vector

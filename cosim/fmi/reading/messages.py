@@ -91,7 +91,7 @@ def quoted(messages: Iterable[str]) -> str:
     lines = list(dict.fromkeys(line for line in messages if line))
     if not lines:
         return "It logged nothing."
-    return "Its log says: " + " | ".join(lines)
+    return "Its log: " + " | ".join(lines)
 
 
 def _cleaned(line: bytes) -> str:

@@ -112,9 +112,9 @@ class ClockedInstance(Instance):
                 if abs(ratio - round(ratio)) > TOLERANCE * max(ratio, 1.0):
                     raise StepSizeError(
                         f"The clock {clock.name!r} of the FMU {self._library.description.name!r} ticks every "
-                        f"{float(clock.interval or 0):g} s from {float(clock.begin):g} s on, but {self._name!r} makes steps of "
-                        f"{show(step)} s, and the FMU does not allow to cut them there. Choose dt, or every=, so that both are "
-                        "whole multiples of the step."
+                        f"{float(clock.interval or 0):g} s from {float(clock.begin):g} s on, within the steps of {self._name!r} "
+                        f"({show(step)} s). The FMU does not allow to cut its steps there. Choose dt, or every=, so that both "
+                        "are whole multiples of the step."
                     )
 
     # Functions of clocks

@@ -6,7 +6,7 @@ the codes below. These functions are for ports that are doubles and may be set a
 the functions for other ports.
 """
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated"
 
 import math

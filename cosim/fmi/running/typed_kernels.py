@@ -5,7 +5,7 @@ does not fit its type is an error; it is never rounded or cut (only a Float32 is
 words: the FMI function, its value references, the index of its first value among the inputs or outputs, and a buffer.
 """
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated"
 
 import numpy as np

@@ -1,9 +1,8 @@
 """Step functions without records: each array of a record becomes a separate argument.
 
-Records make step functions readable. But numba analyses each access to a field and passes whole records, so with them a
-controller takes up to half as long again to compile; and C has no records. So both get functions in whose syntax tree records are
-replaced by their fields. Each function is generated once for the shape of its record arguments, and takes only the fields that it
-uses.
+Records make step functions readable. But numba analyses each access to a field and passes whole records: a controller with them
+takes up to half as long again to compile. C has no records. So both get functions in whose syntax tree records are replaced by
+their fields. Each function is generated once for the shape of its record arguments, and takes only the fields that it uses.
 """
 
 from __future__ import annotations

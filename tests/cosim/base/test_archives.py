@@ -83,7 +83,7 @@ def test_links_and_devices(tmp_path, cache, kind):
 @pytest.mark.parametrize("name", [DESCRIPTION, f"./{DESCRIPTION}", f".//{DESCRIPTION}"])
 def test_names_that_occur_twice(tmp_path, cache, name):
     path = archive_of(tmp_path / "twice.fmu", [(named(name), XML + XML[-1:])])
-    refused(path, f"{name!r} twice", "its content is ambiguous", cache=cache)
+    refused(path, f"{name!r} twice", "with different contents", cache=cache)
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")

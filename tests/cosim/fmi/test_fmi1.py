@@ -159,7 +159,7 @@ def test_several_instances_of_one_name_and_each_ones_messages(slave, isolate):
             cosim.FMU(path, parameters={"u": float(i), "lie": 3.0 if i == 2 else 0.0}, isolate=isolate), f"p{i}"
         )
     with pytest.raises(
-        SimulationError, match=r"'p2'.*fmiDoStep returned Error\. Its log says: p2: the belt is off at t = 0\.3"
+        SimulationError, match=r"'p2'.*fmiDoStep returned Error\. Its log: p2: the belt is off at t = 0\.3"
     ) as caught:
         diagram.simulate(1)
     np.testing.assert_allclose(caught.value.result["p1.x"], [0.0, 0.1, 0.2, 0.3], atol=1e-12)
@@ -170,7 +170,7 @@ def test_several_instances_of_one_name_and_each_ones_messages(slave, isolate):
     ("lie", "sentence"),
     [
         (2, r"fmiDoStep returned Discard\. It computed the step up to t = 0\.3 s\. Try a smaller step\."),
-        (3, r"fmiDoStep returned Error\. Its log says: p: the belt is off at t = 0\.3"),
+        (3, r"fmiDoStep returned Error\. Its log: p: the belt is off at t = 0\.3"),
         (77, r"fmiDoStep returned 77, which is no status of FMI\."),
     ],
 )
@@ -182,9 +182,9 @@ def test_steps_that_fail_stop_the_run_and_say_why(slave, lie, sentence, engine):
 
 def test_a_refusal_to_begin_says_why_and_kills_nobody(slave):
     # fmpy takes the status for the address of a text, and reads it.
-    with pytest.raises(FMUError, match=r"fmiInitializeSlave returned Error.* Its log says: p: no way to begin"):
+    with pytest.raises(FMUError, match=r"fmiInitializeSlave returned Error.* Its log: p: no way to begin"):
         driven(slave(), parameters={"lie": 1.0}).simulate(1)
-    with pytest.raises(FMUError, match=r"could not be instantiated as 'p'.* Its log says: the guid is wrong, not mine"):
+    with pytest.raises(FMUError, match=r"could not be instantiated as 'p'.* Its log: the guid is wrong, not mine"):
         driven(slave(('guid="{slave}"', 'guid="wrong"'))).simulate(1)
 
 

@@ -307,7 +307,7 @@ def test_a_failed_call_is_explained_in_the_words_of_fmi(fmi, capfd, caplog):
         status = instance.update(u, y, 5.0)  # not the time at which it stands
     assert status == _fmi_instance.STEP + 3
     sentence = instance.explain(status)
-    assert sentence.startswith(f"fmi{fmi[0]}DoStep returned Error. Its log says: ")
+    assert sentence.startswith(f"fmi{fmi[0]}DoStep returned Error. Its log: ")
     assert "the communication point 5 is not the time 0" in sentence
     assert "car: fmi" in caplog.text
     assert instance.update(u, y, 0.0) == _fmi_instance.SET + 3

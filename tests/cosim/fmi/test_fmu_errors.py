@@ -282,7 +282,7 @@ def test_refused_instantiation_and_initialization(tmp_path, fmi):
     refused(
         lambda: FMU(path).instantiate(STEP, "car"),
         "The FMU 'CruiseControl' could not be instantiated as 'car'. If it needs a tool or a licence, check that it is "
-        "available. Its log says: Instantiation: the token",
+        "available. Its log: Instantiation: the token",
     )
     needy = edited(path, tmp_path / "needy.fmu", lambda text: text.replace("<CoSimulation ", NEEDY))
     refused(lambda: FMU(needy).instantiate(STEP, "car"), "to run (needsExecutionTool): install it here, or export")
@@ -291,7 +291,7 @@ def test_refused_instantiation_and_initialization(tmp_path, fmi):
     real = "fmi2SetReal" if fmi == "2.0" else "fmi3SetFloat64"
     refused(
         lambda: diagram_block.instantiate(STEP, "car"),
-        f"could not be initialized as 'car': {real} of 'b' returned Error. Check its parameters and start values. Its log says: ",
+        f"could not be initialized as 'car': {real} of 'b' returned Error. Check its parameters and start values. Its log: ",
         "value reference 77",
     )
     FMU(SHIPPED[fmi]).instantiate(STEP, "car").close()  # the failures have left nothing in the way

@@ -110,7 +110,7 @@ def test_arrays_of_another_size_than_the_binary_has(tmp_path, isolate):
             diagram.simulate(1.0, engine="interpreted")
         assert "returned Error" in str(caught.value)
         assert sentence.partition(" ")[0] in str(caught.value)
-        assert "Its log says: " in str(caught.value)
+        assert "Its log: " in str(caught.value)
 
 
 # --- steps that fail ----------------------------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ CRASHES = [
     ("ABORT", 6, r"its process was killed by abort\(\) \(SIGABRT\)"),
     ("KILLED", 6, r"its process was killed by the system or a user \(SIGKILL\)"),
     ("CRASH_IN_GET", 5, r"crashed while its outputs were computed: its process was killed by a segmentation fault"),
-    ("LAST_WORDS", 6, r"\(SIGSEGV\)\. Its log says: these are my last words$"),
+    ("LAST_WORDS", 6, r"\(SIGSEGV\)\. Its log: these are my last words$"),
     ("ENDLESS", 6, r"was ended because its step took more than 1\.5 s; if it needs longer, give a larger time_limit\."),
     ("ENDLESS_IN_GET", 5, r"was ended because the computation of its outputs took more than 1\.5 s; if it needs"),
 ]
@@ -102,7 +102,7 @@ def test_a_crash_before_the_run(way, fmi, lying, nothing_left):
     assert (caught.value.result, caught.value.step, caught.value.time) == (None, None, None)
     wanted = {
         "CRASH_AT_START": "crashed while it was instantiated or initialized: its process was killed by a segmentation fault "
-        "(SIGSEGV). Its log says: starting badly",
+        "(SIGSEGV). Its log: starting badly",
         "EXIT_AT_START": "it ended its own process with exit code 4.",
         "ENDLESS_AT_START": "was ended because its instantiation or initialization took more than 0.5 s; if it needs longer",
         "at once": "crashed while it was instantiated or initialized: its process was killed by a segmentation fault",

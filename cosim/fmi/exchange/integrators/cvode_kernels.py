@@ -1,6 +1,6 @@
 """Integration by CVODE in compiled code: from the FMU's present point to a time, or to an event before it."""
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc, arg-type"
 
 from bayesftc.cosim.fmi.exchange.calls import at_time, integrate, restart

@@ -4,7 +4,7 @@ The address of the table of `bayesftc.cosim.fmi.exchange.words` and the step siz
 integrators never call Python, so a right-hand side costs no more than the FMU's own functions.
 """
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc, arg-type"
 
 from bayesftc.cosim.fmi.binaries.codes import GET, SET, UNFIT_INPUT as UNFIT_IN, UNFIT_OUTPUT as UNFIT_OUT

@@ -4,7 +4,7 @@ It restarts with full order at every communication point and after every event; 
 Tableau, error norm, first step and interpolant (Shampine 1986) are those of ``scipy.integrate.RK45``.
 """
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated, misc"
 
 import numpy as np

@@ -161,7 +161,7 @@ def test_a_stiff_oscillator_against_scipy(built, run_both):
 @pytest.mark.parametrize("fmi", FMI)
 def test_an_fmu_may_end_the_simulation_after_a_step_or_at_once(built, fmi, solver):
     engine = "interpreted" if solver.startswith("scipy") else "compiled"
-    ends = {"ends": r"\(terminateSimulation\)\. Its log says: the tank is empty"}
+    ends = {"ends": r"\(terminateSimulation\)\. Its log: the tank is empty"}
     if fmi != "1.0":  # there a step of the integrator cannot end a simulation
         ends["quits"] = r"t = 0\.3 s .*terminateSimulation, after a step of the integrator"
     for model, words in ends.items():
