@@ -186,7 +186,7 @@ def _base_step(structure: Structure, descriptions: Sequence[FMUDescription], whe
     ]
     hint = "; ".join(part for part in advice if part)
     raise SSPError(
-        f"{where} gives no step size{f' ({hint})' if hint else ''}. Give dt=... in seconds, as in "
+        f"{where} gives no step size{f' ({hint})' if hint else ''}; give dt=... in seconds, as in "
         f"open_ssp(path, dt={next(iter(sorted(map(str, recommended))), '0.01')})."
     )
 

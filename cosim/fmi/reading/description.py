@@ -445,7 +445,7 @@ def _start(archive: Archive, variable: ModelVariable) -> Value | None:
     except ValueError:
         what = f"{variable.type} of shape {tuple(variable.shape)}" if variable.shape else variable.type
         raise FMUError(
-            f"The variable {variable.name!r} of {archive.path} has the start value {text[:80]!r}, which is not of type {what}; "
+            f"The variable {variable.name!r} of {archive.path} has the start value {text[:80]!r}, which is no valid {what}; "
             "export the FMU again."
         ) from None
 

@@ -115,8 +115,8 @@ def _size(archive: Archive, variable: FMUVariable, dimension: int | str, structu
     if not isinstance(size, int) or isinstance(size, bool) or size < 0:
         text = f"{dimension!r}, which is {size}" if isinstance(dimension, str) else str(size)
         raise FMUError(
-            f"The array {variable.name!r} of the FMU {archive.path.name} has the size {text}, which is not valid; export the "
-            "FMU again."
+            f"The array {variable.name!r} of the FMU {archive.path.name} has an invalid size: {text}; export the FMU "
+            "again."
         )
     return size
 

@@ -340,7 +340,7 @@ def test_nothing_is_left_where_an_export_fails(tmp_path):
     for path, error, says in (
         (tmp_path / "no" / "x.fmu", cosim.ResultFileError, "does not exist; create the folder"),
         (tmp_path / "x", cosim.ResultFileError, "does not end in .fmu"),
-        (tmp_path / ".fmu", cosim.ResultFileError, "call it controller.fmu, say"),
+        (tmp_path / ".fmu", cosim.ResultFileError, "name it controller.fmu, say"),
         (tmp_path / ("x" * 300 + ".fmu"), cosim.ResultFileError, "too long for a file"),
         (tmp_path / "file" / "x.fmu", cosim.ResultFileError, "no folder, but a file"),
     ):

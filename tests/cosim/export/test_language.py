@@ -258,7 +258,7 @@ REFUSED = {
     "float index": (lambda: block_of(float_index), "uses a number that is not whole as an index or count (y[u[0]])"),
     "out of range": (lambda: block_of(out_of_range), "uses element 4 of 4 (y[4]); the last one is 3"),
     "row": (lambda: block_of(stores_row), "assigns to a whole row or a tuple"),
-    "lambda": (lambda: block_of(lambda u, y: None), "is not defined with def"),
+    "lambda": (lambda: block_of(lambda u, y: None), "Define it with def"),
     "callback": (lambda: cosim.StateSpace(NONLINEAR), "calls Python, which is not available in the exported C"),
     "target": (lambda: block_of(calls_to_store), "calls a function in the target of an assignment (y[place(u)])"),
     "chain": (lambda: block_of(calls_in_chain), "calls a function after a second comparison"),

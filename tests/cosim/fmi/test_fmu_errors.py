@@ -218,7 +218,7 @@ def test_invalid_descriptions(tmp_path):
     broken = replaced("2.0", tmp_path / "broken.fmu", "</ModelStructure>", "")
     refused(lambda: FMU(broken), "modelDescription.xml", "is damaged (mismatched tag")
     typo = replaced("2.0", tmp_path / "start.fmu", 'start="5.0"', 'start="five"')
-    refused(lambda: FMU(typo, validate=False), "'b'", "the start value 'five', which is not of type Real")
+    refused(lambda: FMU(typo, validate=False), "'b'", "the start value 'five', which is no valid Real")
 
 
 HARMLESS = {

@@ -140,7 +140,7 @@ REFUSED = {
     recursive: r"calls itself \(recursive -> recursive\)",
     first: r"calls itself \(first -> second -> first\)",
     uses_a_helper_with_math: r"'uses_math' .* uses 'math'",
-    imports: r"'imports' .* imports inside; import from bayesftc.cosim.ops at the top",
+    imports: r"'imports' .* contains an import; import from bayesftc.cosim.ops at the top",
     comprehends: r"contains a function or comprehension|creates a list|uses 'sum_up'|cannot be compiled",
     writes_global: r"writes a global variable; declare a state",
     calls_default: r"'helper_with_default' .* (has a default that is no number|uses)",

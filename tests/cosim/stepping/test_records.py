@@ -244,8 +244,8 @@ class Default(NamedTuple):
     ("records", "sentence"),
     [
         ({"motion": Default()}, "none with a default"),
-        ({"motion": Motion("mean", "a b")}, "names 'a b', as which no port or entry can be an argument"),
-        ({"motion": Motion("mean", "lambda")}, "names 'lambda'"),
+        ({"motion": Motion("mean", "a b")}, "has the name 'a b', which cannot be an argument"),
+        ({"motion": Motion("mean", "lambda")}, "has the name 'lambda'"),
         ({"y": named_alike(Motion), "motion": named_alike(Motion)}, "a record 'y', but a port or entry is called so"),
     ],
 )

@@ -176,7 +176,7 @@ def test_whole_numbers_that_are_not_written_are_no_zeros(breadth, alone, lie, wo
         (
             ARRAY,
             ARRAY.replace('sion valueReference="1"', 'sion valueReference="6"'),
-            "'y' .* as large as 'k', which is 1.0",
+            "'y' .* invalid size: 'k', which is 1.0",
         ),
         (
             ARRAY,
@@ -189,8 +189,12 @@ def test_whole_numbers_that_are_not_written_are_no_zeros(breadth, alone, lie, wo
             ARRAY.replace('sion valueReference="1"', 'sion start="5"'),
             "fmi3GetFloat64 of 'y' and 'total' returned Error",
         ),
-        ('start="1 0 0 1"', 'start="1 0 0"', r"'K' .* start value '1 0 0', which is no Float64 of shape \(2, 2\)"),
-        ('start="1 0 0 1"', 'start="1 a 0 1"', "start value '1 a 0 1', which is no Float64"),
+        (
+            'start="1 0 0 1"',
+            'start="1 0 0"',
+            r"'K' .* start value '1 0 0', which is no valid Float64 of shape \(2, 2\)",
+        ),
+        ('start="1 0 0 1"', 'start="1 a 0 1"', "start value '1 a 0 1', which is no valid Float64"),
         ('<Int8 name="byte"', '<UInt16 name="byte"', "fmi3SetUInt16 of 'byte' returned Error"),
         ('factor="1.8"', 'factor="0"', "the unit 'Rankine' is not known"),
     ],

@@ -255,5 +255,5 @@ def test_what_goes_wrong_inside_is_left_to_numba(one_value, monkeypatch):
     monkeypatch.setattr(steps, "_addresses", {})
     monkeypatch.setattr(steps, "read_own", lambda path: None)
     assert one_value(kernel) == 6.0
-    with pytest.raises(KernelError, match=r"cannot become machine code by way of C \(LLVM IR .*\); please report it"):
+    with pytest.raises(KernelError, match=r"cannot be compiled by way of C \(LLVM IR .*\); please report this error"):
         steps._compiled(kernel, {"y": ("outputs", 0, (1,))}, "entry")
