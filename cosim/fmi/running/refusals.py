@@ -55,7 +55,4 @@ def misfit(elements: Sequence[tuple[str, FMUVariable]], place: int, major: int, 
         f"a number up to {high:g}" if variable.type == "Float32" else f"a whole number from {low:.0f} to {high:.0f}"
     )
     what = f"The input {name!r}" if variable.causality == "input" else f"The tunable parameter {name!r}"
-    return (
-        f"{what} is of type {variable.type} and must be {required}, but its value is not. Put a block before it that rounds or "
-        "limits."
-    )
+    return f"{what} is {variable.type} and must be {required}, but its value is not. Put a block before it that rounds or limits."

@@ -633,7 +633,7 @@ def test_what_cannot_be_saved(tmp_path):
     b = diagram.add(cosim.FMU(CAR["2.0"]), "b")
     diagram.connect([a["v"], b["v"]], sum_["u"])
     diagram.connect(sum_["y"], a["force"])
-    not_saved(diagram, path, "'sum' adds signals on their way to a.force")
+    not_saved(diagram, path, "'sum' adds signals on the way to a.force")
 
 
 @pytest.mark.parametrize("fmi", [("2.0", "2.0"), ("2.0", "3.0")])

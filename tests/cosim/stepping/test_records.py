@@ -139,7 +139,7 @@ def test_the_same_function_and_records_make_one_function():
     ("parts", "sentence"),
     [
         ({"records": {"model": Model("A", "C"), "motion": named_alike(Motion)}}, "asks for 'C', which is no port"),
-        ({"records": {"model": ("A", "B"), "motion": named_alike(Motion)}}, "must be a NamedTuple"),
+        ({"records": {"model": ("A", "B"), "motion": named_alike(Motion)}}, "is no valid record"),
         ({"state": {"mean": [1.0, 2.0], "next": 0.0}}, "uses the name 'next' twice"),
     ],
 )
@@ -243,7 +243,7 @@ class Default(NamedTuple):
 @pytest.mark.parametrize(
     ("records", "sentence"),
     [
-        ({"motion": Default()}, "none with a default"),
+        ({"motion": Default()}, "without defaults"),
         ({"motion": Motion("mean", "a b")}, "has the name 'a b', which cannot be an argument"),
         ({"motion": Motion("mean", "lambda")}, "has the name 'lambda'"),
         ({"y": named_alike(Motion), "motion": named_alike(Motion)}, "a record 'y', but a port or entry is called so"),

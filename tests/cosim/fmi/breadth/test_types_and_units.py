@@ -108,7 +108,7 @@ def test_values_with_units_become_the_variables_own(breadth):
     ):
         with pytest.raises(FMUError, match=re.escape(words)):
             FMU(cosim_path(), parameters=values)
-    with pytest.raises(FMUError, match=r"'k' of the FMU 3.fmu has no unit, and '2.0 m' has one; give a plain number"):
+    with pytest.raises(FMUError, match=r"'k' of the FMU 3.fmu has no unit, but '2.0 m' has one; give a plain number"):
         FMU(breadth("3"), parameters={"k": "2 m"})
 
 
