@@ -197,7 +197,7 @@ def test_what_fmi_1_cannot_do_is_said(slave):
     ):
         session.save_state()
     with pytest.raises(
-        ModelError, match=r"rtol=1e-05, but slave.*\.fmu is of FMI 1\.0, whose co-simulation takes no tolerance"
+        ModelError, match=r"rtol=1e-05, but slave.*\.fmu is of FMI 1\.0, whose co-simulation has no tolerance"
     ):
         cosim.FMU(slave(), rtol=1e-5)
     with pytest.raises(FMUError, match="only tunable parameters"):

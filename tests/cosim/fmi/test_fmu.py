@@ -448,7 +448,7 @@ def failing(request, tmp_path_factory, c_compiler):
         (1002.0, r"DoStep returned Discard\."),
         (1003.0, r"DoStep returned Error\. It logged nothing\."),
         (1004.0, r"DoStep returned Fatal\."),
-        (1005.0, r"DoStep returned Pending\. Steps that go on by themselves are not waited for"),
+        (1005.0, r"DoStep returned Pending\. Asynchronous steps are not supported"),
         (1011.0, r"returned early from fmi3DoStep, at t = 0\.1 s, before the end of the step, and does not continue"),
     ],
 )
