@@ -342,7 +342,7 @@ def test_nothing_is_left_where_an_export_fails(tmp_path):
         (tmp_path / "x", cosim.ResultFileError, "does not end in .fmu"),
         (tmp_path / ".fmu", cosim.ResultFileError, "name it controller.fmu, say"),
         (tmp_path / ("x" * 300 + ".fmu"), cosim.ResultFileError, "too long for a file"),
-        (tmp_path / "file" / "x.fmu", cosim.ResultFileError, "no folder, but a file"),
+        (tmp_path / "file" / "x.fmu", cosim.ResultFileError, "is a file and no folder"),
     ):
         (tmp_path / "file").write_text("")
         with pytest.raises(error, match=says):
