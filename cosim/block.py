@@ -23,26 +23,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Definition:
-    """What a block does at a given sample time.
+    """The step functions, state and parameters of a block at a given sample time.
 
     Attributes
     ----------
     output : function or None
-        Step function that writes the outputs at t_k; it runs in the order of direct feedthrough. A sampled block (a
-        controller, a sensor) does everything here and may change its state as well.
+        Step function that writes the outputs at t_k. It runs in the order of direct feedthrough. A sampled block (a
+        controller, a sensor) has only this function, which may also change the state.
     update : function or None
-        Step function that takes the state from t_k to t_k+1 once all outputs at t_k are known. It sees every input.
+        Step function that advances the state from t_k to t_k+1. It runs when all outputs at t_k are known, and reads all inputs.
     state, parameters : mapping of name to array
-        Initial values; their shapes are what the step functions see. Scalars become arrays of one element.
+        Initial values. The step functions get arrays of the same shapes. Scalars become arrays of one element.
     compiled : bool
         False for a block that calls back into Python; the whole diagram then runs interpreted.
     scratch : mapping of name to array
-        Space for what a step function computes on the way, since it allocates nothing. It is no state: what is in it when a
-        step function begins means nothing, so that what ``update`` needs of ``output`` is a state.
+        Work arrays for intermediate values, since a step function allocates nothing. Their content at the beginning of a step
+        function has no meaning. Values that ``update`` needs from ``output`` therefore belong to the state.
     records : mapping of name to NamedTuple of str
-        Arguments of the step functions that are records of several arrays: a `NamedTuple` class, filled with the *names* of the
-        ports and entries that its fields are, as ``{"model": Model(A="A", Q="process_covariance")}``. The step function gets
-        the record of the arrays themselves: ``model.Q[i, j]``. A field may be a record again.
+        Arguments of the step functions that are records of several arrays. Each is an instance of a `NamedTuple` class whose
+        fields hold the *names* of ports and entries, such as ``{"model": Model(A="A", Q="process_covariance")}``. The step
+        function gets the record of the arrays themselves: ``model.Q[i, j]``. A field may itself be a record.
     """
 
     output: Kernel | None = None
@@ -56,7 +56,7 @@ class Definition:
     def __post_init__(self) -> None:
         for name in ("output", "update"):
             kernel = getattr(self, name)
-            written = kernel if kernel is None else as_written(kernel)  # which it is not after dataclasses.replace
+            written = kernel if kernel is None else as_written(kernel)  # dataclasses.replace passes a converted one
             object.__setattr__(self, name, with_arrays(written, self.records))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -66,7 +66,7 @@ class Definition:
 
 
 class Block:
-    """Anything that stands in a diagram.
+    """Base of everything that a diagram consists of.
 
     To write a block you must:
 
@@ -74,21 +74,24 @@ class Block:
        named in a scenario file;
     2. give its ``inputs`` and ``outputs`` as tuples of `Port` (properties, where they depend on the settings);
     3. return from ``define(step)`` a `Definition`: the initial state, the parameters, and the step functions;
-    4. write a step function as a plain Python function whose *argument names* say what it gets: the names of ports, of
-       state entries, of parameters and of scratch space, each as a float64 array (a scalar is an array of one element); of
-       records of such arrays (`Definition.records`); ``t`` (time in seconds) and ``k`` (the block's own step count); and
-       ``inputs`` and ``outputs``: all ports of that side, one after the other, as one flat array, for blocks whose ports are
-       not known when the function is written;
+    4. write each step function as a plain Python function whose *argument names* state what it gets:
+
+       - names of ports, state entries, parameters and scratch arrays, each as a float64 array (a scalar is an array of one
+         element), or of records of such arrays (`Definition.records`);
+       - ``t`` (time in seconds) and ``k`` (the step count of the block);
+       - ``inputs`` and ``outputs``: all ports of that side, one after the other, as one flat array, for blocks whose ports are
+         not known when the function is written;
+
     5. in a step function, read inputs, parameters and state, write outputs and state in place, allocate nothing, use scalar
        loops, take all mathematics from `bayesftc.cosim.ops`, and branch on data with ``ops.select`` only;
-    6. keep random numbers out of it: declare an input port with ``draw="normal"`` or ``draw="uniform"``;
+    6. draw no random numbers: declare an input port with ``draw="normal"`` or ``draw="uniform"``;
     7. set ``feedthrough=False`` on every input that ``output`` does not read.
 
-    A block that keeps these rules runs in a debugger as plain Python, one call at a time on hardware (`online`), and in the
-    compiled engine, with the same numbers to the last bit.
+    A block that keeps these rules runs as plain Python in a debugger, one call at a time on hardware (`online`), and in the
+    compiled engine. The numbers are the same to the last bit.
     """
 
-    #: Whether a NaN or infinity in the outputs stops the run (plants), or means a missing sample (sensors).
+    #: True: a NaN or infinity in the outputs stops the run (plants). False: a NaN is a missing sample (sensors).
     checks_finite: ClassVar[bool] = False
 
     @property
@@ -103,25 +106,25 @@ class Block:
 
     @property
     def one_unit(self) -> tuple[str, ...]:
-        """Names of ports that have one unit, whichever it is, as the input and the output of a delay."""
+        """Names of ports that share one unit, whichever it is, such as the input and the output of a delay."""
         return ()
 
     @property
     def only_recorded(self) -> int:
-        """How many of its outputs' last numbers nothing depends on: a run records them, NaN or not, and they are no state."""
+        """How many numbers at the end of the outputs are only recorded: nothing depends on them, and they may be NaN."""
         return 0
 
     def watching(self, names: Iterable[str], *, only_recorded: bool = False) -> Block:
-        """Return the same block with further variables of these names among its outputs, as far as it has such; else itself."""
+        """Return the block with those of its further variables as outputs that have these names; itself if it has none."""
         return self
 
     def held(self, outputs: Mapping[str, Floats]) -> Block:
-        """Return the block that stands for this one in a linearization: what it learns is held; itself if it learns nothing.
+        """Return the block that replaces this one in a linearization, with learning stopped; itself if it learns nothing.
 
         Parameters
         ----------
         outputs : mapping of str to ndarray
-            What its outputs are where it is linearized.
+            Values of the outputs at the operating point.
         """
         return self
 
@@ -132,12 +135,12 @@ class Block:
 
     @property
     def sample_time(self) -> Fraction | None:
-        """The only sample time at which the block can run, in seconds; None where any will do."""
+        """The only sample time at which the block can run, in seconds; None if there is no such limit."""
         return None
 
     def define(self, step: Fraction) -> Definition:
-        """Return what the block does when it runs every `step` seconds."""
-        raise KernelError(f"{type(self).__name__} does not say what it does: give it a method define(step).")
+        """Return the definition of the block for a sample time of `step` seconds."""
+        raise KernelError(f"{type(self).__name__} has no step functions; give it a method define(step).")
 
     def port(self, name: str) -> Port:
         """Return the port called `name`."""
@@ -150,19 +153,19 @@ class Block:
         """Return the settings and ports as a table, for notebooks."""
         try:
             ports = [("inputs", listed(self.inputs, 30)), ("outputs", listed(self.outputs, 30))]
-        except BayesFTCError:  # as of a fault before it is in a diagram
+        except BayesFTCError:  # a fault outside a diagram may lack the length of its signal
             ports = []
         return settings(self, ports)
 
     def online(self, dt: float | str | Fraction | None = None, *, compiled: bool = True) -> Online:
-        """Return the same block for a user's own loop or for hardware: a callable that makes one step.
+        """Return the block as a callable that makes one step, for your own loop or for hardware.
 
         Parameters
         ----------
         dt : float, str or Fraction, optional
-            Sample time in seconds; not needed where the block knows it (a controller has its model's).
+            Sample time in seconds; not needed if the block has one (a controller has that of its model).
         compiled : bool
-            False to step through the plain Python form in a debugger.
+            False for the plain Python form, which you can step through in a debugger.
         """
         from bayesftc.cosim.run.online import Online
 
@@ -180,27 +183,29 @@ class Block:
     ) -> ControlSystem:
         """Return the block as a discrete-time system of python-control, for ``control.interconnect`` and simulation there.
 
-        Its state is what the block keeps from a step to the next, and its functions are pure, so that ``control.linearize`` and
-        ``control.find_operating_point`` work, too. The state of an FMU is known to that alone, but for those of this package:
-        it is the number of a saved state, or of the steps made by an FMU that cannot save (which can only be stepped in
-        order); both functions refuse it. ``control.linearize`` holds precision learners: see `ControlSystem.linearize`.
-        python-control begins at zeros: give ``X0=cosim.initial_state(system)``.
+        The state of the system is the state of the block. Its functions are pure, so that ``control.linearize`` and
+        ``control.find_operating_point`` work, too. ``control.linearize`` stops precision learners: see
+        `ControlSystem.linearize`. python-control starts at zeros: give ``X0=cosim.initial_state(system)``.
+
+        The state of an FMU is not accessible, except for FMUs of this package. Its place is taken by the number of a saved
+        state. For an FMU that cannot save its state, it is the number of steps made; such an FMU can only be stepped in order.
+        Both functions above refuse such states.
 
         Parameters
         ----------
         dt : float, str or Fraction, optional
-            Sample time in seconds; not needed where the block knows it. A model exchange FMU without one becomes a system in
-            continuous time, whose states are its own; no events happen there.
+            Sample time in seconds; not needed if the block has one. A model exchange FMU without one becomes a system in
+            continuous time with the states of the FMU, without events.
         inputs, outputs : sequence of str or mapping of str to str, optional
-            Names of the ports to take, ``y[1]`` for one element of a vector; a mapping gives each a new name. By default all but
+            Names of the ports to use, ``y[1]`` for one element of a vector; a mapping gives each a new name. By default all but
             random inputs. A vector becomes ``y[0]``, ``y[1]``, and dots become ``_``.
         seed : int or None
-            Of the random inputs that are not among `inputs`: they are drawn for the step that the time is of, as in a
-            diagram in which the block has the same name. None for no noise.
+            Seed of the random inputs that are not among `inputs`. They are drawn for the step that contains the given time, as
+            in a diagram in which the block has the same name. None for no noise.
         engine : {"auto", "compiled", "interpreted"}
-            As in `Diagram.simulate`.
+            See `Diagram.simulate`.
         name : str, optional
-            Of the system; by default that under which a diagram adds the block.
+            Name of the system; by default the name under which a diagram adds the block.
 
         Returns
         -------
@@ -228,27 +233,27 @@ class Block:
 
 
 class ExternalBlock(Block):
-    """A block whose step functions are functions in C already: an FMU, or a plant in a library of your own.
+    """Base of blocks whose step functions are compiled C functions: an FMU, or a plant in a library of your own.
 
     To write an external block you must:
 
-    1. keep rules 1, 2 and 6 of `Block`; its ports are what C functions read and write, flat, in the order of the ports. A plant
-       sets ``checks_finite``, so that a NaN in its outputs stops the run;
-    2. say in `timing` when outputs are computed, and declare inputs on which they do not depend at once ``feedthrough=False``;
-    3. return from ``instantiate(step, name)`` an `External`, which holds what runs; each run has instances of its own;
+    1. keep rules 1, 2 and 6 of `Block`. The C functions read and write the ports as flat arrays, in the order of the ports. A
+       plant sets ``checks_finite``, so that a NaN in its outputs stops the run;
+    2. state in `timing` when outputs are computed, and declare ``feedthrough=False`` for inputs without direct feedthrough;
+    3. return from ``instantiate(step, name)`` an `External`, the running instance. Each run has its own instances;
     4. write the step functions in C, with the engine's signature::
 
            int32_t step(double *state, int64_t *table, const double *inputs, double *outputs, double t, int64_t k)
 
-       ``table`` is a copy of the instance's own (at most 32 words: addresses of what it needs, numbers), ``t`` the time in
-       seconds at the beginning of the step, ``k`` the block's own step count; ``state`` is not used. They return 0, or a
-       status below a million that stops the run and that `External.explain` puts into words;
-    5. give the same two functions in Python, for the interpreted engine and with the same numbers.
+       ``table`` is a copy of the instance's table: at most 32 words, addresses and numbers. ``t`` is the time in seconds at
+       the beginning of the step, ``k`` the step count of the block. ``state`` is not used. The functions return 0, or a status
+       below a million that stops the run. `External.explain` returns the message for it;
+    5. give the same two functions in Python, for the interpreted engine. They must give the same numbers.
     """
 
-    #: ``"plant"``: the output function reads the outputs at t_k, which do not depend on the inputs at t_k; then the update
-    #: function makes a step. ``"direct"``: the same, but they do. ``"sampled"``: the output function makes the step with the
-    #: inputs at t_k, and its outputs count at t_k, as a controller's do; there is no update.
+    #: ``"plant"``: the output function reads the outputs at t_k, which do not depend on the inputs at t_k. Then the update
+    #: function makes a step. ``"direct"``: the same, but the outputs do depend on the inputs at t_k. ``"sampled"``: the output
+    #: function makes the step with the inputs at t_k, and its outputs are those at t_k, as of a controller. There is no update.
     timing: Literal["plant", "direct", "sampled"] | None = "plant"
 
     def instantiate(self, step: Fraction, name: str) -> External:
@@ -259,9 +264,9 @@ class ExternalBlock(Block):
 class External(Protocol):
     """A running instance of an external block.
 
-    Where a coupling iterates or changes step sizes, compiled code calls ``save``, ``restore`` and ``forget``, at the cost of
-    calls of Python; an instance that is saved by C functions with the signatures of FMI 2 can name these instead, by an attribute
-    ``state_functions``: its own address, and those of the three.
+    If a coupling iterates or changes step sizes, compiled code calls ``save``, ``restore`` and ``forget``, which are slow
+    because they are Python. If C functions with the signatures of FMI 2 save the instance, its attribute ``state_functions``
+    can list them: the address of the instance, and those of the three functions.
     """
 
     table: NDArray[np.int64]
@@ -272,7 +277,7 @@ class External(Protocol):
 
     @property
     def update_address(self) -> int:
-        """Address of the compiled update function; 0 where the output function does everything."""
+        """Address of the compiled update function; 0 if there is only an output function."""
 
     def output(self, inputs: Floats, outputs: Floats, t: float) -> int:
         """Write the outputs; return 0, or a status that stops the run."""
@@ -281,52 +286,52 @@ class External(Protocol):
         """Make one step from time `t`; return 0, or a status that stops the run."""
 
     def explain(self, status: int) -> str:
-        """Return what the status means, with the last messages of the instance."""
+        """Return the meaning of a status, with the last messages of the instance."""
 
     @property
     def has_ended(self) -> bool:
-        """Whether what `explain` was asked for last is no failure: the instance itself ends the simulation."""
+        """Whether the last status given to `explain` is no failure: the instance itself ends the simulation."""
 
     @property
     def can_save(self) -> bool:
         """Whether `save` and `restore` work."""
 
     def expect_return(self) -> None:
-        """Be ready from now on to go back to states before the present one; nothing need be done where that is always so."""
+        """Prepare to return to earlier states from now on. Instances that always can do nothing."""
 
     def save(self) -> object:
-        """Return the present state, to which `restore` goes back; it pickles where the instance can serialise.
+        """Return the present state, for `restore`. It can be pickled if the instance can serialise it.
 
         Raises
         ------
         FMUError
-            If it cannot be saved.
+            If the state cannot be saved.
         """
 
     def restore(self, saved: object) -> None:
-        """Go back to a saved state, as often as one likes.
+        """Return to a saved state. This can be done repeatedly.
 
         Raises
         ------
         FMUError
-            If it is no state of this block, or of another run and cannot be serialised.
+            If it is not a state of this block, or is a state of another run that cannot be serialised.
         """
 
     def forget(self, saved: object) -> None:
-        """Free what a saved state takes; it cannot be restored any more. `close` forgets all of them."""
+        """Free the memory of a saved state, which cannot be restored any more. `close` frees all saved states."""
 
     def close(self) -> None:
         """Free the instance."""
 
 
 class VariableStep(External, Protocol):
-    """A running instance whose steps may be of any size: what `Coupling.step_error` asks for."""
+    """A running instance whose steps may be of any size, as `Coupling.step_error` requires."""
 
     step_word: int  #: The word of the table that holds the step size in seconds, as a double.
 
     @property
     def can_resize(self) -> bool:
-        """Whether it really may."""
+        """Whether the step size can really be changed."""
 
     def resize(self, h: float) -> None:
-        """Make steps of `h` seconds from now on, in interpreted runs; compiled ones change the word of the table."""
+        """Make steps of `h` seconds from now on, in interpreted runs; compiled runs change the word of the table."""

@@ -1,4 +1,4 @@
-"""Every error a user can meet: a sentence that says what is wrong, where, and what to do."""
+"""All errors of this package. Each message states what is wrong, where, and what to do."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ if TYPE_CHECKING:
 
 
 class BayesFTCError(Exception):
-    """Base of all errors of this package; ``exit_code`` is what the command line returns for it."""
+    """Base of all errors of this package; the command line ends with its ``exit_code``."""
 
     exit_code = 1
 
 
 class ScenarioError(BayesFTCError):
-    """A scenario file that cannot be read or does not say what it must."""
+    """A scenario file that cannot be read, or whose content is wrong or incomplete."""
 
     exit_code = 3
 
 
 class FMUError(BayesFTCError):
-    """An FMU that cannot be used: missing, corrupt, or used against what it says of itself."""
+    """An FMU that cannot be used: missing, corrupt, or used against its model description."""
 
     exit_code = 4
 
@@ -56,7 +56,7 @@ class UnknownNameError(BayesFTCError, KeyError):
 
 
 class ConnectionError(BayesFTCError):
-    """A connection that cannot be made: sizes, units, direction, or a doubled source."""
+    """A connection that cannot be made: sizes, units or direction do not fit, or there are two sources."""
 
     exit_code = 6
 
@@ -74,7 +74,7 @@ class AlgebraicLoopError(BayesFTCError):
 
 
 class StepSizeError(BayesFTCError, ValueError):
-    """A duration or sample time that is no whole number of base steps."""
+    """A duration or sample time that is not a whole number of base steps."""
 
     exit_code = 8
 
@@ -86,13 +86,13 @@ class ModelError(BayesFTCError, ValueError):
 
 
 class KernelError(BayesFTCError, TypeError):
-    """A step function that breaks the block contract and so cannot be compiled."""
+    """A step function that breaks the contract of blocks and cannot be compiled."""
 
     exit_code = 10
 
 
 class SimulationError(BayesFTCError):
-    """A run that had to stop; what was recorded up to there is kept.
+    """A run that had to stop; the signals recorded until then are kept.
 
     Attributes
     ----------
@@ -108,18 +108,18 @@ class SimulationError(BayesFTCError):
 
 
 class FMUCrashed(SimulationError, FMUError):
-    """An isolated FMU whose process died, or had to be ended because a call did not come back.
+    """An isolated FMU whose process died, or was ended because a call did not return.
 
     Attributes
     ----------
     result : Result or None
-        The signals up to the last good step; None if it happened before the run.
+        The signals up to the last good step; None if the process died before the run.
     step : int or None
-        The step at which it happened.
+        The step at which the process died.
     time : float or None
-        The simulated time at which it happened, in seconds.
+        The simulated time at which the process died, in seconds.
     log : tuple of str
-        What the FMU logged last.
+        The last messages of the FMU.
     """
 
     exit_code = 17
@@ -138,7 +138,7 @@ class FMUCrashed(SimulationError, FMUError):
 
 
 class ResultFileError(BayesFTCError):
-    """A result file that cannot be written, or is no result of ours."""
+    """A result file that cannot be written, or was not written by this package."""
 
     exit_code = 12
 
@@ -150,13 +150,13 @@ class RecordingError(BayesFTCError, ValueError):
 
 
 class StoreError(BayesFTCError):
-    """A stored campaign that cannot be read or written, or is another than the one that is to go on."""
+    """A stored campaign that cannot be read or written, or that differs from the campaign to continue."""
 
     exit_code = 20
 
 
 def brief(value: object, length: int = 60) -> str:
-    """Return what someone has given, short enough for a sentence."""
+    """Return the text of a given value, short enough for a message."""
     try:
         text = repr(value)
     except ValueError:  # Python does not write out whole numbers of more than 4300 digits
@@ -165,16 +165,16 @@ def brief(value: object, length: int = 60) -> str:
 
 
 LAX = "try it all the same with validate=False (bayesftc inspect: --no-validate)."
-"""What can be done about a file that breaks the rules of FMI or SSP."""
+"""The remedy for a file that breaks the rules of FMI or SSP."""
 
 
-def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the tail of a sentence about an unknown name: the near names, else all of them."""
-    known = sorted(known)
-    near = [k for k in known if k.lower() == str(name).lower()] or get_close_matches(str(name), known, n=3, cutoff=0.6)
+def did_you_mean(name: object, names: Iterable[str]) -> str:
+    """Return the end of a message about an unknown name: similar names if there are any, else all names."""
+    names = sorted(names)
+    near = [n for n in names if n.lower() == str(name).lower()] or get_close_matches(str(name), names, n=3, cutoff=0.6)
     if near:
         return f"did you mean {' or '.join(repr(n) for n in near)}?"
-    if not known:
+    if not names:
         return "there are none."
-    shown = ", ".join(known[:12]) + (f", and {len(known) - 12} more" if len(known) > 12 else "")
+    shown = ", ".join(names[:12]) + (f", and {len(names) - 12} more" if len(names) > 12 else "")
     return f"known names: {shown}."

@@ -1,11 +1,11 @@
-"""The mathematics of step functions: the same bits in plain Python and in compiled code, and it never raises.
+"""The mathematics of step functions. It gives the same bits in plain Python and in compiled code, and never raises.
 
-Step functions take everything beyond ``+ - * /`` and comparisons from here (never from ``math``, ``numpy`` or ``**``), so
-that one text can run as plain Python, be compiled by numba, and be traced symbolically. The functions return
-``numpy.float64``, whose division by zero gives an infinity or NaN (IEEE 754) where a Python float would raise.
+Step functions take everything beyond ``+ - * /`` and comparisons from here, never from ``math``, ``numpy`` or ``**``. So one
+text can run as plain Python, be compiled by numba, and be traced symbolically. The functions return ``numpy.float64``.
+Its division by zero gives an infinity or NaN (IEEE 754), where a Python float would raise.
 
-``select`` evaluates both alternatives and is, everywhere, ``(a if condition else 0) + (0 if condition else b)``: a symbolic
-engine can only compute it so, and a negative zero becomes a positive one in each form alike.
+``select`` evaluates both alternatives. It is always computed as ``(a if condition else 0) + (0 if condition else b)``,
+because a symbolic engine has no other way. So a negative zero becomes a positive one everywhere.
 """
 
 import math
@@ -17,7 +17,7 @@ _INF = float64("inf")
 
 
 def select(condition, a, b):
-    """Return `a` where `condition` holds, else `b`; a negative zero comes out as a positive one."""
+    """Return `a` where `condition` holds, else `b`; a negative zero becomes a positive one."""
     return (float64(a) if condition else float64(0.0)) + (float64(0.0) if condition else float64(b))
 
 
@@ -42,12 +42,12 @@ def isnan(x):
 
 
 def sqrt(x):
-    """Return the square root; NaN for negative numbers."""
+    """Return the square root of `x`; NaN for negative numbers."""
     return float64(math.sqrt(x)) if x >= 0.0 else _NAN
 
 
 def exp(x):
-    """Return the exponential; infinity where it overflows."""
+    """Return the exponential of `x`; infinity where it overflows."""
     try:
         return float64(math.exp(x))
     except OverflowError:
@@ -55,7 +55,7 @@ def exp(x):
 
 
 def log(x):
-    """Return the natural logarithm; minus infinity at zero, NaN below."""
+    """Return the natural logarithm of `x`; minus infinity at zero, NaN below."""
     if x > 0.0:
         return float64(math.log(x))
     return -_INF if x == 0.0 else _NAN
@@ -124,7 +124,7 @@ OF_LIBRARY = {
     "sin": "sin",
     "sqrt": "sqrt",
 }
-"""Those that are functions of C's library, with the names that they have there; in NumPy they are called as here."""
+"""Operations that C's library has, with their names in C; NumPy has them under the names used here."""
 
 COMPOSED = ("maximum", "minimum", "square")
 """Those that are written with other operations; every engine reads what stands above."""

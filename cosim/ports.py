@@ -22,23 +22,23 @@ class Port:
     Attributes
     ----------
     name : str
-        Its name, unique within the block.
+        Name, unique within the block.
     shape : tuple of int
         ``()`` for a scalar, ``(n,)`` for a vector, ``(n, m)`` for a matrix.
     unit : str or None
-        For example ``"m/s"``; connections between different units are refused, None fits all.
+        For example ``"m/s"``. Connections between different units are refused. None fits all units.
     feedthrough : bool
-        Of an input: whether an output at t_k depends on this input at t_k.
+        For inputs: whether an output at t_k depends on this input at t_k.
     default : float, tuple or None
-        Of an input: its value while nothing is connected, one for all elements or tuples of the port's shape; None demands a
-        connection.
+        For inputs: the value while nothing is connected, one number for all elements or tuples of the port's shape. With None
+        the input must be connected.
     draw : {"normal", "uniform"} or None
-        Of an input: while nothing is connected, the engine fills it at every step with standard normal numbers, or with
+        For inputs: while nothing is connected, the engine fills the port at every step with standard normal numbers, or with
         numbers uniform in (0, 1).
     meaning : Unit or None
-        What the unit means, where an FMU defines it; else what pint says of its name.
+        Definition of the unit by an FMU; without one, pint's definition of the name applies.
     description : str
-        What it is, in a few words, for those who see it in an exported FMU.
+        What the signal is, in a few words, for the users of an exported FMU.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Port:
     def __post_init__(self) -> None:
         if not isinstance(self.shape, tuple) or not all(isinstance(n, int | np.integer) and n >= 1 for n in self.shape):
             raise ModelError(
-                f"Port {self.name!r} has the shape {self.shape!r}; it must be a tuple of whole numbers, each at least 1, as (3,)."
+                f"Port {self.name!r} has the shape {self.shape!r}; it must be a tuple of whole numbers from 1 on, such as (3,)."
             )
         if self.draw not in {None, "normal", "uniform"}:
             raise ModelError(f"Port {self.name!r} has draw={self.draw!r}; it must be 'normal', 'uniform' or None.")
@@ -65,7 +65,7 @@ class Port:
 
 
 def listed(ports: Sequence[Port], most: int = 8) -> str:
-    """Return ports as a line to read: names, sizes and units of the first ones."""
+    """Return a line of text that lists ports: names, shapes and units of the first ones."""
     shown = [
         port.name
         + (f"({'x'.join(map(str, port.shape))})" if port.shape else "")
@@ -76,5 +76,5 @@ def listed(ports: Sequence[Port], most: int = 8) -> str:
 
 
 def labels(name: str, shape: tuple[int, ...]) -> list[str]:
-    """Return a name for each scalar of a signal: itself, or ``name[i]``, ``name[i,j]``."""
+    """Return a name for each scalar of a signal: ``name``, ``name[i]`` or ``name[i,j]``."""
     return [name + (f"[{','.join(map(str, index))}]" if index else "") for index in np.ndindex(*shape)]

@@ -1,10 +1,10 @@
 """Random numbers by counter: each draw is a function of (seed, stream, channel, draw, step) and of nothing else.
 
-The generator is Philox4x64-10 (Salmon et al., Parallel random numbers: as easy as 1, 2, 3, 2011), the one behind
-``numpy.random.Philox``. Its key is (seed, hash of the stream's name); its counter is (step // 4, channel, draw, 0) and the
-four words of a block serve four consecutive steps. So a run is the same alone, in a batch and on a cluster, and changing a
-controller or adding a block or a sensor leaves all other noise as it was. Normal numbers come from one uniform each, through
-Wichura's inverse of the normal distribution (AS 241, relative accuracy 1e-16).
+So a run is the same alone, in a batch and on a cluster. A changed controller or an added block or sensor does not change any
+other noise. The generator is Philox4x64-10 (Salmon et al., Parallel random numbers: as easy as 1, 2, 3, 2011), as in
+``numpy.random.Philox``. Its key is (seed, hash of the stream's name). Its counter is (step // 4, channel, draw, 0), and the
+four words of a block are for four consecutive steps. Each normal number comes from one uniform number, by Wichura's inverse of
+the normal distribution (AS 241, relative accuracy 1e-16).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CHUNK = 64
 
 
 def stream_key(name: str) -> int:
-    """Return the 64-bit key of a stream: a hash of its name that is the same in every process."""
+    """Return the 64-bit key of a stream: a hash of its name, the same in every process."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
 
 
@@ -60,12 +60,12 @@ def _philox(c0, c1, c2, c3, k0, k1):
 
 @register_jitable(error_model="numpy")
 def _uniform(word):
-    # 52 bits and a half: the largest is 1 - 2**-53, a double; with 53 bits it would round to 1, whose normal is infinite.
+    # 52 bits and a half: the largest number is 1 - 2**-53. With 53 bits it would round to 1, whose normal number is infinite.
     return (np.float64(word >> np.uint64(12)) + 0.5) * (1.0 / 4503599627370496.0)
 
 
 CENTRAL = 0.425
-"""Where Wichura's formula for the middle ends: at this distance of the probability from 0.5."""
+"""Largest distance of the probability from 0.5 for which Wichura's central formula holds."""
 
 
 @register_jitable(error_model="numpy", forceinline=True)
@@ -125,8 +125,8 @@ def fill(seed, streams, first, buffer):
             row[i], row[i + 1] = _uniform(words[0]), _uniform(words[1])
             row[i + 2], row[i + 3] = _uniform(words[2]), _uniform(words[3])
         if streams[j, 3] == np.uint64(0):
-            # First the tails, whose normals lie far from the middle of (0, 1), so that what is left to do is told by its
-            # value; then the middle, in a loop without branches, which the compiler turns into vector instructions.
+            # First the tails: their normal numbers lie far outside (0, 1), so that the values left to convert can be told
+            # apart. Then the middle, in a loop without branches, which the compiler turns into vector instructions.
             for i in range(row.shape[0]):
                 if abs(row[i] - 0.5) > CENTRAL:
                     row[i] = _normal(row[i])
@@ -138,7 +138,7 @@ def fill(seed, streams, first, buffer):
 
 @cache
 def compiled_fill() -> Any:
-    """Return what draws many numbers at once; the first call takes the time to load it."""
+    """Return the compiled form of `fill`; the first call takes the time to load it."""
     from bayesftc.cosim.stepping.compiler import compile_function
 
     return compile_function(fill, "void(uint64, uint64[:, ::1], int64, float64[:, ::1])")
@@ -154,7 +154,7 @@ def draw_chunk(
 
 
 def numbers(seed: int, stream: str, steps: int, *, channel: int = 0, draw: int = 0, uniform: bool = False) -> Any:
-    """Return the first `steps` numbers of one stream, for a script that wants the noise a run has seen.
+    """Return the first `steps` numbers of one stream, for a script that needs the noise of a run.
 
     Examples
     --------

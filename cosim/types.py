@@ -1,4 +1,4 @@
-"""What everything here is made of: arrays of float64, and step functions, which know by name what they work on."""
+"""Common types: arrays of float64, and step functions, whose argument names state what they get."""
 
 from __future__ import annotations
 

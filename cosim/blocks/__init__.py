@@ -1,1 +1,1 @@
-"""The blocks that come with this package: sources, sensors, mathematics, linear systems."""
+"""The blocks of this package: sources, sensors, mathematics, linear systems."""

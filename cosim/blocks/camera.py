@@ -1,13 +1,13 @@
-"""What a camera sees of a planar arm, as step functions: for `Sensors`, and for controllers that predict measurements.
+"""Measurements of a planar arm by a camera, as step functions for `Sensors` and for controllers that predict measurements.
 
-Each factory returns a plain function ``function(x, y)`` that reads the array ``x`` and writes the array ``y``. So one and the
-same function makes the measurements and predicts them::
+Each factory returns a plain function ``function(x, y)`` that reads the array ``x`` and writes the array ``y``. So the same
+function makes the measurements and predicts them::
 
     measure = cosim.arm_with_camera(lengths=(1.0, 1.0), distortion=(-1.5e-3, 5e-6, 0.0))
     sensors = cosim.Sensors(count=6, signals=4, function=measure, std=(1e-3,) * 4 + (1e-2,) * 2)
 
-Equal settings give the same function, which is compiled once. To pickle a block that holds one (for other processes), call it
-in a function that stands in a module.
+Equal settings give the same function, which is compiled once. A block with such a function cannot be pickled. To use it in
+other processes, write a function in a module that calls it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from bayesftc.cosim.types import Kernel
 def radial_distortion(k1: float, k2: float = 0.0, k3: float = 0.0) -> Kernel:
     """Return the step function of a lens: ``p_d = p_u (1 + k1 r^2 + k2 r^4 + k3 r^6)`` with ``r = |p_u|``.
 
-    This is the radial part of the model of Brown (1966) and Conrady (1919), in the unit of the point instead of pixels;
-    negative coefficients bend lines like the staves of a barrel.
+    This is the radial part of the model of Brown (1966) and Conrady (1919), in the unit of the point instead of pixels.
+    Negative coefficients give barrel distortion.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def radial_distortion(k1: float, k2: float = 0.0, k3: float = 0.0) -> Kernel:
     Returns
     -------
     function
-        ``function(x, y)``: from a planar point ``x`` of shape (2,) to where it is seen, ``y`` of shape (2,).
+        ``function(x, y)``: from a planar point ``x`` of shape (2,) to its distorted position ``y`` of shape (2,).
 
     Raises
     ------
@@ -65,14 +65,14 @@ def planar_arm(lengths: Sequence[float]) -> Kernel:
     Returns
     -------
     function
-        ``function(x, y)``: from the joint angles, the first elements of ``x``, in radians, the first from the horizontal
-        and each other from the link before it, to the position ``y`` of the arm's end, of shape (2,), in metres from
-        the base: horizontal, then up.
+        ``function(x, y)``: from the joint angles to the position of the arm's end. The angles are the first elements of
+        ``x``, in radians: the first from the horizontal, each other from the link before it. The position ``y`` has the
+        shape (2,), in metres from the base: horizontal, then up.
 
     Raises
     ------
     ModelError
-        If there is no link, or a length is no positive number.
+        If there is no link, or a length is not a positive number.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def planar_arm(lengths: Sequence[float]) -> Kernel:
 def arm_with_camera(lengths: Sequence[float], distortion: Sequence[float] = (0.0, 0.0, 0.0)) -> Kernel:
     """Return the step function of all sensors of an arm: an encoder and a tachometer at each joint, and a camera.
 
-    The camera looks at the arm's plane, with its optical axis through the base, and gives the position of the arm's end.
+    The camera faces the arm's plane. Its optical axis goes through the base. It measures the position of the arm's end.
 
     Parameters
     ----------
@@ -102,12 +102,12 @@ def arm_with_camera(lengths: Sequence[float], distortion: Sequence[float] = (0.0
     -------
     function
         ``function(x, y)``: from the state ``x`` of shape (2 n,), n joint angles in radians and their n velocities in
-        rad/s, to the measurements ``y`` of shape (2 n + 2,): the state, and the end's position as seen, in metres.
+        rad/s, to the measurements ``y`` of shape (2 n + 2,): the state, and the distorted position of the end, in metres.
 
     Raises
     ------
     ModelError
-        If a length is no positive number, or there are not three finite coefficients.
+        If a length is not a positive number, or there are not three finite coefficients.
     """
     return _arm_with_camera(
         _lengths("arm_with_camera", lengths), _coefficients("arm_with_camera", tuple(distortion), "distortion")
@@ -126,7 +126,7 @@ def _place(x, lengths, y, at):
 
 
 def _distort(k, y, at):
-    """Move a point that stands in two elements of `y` to where the lens shows it."""
+    """Distort the point in two elements of `y` as the lens does."""
     r2 = square(y[at]) + square(y[at + 1])
     scale = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[2]))
     y[at] = y[at] * scale
@@ -164,17 +164,21 @@ def _arm_with_camera(lengths: tuple[float, ...], k: tuple[float, float, float]) 
     return arm_with_camera
 
 
-def _lengths(who: str, lengths: Sequence[float]) -> tuple[float, ...]:
+def _lengths(caller: str, lengths: Sequence[float]) -> tuple[float, ...]:
     numbers = tuple(float(length) for length in lengths)
     if not numbers or not all(isfinite(length) and length > 0.0 for length in numbers):
-        raise ModelError(f"{who} has lengths={lengths!r}; give the length of each link, a positive number of metres.")
+        raise ModelError(
+            f"{caller} has lengths={lengths!r}; give the length of each link, a positive number of metres."
+        )
     return numbers
 
 
-def _coefficients(who: str, given: tuple[float, ...], name: str = "k1, k2, k3") -> tuple[float, float, float]:
-    numbers = tuple(float(k) for k in given)
+def _coefficients(caller: str, values: tuple[float, ...], name: str = "k1, k2, k3") -> tuple[float, float, float]:
+    numbers = tuple(float(k) for k in values)
     if len(numbers) != 3 or not all(isfinite(k) for k in numbers):
-        raise ModelError(f"{who} has {name}={given!r}; give three finite coefficients (0 for those without effect).")
+        raise ModelError(
+            f"{caller} has {name}={values!r}; give three finite coefficients (0 for those without effect)."
+        )
     k1, k2, k3 = numbers
     return k1, k2, k3
 

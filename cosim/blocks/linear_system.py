@@ -1,4 +1,4 @@
-"""Linear systems as plain numbers: taken from python-control, and discretised."""
+"""Linear systems as plain numbers: converted from python-control, and discretised."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Rows = tuple[tuple[float, ...], ...]
 class LinearSystem:
     """A linear system as plain numbers: ``dx/dt`` (or the next ``x``) is ``A x + B u``, and ``y = C x + D u``.
 
-    python-control's own objects hold functions and cannot be sent to another process; this can.
+    Objects of python-control hold functions and cannot be sent to another process; this class can.
 
     Attributes
     ----------
     A, B, C, D : tuple of tuple of float
         Matrices of n x n, n x m, p x n and p x m numbers, for n states, m inputs and p outputs.
     dt : float, True or None
-        0 for continuous time, a sample time in seconds, True for discrete time with any sample time, None where there are no
-        states and time does not matter.
+        0 for continuous time, a sample time in seconds, True for discrete time with any sample time, None for a system without
+        states, which does not depend on time.
     input_names, output_names : tuple of str
         Names of the signals.
     """
@@ -49,12 +49,12 @@ class LinearSystem:
 
 
 def normalised(system: Any) -> Any:
-    """Return a `LinearSystem` for a linear system of python-control, the system itself for a nonlinear one.
+    """Return a `LinearSystem` for a linear system of python-control, and a nonlinear system as it is.
 
     Raises
     ------
     ModelError
-        If it is no such system, or has no definite time base or finite matrices.
+        If it is not such a system, has no definite time base, or has matrices that are not finite.
     """
     import control
 
@@ -65,7 +65,7 @@ def normalised(system: Any) -> Any:
         except Exception as error:  # noqa: BLE001 - python-control raises whatever its backend does
             reason = str(error).strip().removesuffix(".")
             raise ModelError(
-                f"The transfer function cannot be converted to a state space: {reason}. Make it proper, or give the state space."
+                f"The transfer function cannot be converted to a state space: {reason}. Make it proper, or give a state space."
             ) from None
     elif isinstance(system, control.StateSpace):
         names, dt, converted = signal_names(system), system.dt, system
@@ -74,7 +74,7 @@ def normalised(system: Any) -> Any:
             raise ModelError("The system has dt=None; give it dt=0 (continuous time) or its sample time in seconds.")
         if not system.noutputs:
             raise ModelError(
-                "The nonlinear system does not say how many outputs it has; give it outputs=... (and inputs, states)."
+                "The number of outputs of the nonlinear system is not known; give it outputs=... (and inputs, states)."
             )
         return system
     else:
@@ -92,9 +92,9 @@ def normalised(system: Any) -> Any:
 
 
 def _entry_by_entry(system: Any) -> Any:
-    """Return the state space of a transfer function; that of a matrix of them has the states of each entry, row by row.
+    """Return the state space of a transfer function; for a matrix of them, with the states of each entry, row by row.
 
-    python-control itself converts such a matrix with Slycot alone, which is a Fortran library that few have.
+    python-control can convert such a matrix only with Slycot, a Fortran library that few users have.
     """
     import control
     from scipy.linalg import block_diag
@@ -117,7 +117,7 @@ def signal_names(system: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 
 def _named(labels: Sequence[str], letter: str) -> tuple[str, ...]:
-    """Return the labels, python-control's own ``u[0]`` as ``u`` or ``u0``: brackets mean elements here."""
+    """Return the labels, with python-control's default ``u[0]`` as ``u`` or ``u0``, because brackets mean elements here."""
     if all(re.fullmatch(rf"{letter}\[\d+\]", label) for label in labels):
         return (letter,) if len(labels) == 1 else tuple(f"{letter}{i}" for i in range(len(labels)))
     return tuple(labels)
@@ -129,7 +129,7 @@ def as_rows(matrix: Floats) -> Rows:
 
 
 def held(a: Floats, b: Floats, h: float) -> tuple[Floats, Floats]:
-    """Return the matrices of a step of `h` seconds with the inputs held: one exponential gives both."""
+    """Return the matrices A and B of a step of `h` seconds with the inputs held; one matrix exponential gives both."""
     from scipy.linalg import expm
 
     n = len(a)

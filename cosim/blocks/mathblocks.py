@@ -1,4 +1,4 @@
-"""Small blocks that wire others together: gain, sum, unit delay, saturation."""
+"""Small blocks that connect others: gain, sum, unit delay, saturation."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Gain(Block):
     Parameters
     ----------
     gain : float or sequence of sequence of float
-        A number for a scalar signal, a matrix (rows x inputs) for a vector.
+        A number for a scalar signal, a matrix (outputs x inputs) for a vector.
     offset : float
-        What is added to each element.
+        Constant that is added to each element.
     input_unit, output_unit : str or None
-        Units of the ports, so that a Gain can convert between two.
+        Units of the ports. With two different units the gain is a conversion.
     """
 
     gain: float | Sequence[Sequence[float]]
@@ -93,13 +93,13 @@ def _sum(u, signs, y):
 
 @dataclass(frozen=True)
 class Sum(Block):
-    """Adds the elements of ``u`` with the given signs: ``Sum("+-")`` is a comparison of two signals."""
+    """Adds the elements of ``u`` with the given signs: ``Sum("+-")`` is the difference of two signals."""
 
     signs: str = "++"
 
     def __post_init__(self) -> None:
         if not self.signs or set(self.signs) - {"+", "-"}:
-            raise ModelError(f"Sum has signs={self.signs!r}; give a + or - for each element, as '+-'.")
+            raise ModelError(f"Sum has signs={self.signs!r}; give a + or - for each element, such as '+-'.")
 
     @property
     def inputs(self) -> tuple[Port, ...]:
@@ -138,7 +138,7 @@ def _delay_update(u, held):
 
 @dataclass(frozen=True)
 class UnitDelay(Block):
-    """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements: breaks algebraic loops, and shows a delay."""
+    """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements. It breaks algebraic loops."""
 
     size: int = 1
     initial: float = 0.0
@@ -190,7 +190,7 @@ class Saturation(Block):
     def __post_init__(self) -> None:
         _check_size(self)
         if not self.low <= self.high:
-            raise ModelError(f"Saturation has low={self.low!r} and high={self.high!r}; low must not lie above high.")
+            raise ModelError(f"Saturation has low={self.low!r} and high={self.high!r}; low must not be above high.")
 
     @property
     def inputs(self) -> tuple[Port, ...]:

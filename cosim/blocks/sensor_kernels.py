@@ -1,4 +1,4 @@
-"""Step functions of the sensors, put together from a way to measure and a way to disturb."""
+"""Step functions of the sensors, each composed of a measurement function and a noise function."""
 
 from collections.abc import Callable
 from functools import cache
@@ -9,13 +9,13 @@ from bayesftc.cosim.types import Kernel
 
 
 def one_to_one(u, matrix, clean):
-    """Let sensor i read signal i, and begin again at the first signal where there are more sensors."""
+    """Let sensor i read signal i; if there are more sensors than signals, start again at the first signal."""
     for i in range(clean.shape[0]):
         clean[i] = u[i % u.shape[0]]
 
 
 def linear(u, matrix, clean):
-    """Compute ``matrix @ u``; a signal with a zero coefficient is not seen, not even where it is missing."""
+    """Compute ``matrix @ u``; a signal with a zero coefficient has no effect, not even as NaN."""
     for i in range(clean.shape[0]):
         total = 0.0
         for j in range(u.shape[0]):
@@ -25,7 +25,7 @@ def linear(u, matrix, clean):
 
 @cache
 def by_function(function: Kernel) -> Kernel:
-    """Return the measurement that a user has written as ``function(u, clean)``."""
+    """Return the measurement function for a user's ``function(u, clean)``."""
 
     def measure(u, matrix, clean):
         function(u, clean)
@@ -48,7 +48,7 @@ def correlated(factor, noise, i):
 
 @cache
 def sensors(measure: Kernel, disturbance: Callable[..., Any]) -> Kernel:
-    """Return the step function of sensors that measure and are disturbed in the given ways."""
+    """Return the step function of sensors with the given measurement and noise functions."""
 
     def sense(u, noise, matrix, factor, bias, resolution, clean, y):
         measure(u, matrix, clean)

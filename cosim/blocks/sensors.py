@@ -1,4 +1,4 @@
-"""Sensors: what they read, and with which offset, noise and resolution."""
+"""Sensors: the measured signals, offset, noise and resolution."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats, Kernel
 
 MOST = 10_000
-"""How many sensors, or signals, there may be: each has memory, and with a controller a matrix has a row for each."""
+"""Largest number of sensors, or of signals. Each needs memory, and a row in matrices of a controller."""
 
 
 @dataclass(frozen=True)
@@ -41,25 +41,25 @@ class Sensors(Block):
     bias : float or sequence of float
         Constant offset.
     resolution : float or sequence of float
-        Readings are whole multiples of this (halves go up); 0 for no rounding.
+        Readings are whole multiples of this (halves are rounded up); 0 for no rounding.
     matrix : sequence of sequence of float, shape (count, signals), optional
-        What each sensor measures of the signals.
+        Measurement matrix: coefficients of the signals for each sensor.
     function : function, optional
-        A step function ``function(u, clean)`` that keeps the rules of `Block` and writes what count ideal sensors read
+        A step function ``function(u, clean)`` that keeps the rules of `Block` and writes the readings of `count` ideal sensors
         into ``clean``. Without matrix and function all sensors read the one signal, or sensor i reads signal ``i %
         signals``.
     covariance : sequence of sequence of float, shape (count, count), optional
-        Of the noise, instead of `std`, where sensors are disturbed together.
+        Covariance of the noise, instead of `std`, for correlated sensors.
     unit : str, optional
-        Of the signal and of the readings.
+        Unit of the signal and of the readings.
     invalid : sequence of float, or of one for each sensor
-        Values that the devices send in place of a sample, as ``[-9999, 65535]``. The samples stay as they are; `closed_loop`
-        gives the values to the controller, which takes such a sample as missing.
+        Values that the devices send in place of a sample, such as ``[-9999, 65535]``. The samples are not changed.
+        `closed_loop` gives the values to the controller, which treats such samples as missing.
 
     Raises
     ------
     ModelError
-        If sizes do not fit or a setting cannot be right.
+        If sizes do not fit or a setting is wrong.
 
     Examples
     --------
@@ -91,18 +91,18 @@ class Sensors(Block):
         self._check_matrix("matrix", self.signals)
         self._check_matrix("covariance", self.count)
         if self.matrix is not None and self.function is not None:
-            raise ModelError("Sensors has a matrix and a function; give only the one that says what is measured.")
+            raise ModelError("Sensors has a matrix and a function; give only one of them.")
         if self.function is not None:
             _check_function(self.function)
         elif self.matrix is None and self.count % self.signals:
             raise ModelError(
-                f"{self.count} sensors cannot share {self.signals} signals evenly; say with matrix=... "
-                f"({self.count} x {self.signals}) or function=... what each of them reads."
+                f"{self.count} sensors cannot share {self.signals} signals evenly; give matrix=... "
+                f"({self.count} x {self.signals}) or function=... for the readings of each sensor."
             )
         if self.covariance is not None:
             if np.any(self.std):
                 raise ModelError(
-                    "Sensors has both std and covariance; the diagonal of the covariance says the std already."
+                    "Sensors has both std and covariance; leave out std, which the diagonal of the covariance contains."
                 )
             _semidefinite_factor(np.asarray(self.covariance))
 
@@ -120,7 +120,7 @@ class Sensors(Block):
 
     @property
     def rows(self) -> Floats | None:
-        """What each sensor reads of the signals (count x signals); None where that is no linear function."""
+        """Measurement matrix (count x signals); None if the measurement is not linear."""
         if self.function is not None:
             return None
         if self.matrix is not None:
@@ -187,14 +187,14 @@ def _check_function(function: Callable[..., None]) -> None:
     if not isinstance(function, FunctionType) or function.__code__.co_argcount != 2:
         raise ModelError(
             f"Sensors has function={function!r}; it must be a plain Python function of two arguments, (u, clean), that "
-            "writes what ideal sensors read into clean."
+            "writes the readings of ideal sensors into clean."
         )
 
 
 def _semidefinite_factor(covariance: Floats) -> Floats:
     """Return the lower triangle L with L L' = covariance, which may be singular.
 
-    Row i depends on the first i sensors only, so the noise of a sensor stays as it is when others are added after it.
+    Row i depends on the first i sensors only, so the noise of a sensor does not change when others are added after it.
     """
     message = f"Sensors has covariance={covariance.tolist()}; "
     if np.abs(covariance - covariance.T).max() > 1e-12 * np.abs(covariance).max():

@@ -20,7 +20,7 @@ TAU = tau
 
 @dataclass(frozen=True)
 class Source(Block):
-    """Base of all sources: one scalar output ``y``, in the ``unit`` given (any, if None)."""
+    """Base of all sources: one scalar output ``y`` with the unit ``unit`` (None fits all units)."""
 
     @property
     def outputs(self) -> tuple[Port, ...]:
@@ -45,7 +45,7 @@ class Constant(Source):
     Parameters
     ----------
     value : float
-        What the output is.
+        Value of the output.
     unit : str or None
         Unit of the output.
     """
@@ -74,7 +74,7 @@ class Step(Source):
     time : float
         Seconds. When the output changes.
     after, before : float
-        What the output is from then on, and until then.
+        Value of the output from then on, and until then.
     unit : str or None
         Unit of the output.
     """
@@ -98,14 +98,14 @@ def _ramp(t, slope, start, offset, y):
 
 @dataclass(frozen=True)
 class Ramp(Source):
-    """`offset` until `start` seconds, then rising by `slope` each second.
+    """`offset` until `start` seconds, then a rise by `slope` each second.
 
     Parameters
     ----------
     slope : float
         Per second. How fast the output rises.
     offset : float
-        What the output is at the beginning.
+        Value of the output at the beginning.
     start : float
         Seconds. When the output begins to rise.
     unit : str or None
@@ -136,13 +136,13 @@ class Sine(Source):
     Parameters
     ----------
     amplitude : float
-        How far the output swings to either side.
+        Largest distance of the output from `offset`.
     period : float
-        Seconds. From one crest to the next.
+        Seconds. From one maximum to the next.
     offset : float
-        What the output swings about.
+        Mean of the output.
     phase : float
-        Radians. Where in its swing the output is at t = 0.
+        Radians. Phase at t = 0.
     unit : str or None
         Unit of the output.
     """
@@ -170,7 +170,7 @@ class Sine(Source):
 
 
 def _table(t, times, values, slopes, y):
-    # A sum of select() instead of a search: every entry is looked at, so the same text can be traced.
+    # select() over all entries instead of a search, so that the same text can be traced.
     value = values[0]
     for i in range(times.shape[0]):
         value = select(t >= times[i], values[i] + slopes[i] * (t - times[i]), value)
@@ -206,7 +206,7 @@ class Table(Source):
             )
         if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
             raise ModelError(
-                "Table needs finite values at strictly rising times; sort the data and drop what is missing."
+                "Table needs finite values at strictly rising times; sort the data and drop missing values."
             )
         object.__setattr__(self, "times", tuple(times.tolist()))
         object.__setattr__(self, "values", tuple(values.tolist()))

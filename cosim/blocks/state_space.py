@@ -1,4 +1,4 @@
-"""Systems of python-control as blocks: linear ones compiled, nonlinear ones through their own Python functions."""
+"""Systems of python-control as blocks: linear systems compiled, nonlinear systems by their own Python functions."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
 logger = logging.getLogger("bayesftc.state_space")
-logger.addHandler(logging.NullHandler())  # else logging prints warnings where nobody has set it up
+logger.addHandler(logging.NullHandler())  # without a handler, logging prints warnings to stderr
 
 NOISE = "process_noise"
 
 if TYPE_CHECKING:
     Vector = ArrayLike
     Matrix = ArrayLike
-else:  # at run time the form that a scenario file is checked against
+else:  # at run time: the types that scenario files are checked against
     Vector, Matrix = Sequence[float], Sequence[Sequence[float]]
 
 
-# The names below begin with system_, as no one would name a signal: a port and a state of a block cannot share a name.
+# A port and a state of a block cannot share a name. The names below begin with system_, which no signal is likely to do.
 
 
 def _plus_row(total, matrix, i, vector):
@@ -67,36 +67,36 @@ def _update(inputs, system_x, system_next, system_a, system_b):
 class StateSpace(Block):
     """A system of python-control as a block: each of its signals becomes a scalar port.
 
-    A continuous linear system is discretised exactly at the block's step, its inputs held in between (zero-order hold); a
-    continuous nonlinear one is integrated over each step by ``scipy.integrate.solve_ivp``. A discrete system runs at its own
-    sample time only. Linear systems run in compiled code; nonlinear ones call back into Python, so that the whole diagram
-    runs interpreted.
+    A continuous linear system is discretised exactly at the block's step, with its inputs held during a step (zero-order
+    hold). A continuous nonlinear system is integrated over each step by ``scipy.integrate.solve_ivp``. A discrete system runs at
+    its own sample time only. Linear systems run in compiled code. Nonlinear systems call back into Python, so that the whole
+    diagram runs interpreted.
 
-    Ports are called as the signals were named; signals without names are called ``u`` and ``y``, or ``u0``, ``u1`` and so on.
+    Ports have the names of the signals. Signals without names are called ``u`` and ``y``, or ``u0``, ``u1`` and so on.
 
     Parameters
     ----------
     system : control.StateSpace, control.TransferFunction, control.NonlinearIOSystem or LinearSystem
-        What to run; an ``InterconnectedSystem`` is one of these. After construction a linear one is a `LinearSystem`.
+        The system; an ``InterconnectedSystem`` is one of these. After construction a linear system is a `LinearSystem`.
     initial : sequence of float, optional
         Initial state, n numbers; zeros by default.
     process_noise : matrix of float, optional
-        Covariance, n x n, of Gaussian noise that is added to the state at every step (per step, whatever its length). The
-        block then has a random input ``process_noise`` of n independent standard normal numbers.
+        Covariance, n x n, of Gaussian noise that is added to the state at every step, for any step size. The block then has
+        a random input ``process_noise`` of n independent standard normal numbers.
     feedthrough : bool or sequence of str
-        Of a nonlinear system: whether its outputs depend on its inputs at the same instant; or the names of the inputs on
-        which they do. Linear systems say so themselves, in D.
+        For nonlinear systems: whether the outputs depend on the inputs at the same instant, or the names of the inputs on
+        which they do. For linear systems D determines this.
     params : mapping, optional
-        Of a nonlinear system: values handed to its functions.
+        For nonlinear systems: values that are passed to the system's functions.
     method, rtol, atol : str, float, float
-        Of a continuous nonlinear system: solver and tolerances of ``solve_ivp``.
+        For continuous nonlinear systems: solver and tolerances of ``solve_ivp``.
 
     Raises
     ------
     ModelError
         If the system is none of these, or sizes do not fit.
     StepSizeError
-        When a discrete system is run at another step than its own.
+        If a discrete system is run at a step other than its sample time.
 
     Examples
     --------
@@ -124,8 +124,8 @@ class StateSpace(Block):
             set_(self, "system", normalised(self.system))
         if isinstance(self.system, LinearSystem) and (self.feedthrough is not True or self.params is not None):
             raise ModelError(
-                "StateSpace has feedthrough=... or params=... for a linear system, which has its feedthrough in D and no "
-                "parameters; leave them out."
+                "StateSpace has feedthrough=... or params=... for a linear system; leave them out. The matrix D determines "
+                "the feedthrough."
             )
         if isinstance(self.feedthrough, bool):
             names = self._names[0] if self.feedthrough else ()
@@ -151,7 +151,7 @@ class StateSpace(Block):
 
     @property
     def inputs(self) -> tuple[Port, ...]:
-        """A scalar port for each input signal, and ``process_noise`` if there is any."""
+        """A scalar port for each input signal, and ``process_noise`` if it is set."""
         names = self._names[0]
         if isinstance(self.system, LinearSystem):
             feeds = [any(row[j] != 0.0 for row in self.system.D) for j in range(len(names))]
@@ -159,9 +159,9 @@ class StateSpace(Block):
             feeds = [self.feedthrough] * len(names)
         else:
             feeds = [name in self.feedthrough for name in names]
-        said = "Input of the system"
+        text = "Input of the system"
         ports = [
-            Port(name, feedthrough=feed, default=0.0, description=said) for name, feed in zip(names, feeds, strict=True)
+            Port(name, feedthrough=feed, default=0.0, description=text) for name, feed in zip(names, feeds, strict=True)
         ]
         if self.process_noise is not None:
             ports.append(Port(NOISE, (self._states,), feedthrough=False, draw="normal"))
@@ -174,16 +174,16 @@ class StateSpace(Block):
 
     @property
     def sample_time(self) -> Fraction | None:
-        """The system's own sample time in seconds; None where it runs at any."""
+        """The sample time of a discrete system in seconds; None if the system can run at any."""
         dt = self.system.dt
         return None if dt is None or dt is True or dt == 0 else rational_step(float(dt), "The system's sample time")
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        own = self.sample_time
-        if own is not None and own != step:
+        dt = self.sample_time
+        if dt is not None and dt != step:
             raise StepSizeError(
-                f"The discrete system has a sample time of {show(own)} s and cannot run every {show(step)} s; change the "
+                f"The discrete system has a sample time of {show(dt)} s and cannot run every {show(step)} s; change the "
                 "diagram's dt or the block's every=, or convert the system."
             )
         noise = None if self.process_noise is None else _factor(np.array(self.process_noise), self._states)
@@ -220,10 +220,10 @@ class StateSpace(Block):
         system, params = self.system, None if self.params is None else dict(self.params)
         feeds = np.array([port.feedthrough for port in self.inputs if port.name != NOISE], dtype=bool)
         x0, m = np.array(self.initial), len(feeds)
-        _check_claim(system, x0, feeds, params)
+        _check_feedthrough(system, x0, feeds, params)
 
         def output(t, inputs, outputs, system_x):
-            # Inputs that do not feed through are not known yet; zeros keep a run the same in any order of blocks.
+            # Inputs without feedthrough are not computed yet. Zeros make the result independent of the order of blocks.
             outputs[:] = system.output(t, system_x, np.where(feeds, inputs[:m], 0.0), params)
 
         def update(t, inputs, system_x):
@@ -245,8 +245,8 @@ class StateSpace(Block):
 
         solution = solve_ivp(rhs, (t, t + h), x, method=self.method, rtol=self.rtol, atol=self.atol)
         if not solution.success:
-            # NaN stops the run at the next instant, with the signals so far; the log says why.
-            logger.warning("The solver gave up between t = %g s and %g s: %s", t, t + h, solution.message)
+            # NaN stops the run at the next instant, with the signals so far; the log has the reason.
+            logger.warning("The solver failed between t = %g s and %g s: %s", t, t + h, solution.message)
             return np.full(len(x), np.nan)
         end: Floats = solution.y[:, -1]
         return end
@@ -255,12 +255,12 @@ class StateSpace(Block):
 def _factor(covariance: ArrayLike, n: int) -> Floats:
     """Return the lower triangular L with ``L L' = covariance``, which may be singular.
 
-    Unlike an eigenvector, it has no sign to choose, so the noise is the same on every machine.
+    Unlike eigenvectors, L has no arbitrary signs, so the noise is the same on every machine.
     """
     q = np.asarray(covariance, dtype=np.float64)
     if n == 0 or q.shape != (n, n) or not np.isfinite(q).all():
         raise ModelError(
-            f"StateSpace has a process_noise of shape {q.shape}; its {n} states take {n} x {n} finite numbers."
+            f"StateSpace has a process_noise of shape {q.shape}; for {n} states it must be {n} x {n} finite numbers."
         )
     scale = float(np.abs(q).max(initial=0.0))
     lower = np.zeros((n, n))
@@ -271,25 +271,25 @@ def _factor(covariance: ArrayLike, n: int) -> Floats:
             lower[j + 1 :, j] = (q[j + 1 :, j] - lower[j + 1 :, :j] @ lower[j, :j]) / lower[j, j]
     if not np.allclose(lower @ lower.T, q, rtol=0.0, atol=1e-9 * scale):
         raise ModelError(
-            "StateSpace has a process_noise that is no covariance; it must be symmetric, without negative eigenvalues."
+            "StateSpace has a process_noise that is not a covariance; it must be symmetric, without negative eigenvalues."
         )
     return lower
 
 
-def _check_claim(
+def _check_feedthrough(
     system: Any, x: Floats, feeds: np.ndarray[Any, np.dtype[np.bool_]], params: dict[str, Any] | None
 ) -> None:
-    """Refuse a system that depends at once on an input of which it was said that it does not."""
+    """Refuse a system whose outputs depend directly on an input that is declared without feedthrough."""
     at_rest = np.asarray(system.output(0.0, x, np.zeros(len(feeds)), params), dtype=np.float64)
     if at_rest.shape != (system.noutputs,):
         raise ModelError(
-            f"The system's output function returns {at_rest.shape} numbers, not one for each of {system.noutputs}."
+            f"The system's output function returns an array of shape {at_rest.shape}; it must return {system.noutputs} numbers."
         )
     moved = np.asarray(system.output(0.0, x, np.where(feeds, 0.0, 1.0), params), dtype=np.float64)
     if not np.array_equal(at_rest, moved, equal_nan=True):
         raise ModelError(
-            "StateSpace has a feedthrough=... that leaves out inputs on which the outputs depend at the same instant; "
-            "name these inputs, or leave it at True."
+            "StateSpace has a feedthrough=... that lacks inputs on which the outputs depend at the same instant; "
+            "add these inputs, or use feedthrough=True."
         )
 
 

@@ -134,7 +134,7 @@ def test_failures_are_sentences(force, mass, sentence, engine):
 
 
 def test_a_table_that_is_too_long_overwrites_nothing():
-    with pytest.raises(cosim.KernelError, match="table of 'cart', a Cart, has 33 words, and there is room for 32"):
+    with pytest.raises(cosim.KernelError, match="table of 'cart', a Cart, has 33 words, but the limit is 32"):
         pushed(words=33).simulate(1.0)
     assert pushed(words=32).simulate(1.0)["cart.x"][-1] == pushed().simulate(1.0)["cart.x"][-1]
 
@@ -196,7 +196,7 @@ def test_an_instance_that_lacks_something_is_refused():
     diagram = cosim.Diagram(DT)
     diagram.add(Sparse(), "cart")
     with pytest.raises(
-        cosim.KernelError, match=r"What Sparse has instantiated, a Sparse, lacks expect_return and has_ended;"
+        cosim.KernelError, match=r"The instance of Sparse, a Sparse, lacks expect_return and has_ended;"
     ):
         diagram.simulate(0.1)
     assert closed == ["cart"]
@@ -205,10 +205,10 @@ def test_an_instance_that_lacks_something_is_refused():
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 def test_an_instance_may_end_the_simulation(monkeypatch, engine):
     monkeypatch.setattr(RunningCart, "has_ended", True)
-    with pytest.warns(UserWarning, match="as 'cart' wanted") as caught:
+    with pytest.warns(UserWarning, match="as 'cart' requested") as caught:
         result = pushed(force=2e3).simulate(1.0, engine=engine)
-    with pushed(force=2e3).start(engine=engine) as session, pytest.warns(UserWarning, match="wanted") as live:
+    with pushed(force=2e3).start(engine=engine) as session, pytest.warns(UserWarning, match="requested") as live:
         session.advance(1.0)
     assert [warning.filename for warning in (*caught, *live)] == [__file__] * 2
-    assert result.stopped == "The run has ended at t = 0 s (step 0), as 'cart' wanted. The force is absurd."
+    assert result.stopped == "The run has ended at t = 0 s (step 0), as 'cart' requested. The force is absurd."
     assert len(result.time) == 1

@@ -1,4 +1,4 @@
-"""What all faults have in common: the channel, when they are present, ports and state."""
+"""The base of all faults: channel, time window, ports and state."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ class Fault(Block):
     """Base of all faults.
 
     Input ``u``, outputs ``y`` (both of shape (channels,)) and ``active`` (1 while the fault is present, else 0). While
-    the fault is absent, ``y`` is ``u`` (a negative zero becomes a positive one); the other channels always are. A
-    missing sample (NaN) passes through like any other, and does not disturb when the fault comes and goes.
+    the fault is absent, ``y`` is ``u`` (a negative zero becomes a positive one). The other channels are always unchanged. A
+    missing sample (NaN) passes through like any other, and does not change when the fault begins and ends.
 
     Parameters
     ----------
     sensor : int
-        Number of the channel, from 0; of a plant's input that is a scalar, 0.
+        Number of the channel, from 0; 0 for a scalar input of a plant.
     start, stop : float
         Seconds. The fault can be present while start <= t < stop.
     mean_time_to_fault, mean_time_to_recovery : float, optional
-        Seconds, both or neither. If given, the fault comes and goes at random in that window: at every step with the
-        probabilities step / mean_time_to_fault and step / mean_time_to_recovery. Else it is present all the while.
+        Seconds, both or neither. If given, the fault begins and ends at random in that window: at every step with the
+        probabilities step / mean_time_to_fault and step / mean_time_to_recovery. Else it is present in the whole window.
     channels : int, optional
-        Length of the signal; `closed_loop` fills it in.
+        Length of the signal; `closed_loop` sets it.
     name : str, optional
-        Name in the diagram, by default kind and channel (``freeze_0``). It decides the random numbers, so they depend
-        neither on the order of the faults nor on how many there are.
+        Name in the diagram, by default kind and channel (``freeze_0``). The random numbers depend on this name, and not on
+        the order or the number of the faults.
 
     Raises
     ------
     ModelError
-        If a setting cannot be right.
+        If a setting is wrong.
     """
 
     value: ClassVar[Callable[..., Any]]
@@ -76,18 +76,18 @@ class Fault(Block):
             raise ModelError(f"{kind} has channels={brief(self.channels)}; it must be a whole number, at least 1.")
         if self.channels is not None and self.sensor >= self.channels:
             raise ModelError(
-                f"{kind} is to befall sensor {self.sensor}, but there are {self.channels}, numbered from 0; "
-                f"take a number up to {self.channels - 1}."
+                f"{kind} refers to sensor {self.sensor}, but there are {self.channels}, numbered from 0; "
+                f"use a number up to {self.channels - 1}."
             )
         start = real(self.start)
         if not isfinite(start) or not start < real(self.stop):
             raise ModelError(
-                f"{kind} has start={brief(self.start)} and stop={brief(self.stop)}; it must start, at a finite time, "
-                "before it stops."
+                f"{kind} has start={brief(self.start)} and stop={brief(self.stop)}; the start must be finite and before "
+                "the stop."
             )
         if (self.mean_time_to_fault is None) != (self.mean_time_to_recovery is None):
             raise ModelError(
-                f"{kind} needs both mean_time_to_fault and mean_time_to_recovery, or neither; add the other."
+                f"{kind} has only one of mean_time_to_fault and mean_time_to_recovery; give both or neither."
             )
         for which in ("mean_time_to_fault", "mean_time_to_recovery"):
             mean = getattr(self, which)
@@ -96,9 +96,9 @@ class Fault(Block):
         self.check()
 
     def check(self) -> None:
-        """Raise a ModelError if one of the kind's own settings cannot be right."""
-        own = [f.name for f in fields(self) if f.name not in COMMON]
-        for name, value in zip(own, self.settings, strict=True):
+        """Raise a ModelError if one of the settings of this kind is wrong."""
+        names = [f.name for f in fields(self) if f.name not in COMMON]
+        for name, value in zip(names, self.settings, strict=True):
             if not isfinite(value):
                 raise ModelError(
                     f"{type(self).__name__} has {name}={brief(getattr(self, name))}; it must be a finite number."
@@ -106,31 +106,31 @@ class Fault(Block):
 
     @property
     def settings(self) -> tuple[float, ...]:
-        """The kind's own settings in the order of its fields."""
-        own = (getattr(self, f.name) for f in fields(self) if f.name not in COMMON)
-        return tuple(float(value) if isinstance(value, bool) else real(value) for value in own)
+        """The settings of this kind alone, in the order of its fields."""
+        values = (getattr(self, f.name) for f in fields(self) if f.name not in COMMON)
+        return tuple(float(value) if isinstance(value, bool) else real(value) for value in values)
 
     def numbers(self, step: Fraction) -> tuple[float, ...]:
-        """Return the settings as the kind's function finds them, at a sample time of `step` seconds."""
+        """Return the settings as the value function of this kind gets them, at a sample time of `step` seconds."""
         return self.settings
 
     def memory(self, step: Fraction) -> int:
-        """Return how many numbers the kind remembers, if it does."""
+        """Return how many numbers the value function keeps, if ``remembers`` is true."""
         return 1
 
     @classmethod
     def kernel(cls) -> Callable[..., Any]:
-        """Return the kind's function, with a memory."""
+        """Return the value function of this kind, with an argument ``memory``."""
         return cls.value if cls.remembers else kernels.without_memory(cls.value)
 
     @property
     def default_name(self) -> str:
-        """The name that was given, else kind and channel, as ``noise_increase_1``."""
+        """The given name, else kind and channel, such as ``noise_increase_1``."""
         return self.name or re.sub(r"(?<!^)(?=[A-Z])", "_", type(self).__name__).lower() + f"_{self.sensor}"
 
     @property
     def inputs(self) -> tuple[Port, ...]:
-        """Input ``u``, and the random inputs that this fault uses."""
+        """Input ``u``, and the random inputs of this fault."""
         used = (*self.draws, *(() if self.mean_time_to_fault is None else ("transition",)))
         return (self.signal, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
 
@@ -143,7 +143,7 @@ class Fault(Block):
     def outputs(self) -> tuple[Port, ...]:
         """Outputs ``y`` and ``active``."""
         return (
-            Port("y", self.shape, description="The signal, one of its channels faulty while the fault is present"),
+            Port("y", self.shape, description="The signal; one channel is faulty while the fault is present"),
             Port("active", description="1 while the fault is present, else 0"),
         )
 
@@ -169,13 +169,13 @@ class Fault(Block):
         """Shape of ``u`` and ``y``."""
         if self.channels is None:
             raise ModelError(
-                f"{type(self).__name__} does not know the length of its signal; give it channels=..., or put it "
+                f"{type(self).__name__} has no length of its signal; give it channels=..., or put it "
                 "into the list of faults of closed_loop."
             )
         return (self.channels,)
 
     def common_parameters(self, step: Fraction) -> dict[str, ArrayLike]:
-        """Return what the step functions of all faults need, at a sample time of `step` seconds."""
+        """Return the parameters of the step functions of all faults, at a sample time of `step` seconds."""
         hazard = [1.0, 0.0]
         if self.mean_time_to_fault is not None and self.mean_time_to_recovery is not None:
             hazard = [float(step) / self.mean_time_to_fault, float(step) / self.mean_time_to_recovery]
@@ -191,7 +191,7 @@ class Fault(Block):
             "window": [self.start, self.stop],
             "hazard": hazard,
             "step": float(step),
-            **{name: 0.5 for name in DRAWS if name not in inputs},  # what is not drawn is a constant of the same name
+            **{name: 0.5 for name in DRAWS if name not in inputs},  # a constant replaces each number that is not drawn
         }
 
 

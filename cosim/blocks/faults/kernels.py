@@ -1,11 +1,12 @@
-"""Step functions of the faults: one gate for all, and for each kind the value that a faulty sensor shows.
+"""Step functions of the faults: one gate for all, and for each kind the value of a faulty channel.
 
-A kind is a function ``(sample, held, age, chance, noise, settings) -> value`` of scalars: the sample that comes in, the
-last one before the onset, seconds since the onset, a number uniform in (0, 1), a standard normal number, and the kind's
-own settings (an array in the order of its fields). A kind that remembers has a seventh argument, ``memory``: an array that is
-all zeros at first and its own to write to. Every kind is computed at every step, whether it is present or not,
-and ``select`` drops what is not wanted, even a NaN or infinity; so a kind may return anything, but never raises. ``age`` is 0 at
-the onset and while the fault is absent.
+A kind is a value function ``(sample, held, age, chance, noise, settings) -> value`` of scalars: the present sample, the last
+sample before the onset, seconds since the onset, a number uniform in (0, 1), a standard normal number, and the settings of the
+kind (an array in the order of its fields). ``age`` is 0 at the onset and while the fault is absent. A kind that remembers has a
+seventh argument, ``memory``: an array that it may write to, zeros at first.
+
+Every kind is computed at every step, whether the fault is present or not. ``select`` then drops the value if it is not needed,
+even a NaN or infinity. So the function may return any number, but must never raise.
 """
 
 from collections.abc import Callable
@@ -21,7 +22,7 @@ Value = Callable[..., Any]
 
 NAN = float("nan")
 TAU = tau
-HALF = 0.5  # states that mean yes or no are 1.0 or 0.0; a comparison with the middle cannot be missed
+HALF = 0.5  # a state for yes or no is 1.0 or 0.0; comparing it with the middle is safe
 
 
 def frozen(sample, held, age, chance, noise, settings):
@@ -30,7 +31,7 @@ def frozen(sample, held, age, chance, noise, settings):
 
 
 def stuck(sample, held, age, chance, noise, settings):
-    """Show a given value; settings: at."""
+    """Return a constant value; settings: at."""
     return settings[0]
 
 
@@ -45,7 +46,7 @@ def biased(sample, held, age, chance, noise, settings):
 
 
 def drifted(sample, held, age, chance, noise, settings):
-    """Add what has grown since the onset; settings: slope."""
+    """Add an offset that grows from the onset on; settings: slope."""
     return sample + settings[0] * age
 
 
@@ -60,7 +61,7 @@ def dropped(sample, held, age, chance, noise, settings):
 
 
 def spiked(sample, held, age, chance, noise, settings):
-    """Add a jump now and then; settings: magnitude, probability, random_size."""
+    """Add an outlier at random steps; settings: magnitude, probability, random_size."""
     size = select(settings[2] > HALF, noise, select(noise < 0.0, -1.0, 1.0))
     return select(chance < settings[1], sample + settings[0] * size, sample)
 
@@ -71,12 +72,12 @@ def noisier(sample, held, age, chance, noise, settings):
 
 
 def ageing(sample, held, age, chance, noise, settings):
-    """Add normal noise that grows since the onset; settings: slope."""
+    """Add normal noise that grows from the onset on; settings: slope."""
     return sample + settings[0] * age * noise
 
 
 def clipped(sample, held, age, chance, noise, settings):
-    """Keep within limits, a missing sample as it is; settings: low, high."""
+    """Limit to a range, but keep missing samples; settings: low, high."""
     return select(sample == sample, maximum(minimum(sample, settings[1]), settings[0]), sample)
 
 
@@ -86,7 +87,7 @@ def rounded(sample, held, age, chance, noise, settings):
 
 
 def lagging(sample, held, age, chance, noise, settings, memory):
-    """Follow from the last sample before the onset; settings: share of the way in a step; memory: where it is, if finite."""
+    """Follow the sample as a low-pass filter; settings: share of the difference per step; memory: the last finite value."""
     last = select(age == 0.0, held, memory[0])
     last = select(last - last == 0.0, last, sample)
     now = last + settings[0] * (sample - last)
@@ -95,7 +96,7 @@ def lagging(sample, held, age, chance, noise, settings, memory):
 
 
 def delayed(sample, held, age, chance, noise, settings, memory):
-    """Show an earlier sample; settings: steps; memory: whether it has begun, then samples, the newest last."""
+    """Return an earlier sample; settings: steps; memory: 1 after the first step, then samples, the newest last."""
     newest = memory.shape[0] - 1
     value = sample
     for i in range(1, newest):
@@ -109,7 +110,7 @@ def delayed(sample, held, age, chance, noise, settings, memory):
 
 @cache
 def without_memory(kind: Value) -> Value:
-    """Return a kind that remembers nothing with the arguments of one that does."""
+    """Return a value function without memory with the arguments of one with memory."""
 
     def value(sample, held, age, chance, noise, settings, memory):
         return kind(sample, held, age, chance, noise, settings)
@@ -118,10 +119,10 @@ def without_memory(kind: Value) -> Value:
 
 
 def gate(t, transition, course):
-    """Let the fault come and go.
+    """Determine whether the fault is present.
 
-    Within the window (start <= t < stop) it comes with probability ``hazard[0]`` and goes with ``hazard[1]`` at each
-    step; a fault that is only scheduled has 1 and 0. ``age`` counts the steps since the onset.
+    Within the window (start <= t < stop) the fault begins with probability ``hazard[0]`` and ends with ``hazard[1]`` at each
+    step. A scheduled fault has 1 and 0. ``age`` counts the steps since the onset.
     """
     window, hazard, _, on, age = course
     stays = select(transition[0] < hazard[1], 0.0, 1.0)
@@ -132,7 +133,7 @@ def gate(t, transition, course):
 
 
 def element(u, channel):
-    """Return the element of `u` whose number is in ``channel[0]``; a NaN in another one does no harm."""
+    """Return the element of `u` whose number is in ``channel[0]``; a NaN in another element has no effect."""
     value = select(channel[0] == 0, u[0], 0.0)
     for i in range(1, u.shape[0]):
         value = select(channel[0] == i, u[i], value)
@@ -140,13 +141,13 @@ def element(u, channel):
 
 
 def replace(u, channel, value, y):
-    """Copy `u` to `y` with one element exchanged."""
+    """Copy `u` to `y` with one element replaced."""
     for i in range(u.shape[0]):
         y[i] = select(channel[0] == i, value, u[i])
 
 
 class Draws(NamedTuple):
-    """Random numbers of a step: of coming and going, uniform and normal ones of the fault itself, and of its kind."""
+    """Random numbers of a step: for begin and end, uniform and normal numbers of the fault, and for the choice of its kind."""
 
     transition: Floats
     chance: Floats
@@ -155,7 +156,7 @@ class Draws(NamedTuple):
 
 
 class Course(NamedTuple):
-    """When the fault may be there, the probabilities of coming and going, the step, whether it is on, and for how many steps."""
+    """Window of the fault, probabilities of begin and end, step size, whether the fault is present, and since how many steps."""
 
     window: Floats
     hazard: Floats
@@ -165,7 +166,7 @@ class Course(NamedTuple):
 
 
 class Kinds(NamedTuple):
-    """Which kind there is now, by the ``shares`` of each, and a row of settings and of memory for each."""
+    """Cumulative ``shares`` of the kinds, the present kind, and a row of settings and of memory for each kind."""
 
     shares: Floats
     chosen: Floats
@@ -179,7 +180,7 @@ ONE, SEVERAL = named_alike(Draws, pick="chance"), named_alike(Draws)
 
 @cache
 def one_kind(kind: Value) -> Kernel:
-    """Return the step function of a fault of one kind, which takes a memory; ``settings`` and ``memory`` have one row."""
+    """Return the step function of a fault of one kind, which has a memory; ``settings`` and ``memory`` have one row."""
 
     def fault(t, k, u, channel, draws, course, settings, memory, held, y, active):
         on, age = course.on, course.age
@@ -231,7 +232,7 @@ def _numbered(kinds: tuple[Value, ...], last: int) -> Value:
     others = _numbered(kinds, last - 1)
 
     def value(number, sample, held, age, chance, noise, settings, memory):
-        mine = this(sample, held, age, chance, noise, settings[last], memory[last])
-        return select(number == last, mine, others(number, sample, held, age, chance, noise, settings, memory))
+        result = this(sample, held, age, chance, noise, settings[last], memory[last])
+        return select(number == last, result, others(number, sample, held, age, chance, noise, settings, memory))
 
     return value

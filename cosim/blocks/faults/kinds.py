@@ -1,27 +1,26 @@
-"""Faults as modifiers of one channel of a signal: what reaches its reader is no longer what was said.
+"""Faults as blocks that change one channel of a signal on its way to the receiver.
 
-A fault stands between a signal and its reader, and touches one channel: between sensors and controller it is a sensor's fault,
-between controller and plant an actuator's, between a disturbance and the plant one of the process (`closed_loop` has a place for
-each). What it stands behind knows nothing of it: a controller believes in the control that it sent. Several are chained. A
-fault is *scheduled* (present while ``start <= t < stop``) or comes and goes at *random* in that window, as a two-state Markov
-chain. Its output ``active`` is the ground truth that a detector is judged by.
+Between sensors and controller a fault is a sensor fault, between controller and plant an actuator fault, between a disturbance
+and the plant a process fault. `closed_loop` has a setting for each. Nothing tells the sender about the fault: the controller
+computes with the control that it sent. Several faults of a signal are chained. A fault is *scheduled* (present while
+``start <= t < stop``), or begins and ends at *random* in that window, as a two-state Markov chain. Its output ``active`` is the
+ground truth for judging a detector.
 
 To add a kind of fault you must:
 
-1. write in ``kernels.py`` the value that a faulty channel shows, ``value(sample, held, age, chance, noise,
-   settings)``, by the rules for step functions (`Block`);
-2. write here a frozen, keyword-only dataclass derived from `Fault` whose fields, numbers all, are the settings in the
-   order in which the function finds them, with ``value = staticmethod(...)``; a field's metadata has its unit, ``{u}`` that
-   of the signal;
-3. name in its ``draws`` the random numbers that it uses: ``"chance"`` (uniform in (0, 1)), ``"noise"`` (standard
+1. write in ``kernels.py`` the function ``value(sample, held, age, chance, noise, settings)``, which returns the value of the
+   faulty channel, by the rules for step functions (`Block`);
+2. write here a frozen, keyword-only dataclass derived from `Fault`, with ``value = staticmethod(...)``. Its fields are
+   numbers, the settings in the order of the function. A field's metadata has its unit; ``{u}`` is that of the signal;
+3. list in its ``draws`` the random numbers that it uses: ``"chance"`` (uniform in (0, 1)), ``"noise"`` (standard
    normal);
-4. if what it shows depends on earlier samples, set ``remembers = True``, return from ``memory(step)`` how many numbers it keeps,
-   and give the function a seventh argument ``memory``; override ``numbers`` if it wants its settings in steps;
-5. override ``check`` where a setting can be wrong in other ways than not being finite;
+4. if the value depends on earlier samples, set ``remembers = True``, return from ``memory(step)`` how many numbers it keeps,
+   and give the function a seventh argument ``memory``. Override ``numbers`` if the function needs settings in steps;
+5. override ``check`` if settings must be more than finite numbers;
 6. put it into `FAULTS`, before `RandomFaults`, and into ``cosim/__init__.pyi``; with its formula in NumPy into the list of
    ``tests/cosim/blocks/faults/test_faults.py``, and into `KINDS` of ``reproduce/experiments/family/unseen.py``.
 
-Random, scheduled and mixed faults, both engines and scenario files then have it.
+It is then available in random, scheduled and mixed faults, both engines and scenario files.
 """
 
 from __future__ import annotations
@@ -41,14 +40,14 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
 MOST_DELAY = 10_000_000
-"""Samples that a `Delay` keeps: 80 MB."""
+"""Largest number of samples in a `Delay`: 80 MB."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Freeze(Fault):
-    """The channel keeps, to the bit, the last sample before the onset, also a missing one.
+    """The channel keeps the last sample before the onset, to the bit, also a missing one.
 
-    Present from the first step on, it keeps the first sample.
+    If the fault is present from the first step on, the channel keeps the first sample.
     """
 
     value = staticmethod(kernels.frozen)
@@ -56,12 +55,12 @@ class Freeze(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Stuck(Fault):
-    """The channel shows the value `at`, whatever comes in: a sensor at the end of its range, an actuator that is shut (0).
+    """The channel has the constant value `at`: a sensor at the end of its range, an actuator that is shut (0).
 
     Parameters
     ----------
     at : float
-        What the channel shows.
+        Value of the channel.
     """
 
     at: float = field(metadata={"unit": "{u}"})
@@ -77,13 +76,13 @@ class Injection(Fault):
     Parameters
     ----------
     magnitude : float
-        The constant part of what is added.
+        Constant part of the added signal.
     amplitude : float
-        How far the rest of it swings to either side.
+        Amplitude of the sine.
     period : float
-        Seconds. From one crest to the next.
+        Seconds. From one maximum to the next.
     phase : float
-        Radians. Where in its swing it begins.
+        Radians. Phase at the onset.
     """
 
     magnitude: float = field(default=0.0, metadata={"unit": "{u}"})
@@ -101,12 +100,12 @@ class Injection(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Bias(Fault):
-    """A sensor with a constant offset, `magnitude`: from the very beginning, unless it has a start.
+    """A constant offset, `magnitude`, is added: from the beginning, or from `start` on.
 
     Parameters
     ----------
     magnitude : float
-        What is added.
+        The offset.
     """
 
     magnitude: float = field(metadata={"unit": "{u}"})
@@ -117,8 +116,8 @@ class Bias(Fault):
 class Drift(Fault):
     """An offset that grows by `slope` each second.
 
-    It is ``slope * age``; the age is the number of steps since the onset times the step, so the first faulty sample is
-    still right.
+    The offset is ``slope * age``. The age is the number of steps since the onset times the step size, so the first faulty
+    sample is still right.
 
     Parameters
     ----------
@@ -132,12 +131,12 @@ class Drift(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class GainFault(Fault):
-    """The sample times `factor`; of an actuator, a loss of effectiveness (a factor below 1).
+    """The sample is multiplied by `factor`. For an actuator, a factor below 1 is a loss of effectiveness.
 
     Parameters
     ----------
     factor : float
-        What the sample is multiplied with.
+        The factor.
     """
 
     factor: float
@@ -146,7 +145,7 @@ class GainFault(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Dropout(Fault):
-    """No sample: NaN."""
+    """Samples are missing: NaN."""
 
     value = staticmethod(kernels.dropped)
 
@@ -155,15 +154,15 @@ class Dropout(Fault):
 class Spikes(Fault):
     """Outliers: at each step, with `probability`, `magnitude` is added with a random sign.
 
-    With ``random_size`` each outlier is `magnitude` times a standard normal number instead. Two numbers are drawn a
-    step, a uniform and a normal one, whether there is an outlier or not. ``active`` is 1 between outliers as well.
+    With ``random_size`` each outlier is `magnitude` times a standard normal number instead. A uniform and a normal number are
+    drawn at each step, whether there is an outlier or not. ``active`` is 1 between outliers as well.
 
     Parameters
     ----------
     magnitude : float
         Size of an outlier.
     probability : float
-        Of an outlier at a step, from 0 to 1.
+        Probability of an outlier at a step, from 0 to 1.
     random_size : bool
         Whether sizes are normal numbers.
     """
@@ -183,12 +182,12 @@ class Spikes(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseIncrease(Fault):
-    """Normal noise of standard deviation `std` on top of the sensor's own: the variances add.
+    """Normal noise of standard deviation `std` is added to the sensor's noise: the variances add.
 
     Parameters
     ----------
     std : float
-        Standard deviation of what is added.
+        Standard deviation of the added noise.
     """
 
     std: float = field(metadata={"unit": "{u}"})
@@ -204,9 +203,9 @@ class NoiseIncrease(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseGrowth(Fault):
-    """Normal noise on top of the sensor's own, whose standard deviation grows by `slope` each second: a sensor that ages.
+    """Normal noise is added whose standard deviation grows by `slope` each second: a sensor that ages.
 
-    The age counts from the onset, in whole steps; the variances add.
+    The age counts from the onset, in whole steps. The variances of this noise and of the sensor's noise add.
 
     Parameters
     ----------
@@ -227,7 +226,7 @@ class NoiseGrowth(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Clipping(Fault):
-    """The sample where it is within limits, else the nearer limit: a sensor that saturates.
+    """Samples are limited to the range from `low` to `high`: a sensor that saturates.
 
     Parameters
     ----------
@@ -247,7 +246,7 @@ class Clipping(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Rounding(Fault):
-    """The nearest whole multiple of `resolution`, halves up, as of `Sensors`: a sensor that has become coarse.
+    """Samples are rounded to whole multiples of `resolution`, halves up: a sensor that has become coarse.
 
     Parameters
     ----------
@@ -267,10 +266,10 @@ class Rounding(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Lag(Fault):
-    """The channel follows slowly, as a low-pass filter of first order that begins at the last sample before the onset.
+    """The channel is a low-pass filter of first order that starts at the last sample before the onset.
 
-    Each step it goes a share ``1 - exp(-step / time_constant)`` of the way to the sample. A sample that is
-    missing, or not finite, is shown as it is and does not move it.
+    At each step it moves by a share ``1 - exp(-step / time_constant)`` of the difference towards the sample. A sample that is
+    missing or not finite passes through and does not change the filter's state.
 
     Parameters
     ----------
@@ -295,7 +294,7 @@ class Lag(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Delay(Fault):
-    """The channel shows an earlier sample; until there is one, the first.
+    """The channel has the sample of `delay` seconds ago, and at first the first sample.
 
     Parameters
     ----------
@@ -318,8 +317,8 @@ class Delay(Fault):
         steps = self.delay / float(step)
         if steps > MOST_DELAY:
             raise ModelError(
-                f"Delay has delay={self.delay!r}, which is {steps:.3g} steps; it remembers {MOST_DELAY:,} at most. A fault that "
-                "shows the first sample for ever is a Freeze."
+                f"Delay has delay={self.delay!r}, which is {steps:.3g} steps; use at most {MOST_DELAY:,}. A fault that "
+                "keeps the first sample for ever is a Freeze."
             )
         return (float(round(steps)),)
 
@@ -330,21 +329,21 @@ class Delay(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomFaults(Fault):
-    """Faults of several kinds, one at a time: whenever the fault comes, its kind is drawn.
+    """Faults of several kinds, one at a time: at each onset the kind is drawn.
 
-    A further output ``kind`` is the number of the kind that is present, -1 for none.
+    A further output ``kind`` is the number of the present kind, -1 for none.
 
     Parameters
     ----------
     kinds : sequence of Fault
-        What can come. Only each kind's own settings count: sensor, window, mean times and name are those of the whole.
+        The kinds. Sensor, window, mean times and name are settings of the `RandomFaults`, not of a kind.
     weights : sequence of float, optional
-        How often each kind comes, in any unit; by default all equally often.
+        Relative frequencies of the kinds, in any unit; by default all are equal.
 
     Raises
     ------
     ModelError
-        If a setting cannot be right, or a kind has a window, mean times or name of its own.
+        If a setting is wrong, or a kind has its own sensor, window, mean times or name.
     """
 
     kinds: Sequence[Fault] = (Freeze(), Injection(magnitude=3.0), Drift(slope=5.0))
@@ -356,14 +355,16 @@ class RandomFaults(Fault):
         """See `Fault.check`."""
         object.__setattr__(self, "kinds", tuple(self.kinds))
         if not self.kinds or not all(isinstance(k, Fault) and not isinstance(k, RandomFaults) for k in self.kinds):
-            raise ModelError("RandomFaults needs at least one kind of fault, as kinds=(Freeze(), Drift(slope=5.0)).")
+            raise ModelError(
+                "RandomFaults needs at least one kind of fault, such as kinds=(Freeze(), Drift(slope=5.0))."
+            )
         for kind in self.kinds:
-            for own in fields(Fault):
-                allowed = {own.default, self.sensor} if own.name == "sensor" else {own.default}
-                if getattr(kind, own.name) not in allowed:
+            for common in fields(Fault):
+                allowed = {common.default, self.sensor} if common.name == "sensor" else {common.default}
+                if getattr(kind, common.name) not in allowed:
                     raise ModelError(
-                        f"RandomFaults has a {type(kind).__name__} with {own.name}={getattr(kind, own.name)!r} "
-                        f"of its own; give {own.name} to RandomFaults itself, or use that {type(kind).__name__} alone."
+                        f"RandomFaults has a {type(kind).__name__} with its own {common.name}={getattr(kind, common.name)!r}; "
+                        f"give {common.name} to RandomFaults itself, or use that {type(kind).__name__} alone."
                     )
         if self.weights is not None:
             weights = reals(self.weights)
@@ -374,19 +375,19 @@ class RandomFaults(Fault):
                 or not weights.any()
             ):
                 raise ModelError(
-                    f"RandomFaults has weights={self.weights!r} for {len(self.kinds)} kinds; give each a number that "
-                    "is not negative, and one at least a positive one."
+                    f"RandomFaults has weights={self.weights!r} for {len(self.kinds)} kinds; give one number for each kind, "
+                    "none negative and at least one positive."
                 )
             object.__setattr__(self, "weights", tuple(weights.tolist()))
 
     @property
     def settings(self) -> tuple[float, ...]:
-        """The settings of all kinds, one after the other."""
+        """The settings of all kinds, one kind after the other."""
         return tuple(value for kind in self.kinds for value in kind.settings)
 
     @property
     def inputs(self) -> tuple[Port, ...]:
-        """Input ``u``, and the random inputs that any of the kinds uses."""
+        """Input ``u``, and the random inputs of all kinds."""
         used = {"pick", "transition"} if self.mean_time_to_fault is not None else {"pick"}
         used |= {name for kind in self.kinds for name in kind.draws}
         return (self.signal, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))

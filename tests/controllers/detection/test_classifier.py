@@ -228,7 +228,7 @@ X, Y = [[0.1], [0.9], [2.0], [0.4]], [0, 1, 1, 0]
         (lambda: FaultClassifier().fit(X, Y).block(0), ModelError, "at least 1"),
         (lambda: FaultClassifier(forest()).fit(X, Y).calibration(), ModelError, "Only a logistic regression"),
         (lambda: FaultClassifier().fit(np.repeat(X, 2, 1), Y).block(2, ("beta", "beta")), ModelError, "each once"),
-        (lambda: car_loop(monitors={"d": FaultClassifier().fit(X, Y)}), ModelError, r"by its method block\(\)"),
+        (lambda: car_loop(monitors={"d": FaultClassifier().fit(X, Y)}), ModelError, r"call the method block\(\)"),
         (lambda: car_loop(monitors={"d": FaultClassifier().fit(X, Y).block(3)}), ConnectionError, "sizes differ"),
         (
             lambda: car_loop(monitors={"d": FaultClassifier().fit(X, Y).block(2, ["betta"])}),

@@ -231,14 +231,14 @@ def test_what_was_not_recorded_is_not_made_up():
     [
         ({"input_faults": {"froce": cosim.Freeze()}}, UnknownNameError, r"no port 'froce'; did you mean 'force'"),
         ({"input_faults": {"v": cosim.Freeze()}}, ConnectionError, r"plant\.v, which is an output; name an input"),
-        ({"input_faults": {"force": "freeze"}}, ModelError, r"faults must be faults such as Freeze"),
+        ({"input_faults": {"force": "freeze"}}, ModelError, r"faults must contain only faults, such as Freeze"),
         ({"input_faults": {"force": ["freeze"]}}, ModelError, r"not 'freeze'"),
         (
             {"input_faults": {"force": cosim.Freeze(sensor=1)}},
             ModelError,
             r"sensor=1 for 'force', which has 1 element,",
         ),
-        ({"input_faults": {"force": cosim.Dropout()}}, ModelError, r"take Stuck\(at=0\.0\)"),
+        ({"input_faults": {"force": cosim.Dropout()}}, ModelError, r"use Stuck\(at=0\.0\)"),
         (
             {"input_faults": {"force": cosim.RandomFaults(kinds=(cosim.Freeze(), cosim.Dropout()))}},
             ModelError,
@@ -247,7 +247,7 @@ def test_what_was_not_recorded_is_not_made_up():
         (
             {"input_faults": {"force": [cosim.Freeze()] * 2}},
             ModelError,
-            r"block 'force_freeze_0' already; give this Freeze",
+            r"already has a block 'force_freeze_0'; give this Freeze",
         ),
         ({"input_faults": [cosim.Freeze()]}, ModelError, r"input_faults=\{'force': "),
     ],
@@ -269,7 +269,7 @@ def test_an_input_without_a_value_cannot_be_at_rest(make_block):
 
     ports = (cosim.Port("force", feedthrough=False), cosim.Port("disturbance", feedthrough=False))
     plant = make_block(inputs=ports, outputs=(cosim.Port("v"),), output=still, name="plant")
-    words = r"plant\.disturbance, which has no control, no noise and no start value; give it a source, as closed_loop\(noise="
+    words = r"plant\.disturbance, which has no control, no noise and no start value; give it a source, such as closed\(noise="
     with pytest.raises(UnconnectedInputError, match=words):
         car(plant, noise=None, input_faults={"disturbance": cosim.Freeze()})
     sources = {"disturbance": cosim.Constant(0.0)}
