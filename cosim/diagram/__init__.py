@@ -1,1 +1,1 @@
-"""Block diagrams: which block stands where, what feeds what, and in which order all is computed."""
+"""Block diagrams: blocks, connections, and the order of computation."""

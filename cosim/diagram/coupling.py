@@ -1,7 +1,6 @@
-"""How FMUs that feed each other are stepped together: whose values each of them sees while it makes its step.
+"""How FMUs that feed each other are stepped together.
 
-An FMU holds its inputs during a step, so a coupling is a choice of the value that is held; docs/coupling.md shows what each
-choice costs and yields.
+An FMU holds its inputs during a step. So a coupling is a choice of the held values. docs/coupling.md compares the choices.
 """
 
 from __future__ import annotations
@@ -23,30 +22,30 @@ HOLDS = ("end", "mean")
 
 @dataclass(frozen=True)
 class Coupling:
-    """How the plants of a diagram that are FMUs are coupled; given to `Diagram.build`.
+    """How FMUs of a diagram that are plants are coupled; for `Diagram.build`.
 
     Parameters
     ----------
     method : {"gauss-seidel", "jacobi", "iterated"}
-        ``"jacobi"``: each FMU holds what the others showed at t_k. ``"gauss-seidel"``: an FMU that is fed directly by one added
-        before it holds what that one shows at t_k+1. ``"iterated"``: steps are repeated from saved states until the values
-        that are held are those that come out at t_k+1 (see `hold`); blocks without a memory between the FMUs (a gain, a sum)
-        are computed along, at t_k+1. Algebraic loops at t_k, through blocks and sampled FMUs, are iterated, too; the other
-        two refuse them.
+        ``"jacobi"``: each FMU holds the outputs of the others at t_k. ``"gauss-seidel"``: an FMU that is fed directly by one
+        added before it holds the output of that FMU at t_k+1. ``"iterated"``: steps are repeated from saved states until the
+        held values agree with the outputs at t_k+1 (see `hold`). Stateless blocks between the FMUs (a gain, a sum) are then
+        also computed at t_k+1. Algebraic loops at t_k, through blocks and sampled FMUs, are iterated, too; the other two
+        methods refuse them.
     tolerance : float
-        The iteration is over when no value ``v`` changes any more by more than ``tolerance * (1 + |v|)``.
+        The iteration ends when no value ``v`` changes by more than ``tolerance * (1 + |v|)``.
     acceleration : {"anderson", "aitken", None}
-        How the next guess follows from the last ones: by Anderson's method over as many guesses as there are values (at most
-        twenty), by Aitken's relaxation (of Irons and Tuck, for vectors), or plainly the values that came out.
+        How the next guess is computed from the last ones: by Anderson's method over as many guesses as there are values (at
+        most twenty), or by Aitken's relaxation (of Irons and Tuck, for vectors). With None it is the computed values.
     iterations : int
         How often a step is repeated before the run stops because it does not converge.
     hold : {"end", "mean"}
-        What an FMU holds during an iterated step: the values at its end (first order, takes energy out), or the mean of those at
-        its beginning and its end (second order, keeps the energy).
+        The values that an FMU holds during an iterated step: those at its end (first order, energy is lost), or the mean of
+        those at its beginning and its end (second order, energy is kept).
     step_error : float, optional
-        With a number, FMUs that are coupled with each other go from t_k to t_k+1 in steps of their own, found by step doubling:
-        as small as needed for the error that one step adds to an output ``y`` to stay below ``step_error * (1 + |y|)``. All other
-        blocks, and results, keep to t_k. By default one step from t_k to t_k+1.
+        With a number, coupled FMUs advance from t_k to t_k+1 in smaller steps, whose size is controlled by step doubling: the
+        error that one step adds to an output ``y`` stays below ``step_error * (1 + |y|)``. All other blocks, and results, keep
+        to t_k. By default one step from t_k to t_k+1.
 
     Raises
     ------
@@ -62,23 +61,23 @@ class Coupling:
     step_error: float | None = None
 
     def __post_init__(self) -> None:
-        for name, known in (("method", METHODS), ("acceleration", ACCELERATIONS), ("hold", HOLDS)):
-            if getattr(self, name) not in known:
-                words = [repr(k) for k in known]
+        for name, allowed in (("method", METHODS), ("acceleration", ACCELERATIONS), ("hold", HOLDS)):
+            if getattr(self, name) not in allowed:
+                words = [repr(value) for value in allowed]
                 what = "coupling is " if name == "method" else f"{name}="
                 raise ModelError(f"{what}{getattr(self, name)!r}; it must be {', '.join(words[:-1])} or {words[-1]}.")
         for name in ("tolerance", "step_error"):
-            given: Any = getattr(self, name)
-            if given is None and name == "step_error":
+            value: Any = getattr(self, name)
+            if value is None and name == "step_error":
                 continue
-            if not 0 < real(given) < inf:
-                raise ModelError(f"{name}={given!r}; it must be a positive number.")
-            object.__setattr__(self, name, float(given))
+            if not 0 < real(value) < inf:
+                raise ModelError(f"{name}={value!r}; it must be a positive number.")
+            object.__setattr__(self, name, float(value))
         if isinstance(self.iterations, bool) or not isinstance(self.iterations, Integral) or self.iterations < 1:
             raise ModelError(f"iterations={self.iterations!r}; it must be a whole number, at least 1.")
         if self.hold == "mean" and self.method != "iterated":
             raise ModelError(
-                f"hold='mean' needs the values at the end of a step, which only iterated coupling knows, not {self.method}."
+                f"hold='mean' works with iterated coupling only, not with {self.method}; use method='iterated' or hold='end'."
             )
 
     @property
@@ -88,5 +87,5 @@ class Coupling:
 
     @property
     def order(self) -> int:
-        """The power of the step size with which the error of a run falls."""
+        """The order of convergence: the power of the step size in the error of a run."""
         return 2 if self.hold == "mean" else 1

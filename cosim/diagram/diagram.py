@@ -60,7 +60,7 @@ class Diagram(LoopMethods):
         Parameters
         ----------
         block : Block
-            What to add.
+            The block.
         name : str, optional
             Unique name in this diagram; by default the block's kind in small letters.
         every : int
@@ -70,14 +70,14 @@ class Diagram(LoopMethods):
         if not isinstance(block, Block):
             raise ModelError(
                 f"Only blocks can be added to a diagram, not {block!r}; wrap a python-control system in StateSpace, "
-                "make a trained classifier one by its method block()."
+                "call the method block() of a trained classifier."
             )
         name = block.default_name if name is None else name
         if not isinstance(name, str) or not name or any(c.isspace() for c in name):
             raise ModelError(f"{name!r} cannot be a block's name: it must not be empty or contain spaces.")
         if name in self._nodes:
             raise ModelError(
-                f"The diagram has a block {name!r} already; give this {type(block).__name__} another name=..."
+                f"The diagram already has a block {name!r}; give this {type(block).__name__} another name=..."
             )
         node = Node(name, block, whole_number(every, f"Block {name!r} has every="))
         self._nodes[name] = node
@@ -89,20 +89,22 @@ class Diagram(LoopMethods):
         Raises
         ------
         ConnectionError
-            If sizes or units differ, the direction is wrong, or the input has a source already.
+            If sizes or units differ, the direction is wrong, or the input already has a source.
         """
         self._refuse_if_built("connect ports")
         sources: list[Any] = list(source) if isinstance(source, list | tuple) else [source]
-        for reference, wanted, role in [*((s, "output", "source") for s in sources), (target, "input", "target")]:
+        for reference, direction, role in [*((s, "output", "source") for s in sources), (target, "input", "target")]:
             if not isinstance(reference, PortRef):
-                raise ConnectionError(f"The {role} of a connection must be a port, as node['y'], not {reference!r}.")
+                raise ConnectionError(
+                    f"The {role} of a connection must be a port, such as node['y'], not {reference!r}."
+                )
             if self._nodes.get(reference.node.name) is not reference.node:
                 raise ConnectionError(
                     f"{reference.name} belongs to a block of another diagram; add the block to this one."
                 )
-            if reference.direction != wanted:
+            if reference.direction != direction:
                 raise ConnectionError(
-                    f"{reference.name} is an {reference.direction}, but the {role} must be an {wanted}."
+                    f"{reference.name} is an {reference.direction}, but the {role} must be an {direction}."
                 )
         size = sum(len(s) for s in sources)
         if size != len(target):
@@ -112,10 +114,10 @@ class Diagram(LoopMethods):
                 "choose elements with [i], or change the block's size."
             )
         for s in sources:
-            ours, theirs = s.port, target.port
-            if ours.unit and theirs.unit and (gap := difference(ours.unit, theirs.unit, ours.meaning, theirs.meaning)):
-                raise ConnectionError(f"{s.name} is in {ours.unit}, but {target.name} is in {theirs.unit}{gap}")
-        # All or nothing: a connection that is refused leaves the diagram as it was.
+            a, b = s.port, target.port
+            if a.unit and b.unit and (gap := difference(a.unit, b.unit, a.meaning, b.meaning)):
+                raise ConnectionError(f"{s.name} is in {a.unit}, but {target.name} is in {b.unit}{gap}")
+        # All or nothing: a refused connection does not change the diagram.
         origins = [(s, element) for s in sources for element in s.elements]
         new = {
             (target.node.name, target.port.name, e): origin for e, origin in zip(target.elements, origins, strict=True)
@@ -124,7 +126,7 @@ class Diagram(LoopMethods):
             if (block, port, element) in self._sources:
                 where = f"{block}.{port}" + (f"[{element}]" if target.port.size > 1 else "")
                 before = self._sources[block, port, element][0].name
-                raise ConnectionError(f"{where} has a source already ({before}); it cannot also take {s.name}.")
+                raise ConnectionError(f"{where} already has a source ({before}); it cannot also take {s.name}.")
         self._sources.update(new)
 
     @property
@@ -138,21 +140,21 @@ class Diagram(LoopMethods):
         return self._nodes[name]
 
     def source_of(self, node: Node, port: Port, element: int) -> tuple[PortRef, int] | None:
-        """Return what feeds one element of an input: the output and its element, or None."""
+        """Return the source of one element of an input: the output and its element, or None."""
         return self._sources.get((node.name, port.name, element))
 
     def rewired(self, blocks: Mapping[str, Block]) -> Diagram:
-        """Return a diagram of the same names, rates, connections and coupling, made of these blocks; built if this one is.
+        """Return a diagram with the same names, rates, connections and coupling, but other blocks; built if this one is.
 
         Parameters
         ----------
         blocks : mapping of str to Block
-            A block for each name; ports that are connected must be there with the same sizes.
+            A block for each name. It must have the connected ports, with the same sizes.
 
         Raises
         ------
         ConnectionError
-            If a block does not fit where the one of its name was.
+            If a block lacks a connected port, or has it with another size.
         """
         other = Diagram(self.step)
         for name, node in self._nodes.items():
@@ -162,16 +164,16 @@ class Diagram(LoopMethods):
         outputs = {name: {p.name: p for p in node.outputs} for name, node in other._nodes.items()}
         for (target, port, element), (source, taken) in self._sources.items():
             feeder = source.node.name
-            for name, there, known, size in (
+            for name, port_name, ports, size in (
                 (feeder, source.port.name, outputs[feeder], source.port.size),
                 (target, port, inputs[target], sizes[target][port]),
             ):
-                new = known.get(there)
+                new = ports.get(port_name)
                 if new is None or new.size != size:
                     raise ConnectionError(
-                        f"{type(blocks[name]).__name__} cannot stand where {name!r} does: the port {there!r} of size "
-                        f"{size}, which is connected, {'is not there' if new is None else f'has size {new.size}'}. "
-                        "Where sizes are to change, let a function of the factors make the loop."
+                        f"{type(blocks[name]).__name__} cannot replace {name!r}: the connected port {port_name!r} of size "
+                        f"{size} {'is missing' if new is None else f'has size {new.size}'}. "
+                        "To change sizes, write a function of the factors that makes the loop."
                     )
             origin = outputs[feeder][source.port.name]
             whole = PortRef(other._nodes[feeder], origin, "output", tuple(range(origin.size)))
@@ -181,60 +183,62 @@ class Diagram(LoopMethods):
         return other
 
     def watching(self, names: Iterable[object] | None) -> Diagram:
-        """Return the diagram with what is named besides outputs, as local variables of FMUs; itself if nothing is.
+        """Return the diagram with further variables of blocks as outputs, such as local variables of FMUs.
+
+        Returns the diagram itself if no further variable is named.
 
         Parameters
         ----------
         names : iterable of str, optional
-            Signals as results are to have them: ``"plant.mass.s"``. What is no such name is left alone.
+            Names of signals in results: ``"plant.mass.s"``. Other names are ignored.
         """
         blocks = {name: node.block for name, node in self._nodes.items()}
-        asked: dict[str, list[str]] = {}
+        requested: dict[str, list[str]] = {}
         for name in names or ():
             nodes = [node for node in blocks if isinstance(name, str) and name.startswith(f"{node}.")]
             if nodes:
                 node = max(nodes, key=len)
-                asked.setdefault(node, []).append(str(name)[len(node) + 1 :])
-        watching = {node: blocks[node].watching(variables, only_recorded=True) for node, variables in asked.items()}
+                requested.setdefault(node, []).append(str(name)[len(node) + 1 :])
+        watching = {node: blocks[node].watching(variables, only_recorded=True) for node, variables in requested.items()}
         if all(block is blocks[node] for node, block in watching.items()):
             return self
         return self.rewired(blocks | watching)
 
     def build(self, coupling: Coupling | Method | None = None, **settings: Any) -> Diagram:
-        """Check the diagram, fix the order of its blocks and freeze it; `simulate` does this by itself.
+        """Check the diagram, determine the order of its blocks and freeze it; `simulate` does this by itself.
 
         Parameters
         ----------
         coupling : {"gauss-seidel", "jacobi", "iterated"} or Coupling
-            Which values an FMU sees of those that feed it. Gauss-Seidel, the default: one that is fed directly by an FMU of the
-            same rate added before it sees that one's output after its step; Jacobi: before its step. With a block between the
-            two (a `Gain` that converts units, say), or where their ``every`` differs, it sees the output before the step in
+            How FMUs that feed each other are stepped. Gauss-Seidel, the default: an FMU that is fed directly by an FMU of the
+            same rate added before it gets the output of that FMU after its step. Jacobi: before its step. With a block between
+            the two (a `Gain` that converts units, say), or with different ``every``, it gets the output before the step in
             both cases. Iterated: steps are repeated until values agree, and algebraic loops are solved.
-            ``diagram.schedule.describe()`` says in words what comes out.
+            ``diagram.schedule.describe()`` lists the resulting order.
         **settings : object
             Further settings of `Coupling`: ``tolerance``, ``acceleration``, ``iterations``, ``hold``, ``step_error``.
         """
         from bayesftc.cosim.diagram.schedule import Schedule
 
         if coupling is None and not settings:
-            wanted = self._coupling or Coupling()
+            requested = self._coupling or Coupling()
         elif isinstance(coupling, Coupling):
-            wanted = replace(coupling, **settings)
+            requested = replace(coupling, **settings)
         else:
-            wanted = Coupling(coupling or "gauss-seidel", **settings)
-        if self._coupling is not None and wanted != self._coupling:
+            requested = Coupling(coupling or "gauss-seidel", **settings)
+        if self._coupling is not None and requested != self._coupling:
             raise ModelError(
-                f"The diagram is built with {self._coupling.method} coupling already; it cannot be built anew with "
-                f"{wanted.method if wanted.method != self._coupling.method else 'other settings'}."
+                f"The diagram is already built with {self._coupling.method} coupling; it cannot be built again with "
+                f"{requested.method if requested.method != self._coupling.method else 'other settings'}."
             )
         if self._schedule is None:
-            self._schedule = Schedule(self, wanted)
-            self._coupling = wanted
+            self._schedule = Schedule(self, requested)
+            self._coupling = requested
         return self
 
     @property
     def schedule(self) -> Schedule:
-        """The order of calls and the layout of memory; building it freezes the diagram."""
+        """The order of calls and the layout of memory; access builds and freezes the diagram."""
         self.build()
         assert self._schedule is not None
         return self._schedule
@@ -251,7 +255,7 @@ class Diagram(LoopMethods):
         time_limit: float | None = None,
         pace: float | None = None,
     ) -> Result:
-        """Run the diagram for `duration` seconds from its initial state; it is built and frozen if it is not yet.
+        """Run the diagram for `duration` seconds from its initial state; build and freeze it before if necessary.
 
         Parameters
         ----------
@@ -259,22 +263,22 @@ class Diagram(LoopMethods):
             Seconds; a whole number of base steps. The result has a row at both ends (with `decimation`, at the end only if it
             divides the number of steps).
         seed : int
-            Seed of all random streams. The same seed gives the same numbers, whatever else is in the diagram.
+            Seed of all random streams. The same seed gives a block the same numbers, whatever other blocks there are.
         record : iterable of str, optional
             Names of the signals to keep, ``*`` allowed (``["plant.v", "controller.*"]``), or ports (``plant["v"]``); by default
             all outputs. Inputs can be recorded as well, by name.
         decimation : int
             Keep every `decimation`-th step, from step 0 on.
         engine : {"auto", "compiled", "interpreted"}
-            ``auto`` is compiled where every block allows it. Both give the same bits.
+            ``auto`` is compiled if every block allows it. Both give the same bits.
         progress : callable, optional
             Called as ``progress(step, steps)`` about twenty times a second.
         time_limit : float, optional
             Seconds of computing after which the run is stopped.
         pace : float, optional
-            Simulated seconds for each second of the clock, 1.0 for real time: what belongs to t_k is computed when its time has
-            come. ``result.metadata["pace"]`` says how many steps were not done before the next was due (``overruns``) and by how
-            many seconds at worst (``worst_overrun``). By default as fast as the machine can.
+            Simulated seconds for each second of the clock, 1.0 for real time. Step k then does not start before its time.
+            ``result.metadata["pace"]`` has the number of steps that were not done in time (``overruns``) and the largest delay
+            in seconds (``worst_overrun``). By default the run is as fast as possible.
 
         Returns
         -------
@@ -284,7 +288,7 @@ class Diagram(LoopMethods):
         Warns
         -----
         UserWarning
-            If an FMU has ended the run: ``result.stopped`` says why.
+            If an FMU has ended the run: ``result.stopped`` has the reason.
 
         Raises
         ------
@@ -292,8 +296,8 @@ class Diagram(LoopMethods):
             If a plant's output is NaN or infinite, an FMU reports an error, or the time limit is reached; its ``result`` has the
             signals up to the last complete step.
         KeyboardInterrupt
-            On Ctrl-C, within about a twentieth of a second (an FMU's single step is not cut short). The signals so far are
-            discarded; to keep those of a run that may take too long, give it a ``time_limit``.
+            On Ctrl-C, within about a twentieth of a second (a single step of an FMU is not interrupted). The signals are then
+            lost. Use ``time_limit`` to keep the signals of a run that may take too long.
         """
         import_engine()
         from bayesftc.cosim.run.session import Session
@@ -309,7 +313,7 @@ class Diagram(LoopMethods):
         decimation: int = 1,
         engine: Literal["auto", "compiled", "interpreted"] = "auto",
     ) -> Session:
-        """Start a live run, which goes on piece by piece; the diagram keeps it for `advance` and the methods after it.
+        """Start a live run, which `advance` continues piece by piece; the diagram keeps it for the methods below.
 
         Parameters
         ----------
@@ -325,7 +329,7 @@ class Diagram(LoopMethods):
         Returns
         -------
         Session
-            At its beginning, before the first outputs are computed.
+            The live run at its beginning, before the first outputs are computed.
         """
         import_engine()
         from bayesftc.cosim.run.session import Session
@@ -334,7 +338,7 @@ class Diagram(LoopMethods):
         return self._session
 
     def advance(self, duration: float | str | Fraction, *, pace: float | None = None) -> Result:
-        """Go on with the live run, from its beginning where `start` was not called; see `Session.advance`.
+        """Continue the live run, or start one; see `Session.advance`.
 
         Parameters
         ----------
@@ -346,7 +350,7 @@ class Diagram(LoopMethods):
         return self._live().advance(duration, pace=pace)
 
     def set(self, name: str | PortRef, value: ArrayLike) -> None:
-        """Give an input of the live run that nothing feeds a value; see `Session.set`.
+        """Set the value of an unconnected input of the live run; see `Session.set`.
 
         Parameters
         ----------
@@ -358,21 +362,21 @@ class Diagram(LoopMethods):
         self._live().set(name, value)
 
     def save_state(self) -> RunState:
-        """Return all that the live run remembers, FMUs included; see `Session.save_state`."""
+        """Return the state of the live run, including that of FMUs; see `Session.save_state`."""
         return self._live().save_state()
 
     def restore(self, state: RunState) -> None:
-        """Put the live run back to a saved state; see `Session.restore`.
+        """Return the live run to a saved state; see `Session.restore`.
 
         Parameters
         ----------
         state : RunState
-            What `save_state` has returned.
+            A state from `save_state`.
         """
         self._live().restore(state)
 
     def reset(self, seed: int | None = None) -> None:
-        """Put the live run back to its beginning without loading FMUs anew; see `Session.reset`.
+        """Return the live run to its beginning without loading FMUs again; see `Session.reset`.
 
         Parameters
         ----------
@@ -396,27 +400,27 @@ class Diagram(LoopMethods):
         engine: Literal["auto", "compiled", "interpreted"] = "auto",
         name: str | None = None,
     ) -> ControlSystem:
-        """Return the diagram as one discrete-time system of python-control; `Block.to_control` says what holds for its state.
+        """Return the diagram as one discrete-time system of python-control; `Block.to_control` describes its state.
 
         Parameters
         ----------
         inputs : sequence of str or mapping of str to str, optional
-            What comes from outside: inputs of blocks (``"plant.disturbance"``), whatever feeds them in the diagram, or outputs
-            (``"reference.y"``, ``"controller.u"``), whose place it then takes in all that they feed. By default the inputs
-            that have neither a source nor a start value. Called ``plant_disturbance``, or as the mapping says.
+            Inputs of the system: inputs of blocks (``"plant.disturbance"``), which then replace their sources, or outputs of
+            blocks (``"reference.y"``, ``"controller.u"``), which they then replace everywhere. By default the inputs that have
+            neither a source nor a start value. The names become ``plant_disturbance``, or those of the mapping.
         outputs : sequence of str or mapping of str to str, optional
             Outputs of blocks; by default all.
         seed : int or None
-            Of the random streams, which give the same numbers as in `simulate`; None for no noise.
+            Seed of the random streams, which give the same numbers as in `simulate`; None for no noise.
         engine : {"auto", "compiled", "interpreted"}
             As in `simulate`.
         name : str, optional
-            Of the system.
+            Name of the system.
 
         Returns
         -------
         control.NonlinearIOSystem
-            With the attribute ``initial_state``, for ``X0``. The diagram itself stays as it is; it is not frozen.
+            With the attribute ``initial_state``, for ``X0``. The diagram itself is not changed and not frozen.
         """
         from bayesftc.cosim.control.control_system import diagram_to_control
 
@@ -436,9 +440,9 @@ class Diagram(LoopMethods):
             raise ModelError(f"The diagram is built and frozen; to {what}, do so before build() or simulate().")
 
     def __getstate__(self) -> dict[str, Any]:
-        # The schedule is built anew where it is needed; a copy shares no table and no live run with the original.
-        own = {"_nodes": dict(self._nodes), "_sources": dict(self._sources), "_schedule": None, "_session": None}
-        return {**self.__dict__, **own}
+        # A copy shares no table and no live run with the original, and builds its schedule again when it needs one.
+        replaced = {"_nodes": dict(self._nodes), "_sources": dict(self._sources), "_schedule": None, "_session": None}
+        return {**self.__dict__, **replaced}
 
 
 def is_external(node: Node) -> bool:

@@ -10,19 +10,19 @@ from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.ports import Port, listed
 
 MOST_BLOCKS = 60
-"""A diagram of more blocks is a table: no drawing of it can be read."""
+"""A diagram with more blocks is shown as a table, because its drawing would be unreadable."""
 LETTER, LINE = 6.2, 15.0
-"""Width of a letter and height of a line of the drawing, in pixels."""
+"""Width of a letter and height of a line of text, in pixels."""
 GAP, BETWEEN, LANE = 60.0, 22.0, 9.0
-"""Space between columns, between blocks of a column, and between lines that lead around the blocks."""
+"""Space between columns, between blocks of a column, and between lines around the blocks, in pixels."""
 
 Wire = tuple[str, str, str, str]
-"""Block and port that a connection begins at, block and port that it leads to."""
+"""A connection: source block and port, target block and port."""
 
 
 @dataclass
 class _Box:
-    """A block: its left upper corner, width, and the ports on both sides from above."""
+    """A block in the drawing: texts, connected ports on both sides from above, and the upper left corner."""
 
     name: str
     kind: str
@@ -42,7 +42,7 @@ class _Box:
         return LINE * (2 + max(len(self.ins), len(self.outs))) + 8
 
     def port(self, name: str, side: str) -> tuple[float, float]:
-        """Return where a port is."""
+        """Return the position of a port."""
         row = (self.ins if side == "in" else self.outs).index(name)
         return self.x + (0.0 if side == "in" else self.width), self.y + LINE * (2.6 + row)
 
@@ -50,7 +50,7 @@ class _Box:
 def drawing(diagram: Diagram) -> str:
     """Return the drawing of a diagram, or a table of its blocks if it has too many.
 
-    Only connected ports are drawn; all of them, with sizes and units, are in the hint that appears over a block.
+    Only connected ports are drawn. The tooltip of a block lists all ports, with sizes and units.
     """
     title = f"Diagram of {len(diagram.nodes)} blocks at {float(diagram.step):g} s"
     if len(diagram.nodes) > MOST_BLOCKS:
@@ -83,14 +83,14 @@ def drawing(diagram: Diagram) -> str:
 
 
 def _wires(diagram: Diagram) -> list[Wire]:
-    """Return the connections, those of several elements once."""
-    found: dict[Wire, None] = {}
+    """Return the connections, each once even if it has several elements."""
+    wires: dict[Wire, None] = {}
     for node in diagram.nodes:
         for port in node.inputs:
             for i in range(port.size):
                 if (source := diagram.source_of(node, port, i)) is not None:
-                    found[source[0].node.name, source[0].port.name, node.name, port.name] = None
-    return list(found)
+                    wires[source[0].node.name, source[0].port.name, node.name, port.name] = None
+    return list(wires)
 
 
 def _used(ports: tuple[Port, ...], names: set[str]) -> list[str]:
@@ -98,7 +98,7 @@ def _used(ports: tuple[Port, ...], names: set[str]) -> list[str]:
 
 
 def _columns(names: list[str], wires: list[Wire]) -> dict[str, int]:
-    """Return the column of each block: behind all that feed it, connections that close a circle left out."""
+    """Return the column of each block: right of all blocks that feed it, except over connections that close a circle."""
     after: dict[str, list[str]] = {name: [] for name in names}
     for a, _, b, _ in wires:
         if b not in after[a]:
@@ -128,7 +128,7 @@ def _columns(names: list[str], wires: list[Wire]) -> dict[str, int]:
         for a, b in forward:
             if a == name:
                 column[b] = max(column[b], column[a] + 1)
-    for name in reversed(order):  # what nothing feeds stands right before what it feeds
+    for name in reversed(order):  # a block without inputs stands directly before the block that it feeds
         later = [column[b] for a, b in forward if a == name]
         if later and name not in fed:
             column[name] = min(later) - 1
@@ -136,7 +136,7 @@ def _columns(names: list[str], wires: list[Wire]) -> dict[str, int]:
 
 
 def _place(boxes: dict[str, _Box], column: dict[str, int], wires: list[Wire]) -> tuple[float, float]:
-    """Place the blocks and return the width and the height that they take."""
+    """Place the blocks and return the width and the height of the drawing."""
     count = max(column.values(), default=-1) + 1
     stacks = [[box for name, box in boxes.items() if column[name] == c] for c in range(count)]
     tall = max((sum(b.height + BETWEEN for b in stack) for stack in stacks), default=0.0)
@@ -147,39 +147,41 @@ def _place(boxes: dict[str, _Box], column: dict[str, int], wires: list[Wire]) ->
             box.x = x
         x += max(b.width for b in stack) + GAP
 
-    def stand(stack: list[_Box], wish: dict[str, list[float]]) -> None:
-        """Place blocks below each other in the order of the heights that they are to be at."""
-        stack.sort(key=lambda b: sum(wish[b.name]) / len(wish[b.name]) if wish[b.name] else b.y)
+    def arrange(stack: list[_Box], heights: dict[str, list[float]]) -> None:
+        """Place blocks below each other, sorted by the mean height of their neighbours' ports."""
+        stack.sort(key=lambda b: sum(heights[b.name]) / len(heights[b.name]) if heights[b.name] else b.y)
         y = top + 0.5 * (tall - sum(b.height + BETWEEN for b in stack) + BETWEEN)
         for box in stack:
             box.y, y = y, y + box.height + BETWEEN
 
-    # In the order of what feeds them from left to right, then of what they feed from right to left: fewer lines cross.
+    # By sources from left to right, then by targets from right to left, so that fewer lines cross.
     ahead = [wire for wire in wires if column[wire[2]] == column[wire[0]] + 1]
     for stack in stacks:
-        stand(stack, {b.name: [boxes[a].port(out, "out")[1] for a, out, t, _ in ahead if t == b.name] for b in stack})
+        arrange(stack, {b.name: [boxes[a].port(out, "out")[1] for a, out, t, _ in ahead if t == b.name] for b in stack})
     for stack in reversed(stacks):
-        stand(stack, {b.name: [boxes[t].port(into, "in")[1] for a, _, t, into in ahead if a == b.name] for b in stack})
+        arrange(
+            stack, {b.name: [boxes[t].port(into, "in")[1] for a, _, t, into in ahead if a == b.name] for b in stack}
+        )
     return x - GAP + 16.0 + 0.4 * LANE * around, top + tall + 8.0
 
 
 def _paths(boxes: dict[str, _Box], column: dict[str, int], wires: list[Wire], height: float) -> tuple[list[str], float]:
-    """Return the lines, and where the lowest one is: neighbours by a curve, others around above, and back below."""
+    """Return the lines and the total height: curves between neighbours, others around above, and backwards below."""
     paths, above, below = [], 6.0, height
     for a, out, b, into in wires:
         (x, y), (to, end) = boxes[a].port(out, "out"), boxes[b].port(into, "in")
         if column[b] - column[a] == 1:
             bend = max(20.0, 0.5 * (to - x))
-            way = f"M{x:.1f},{y:.1f} C{x + bend:.1f},{y:.1f} {to - bend:.1f},{end:.1f} {to:.1f},{end:.1f}"
+            path = f"M{x:.1f},{y:.1f} C{x + bend:.1f},{y:.1f} {to - bend:.1f},{end:.1f} {to:.1f},{end:.1f}"
         else:
             if column[b] > column[a]:
                 lane, above = above, above + LANE
             else:
                 lane, below = below, below + LANE
             side = 10.0 + 0.4 * (lane if column[b] > column[a] else lane - height)
-            way = f"M{x:.1f},{y:.1f} h{side:.1f} V{lane:.1f} H{to - side:.1f} V{end:.1f} H{to:.1f}"
+            path = f"M{x:.1f},{y:.1f} h{side:.1f} V{lane:.1f} H{to - side:.1f} V{end:.1f} H{to:.1f}"
         hint = f"<title>{escape(f'{a}.{out} to {b}.{into}')}</title>"
-        paths.append(f'<path d="{way}" fill="none" stroke="#444444" marker-end="url(#bayesftc-end)">{hint}</path>')
+        paths.append(f'<path d="{path}" fill="none" stroke="#444444" marker-end="url(#bayesftc-end)">{hint}</path>')
     return paths, below + 8.0
 
 

@@ -1,4 +1,4 @@
-"""The order in which blocks compute their outputs at t_k: each after those whose outputs it feeds through."""
+"""The order in which blocks compute their outputs at t_k: each after the sources of its inputs with feedthrough."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from bayesftc.cosim.errors import AlgebraicLoopError
 
 
 class Feedthrough:
-    """Which blocks need which others' outputs to compute their own.
+    """The graph of direct feedthrough: which blocks need the outputs of which others at t_k.
 
     Parameters
     ----------
     diagram : Diagram
-        With all its connections.
+        The diagram, with all its connections.
     computing : container of int
-        The places, in the diagram's order, of the blocks that compute outputs.
+        Numbers of the blocks that compute outputs, in the order of the diagram.
     """
 
     def __init__(self, diagram: Diagram, computing: Container[int]):
         self._nodes = diagram.nodes
         place = {node: i for i, node in enumerate(self._nodes)}
-        #: For each block those that need it, with the names of the first output and input between the two.
+        #: For each block the blocks that need it, with the names of the first output and input between the two.
         self._edges: dict[int, dict[int, tuple[str, str]]] = {i: {} for i in range(len(self._nodes))}
         for i, node in enumerate(self._nodes):
             if i not in computing:
@@ -39,21 +39,21 @@ class Feedthrough:
                         )
 
     def is_loop(self, unit: list[int]) -> bool:
-        """Return whether blocks that stand together in the order are an algebraic loop."""
+        """Return whether one entry of the order is an algebraic loop."""
         return len(unit) > 1 or unit[0] in self._edges[unit[0]]
 
     def order(self, *, solved: bool) -> list[list[int]]:
-        """Return the blocks in an order in which each finds its inputs; those of an algebraic loop stand together.
+        """Return the blocks in the order of computation; those of an algebraic loop are one entry.
 
         Parameters
         ----------
         solved : bool
-            Whether algebraic loops will be solved.
+            Whether algebraic loops are solved, not refused.
 
         Raises
         ------
         AlgebraicLoopError
-            If there is one and it will not.
+            If there is an algebraic loop and `solved` is false.
         """
         waiting = dict.fromkeys(range(len(self._nodes)), 0)
         for targets in self._edges.values():
@@ -64,7 +64,7 @@ class Feedthrough:
             ready = next(([i] for i, count in waiting.items() if count == 0), None)
             if ready is None:
                 if not solved:
-                    raise AlgebraicLoopError(self._loop_sentence(set(waiting)))
+                    raise AlgebraicLoopError(self._loop_message(set(waiting)))
                 needs = {i: {j for j in waiting if i in self._edges[j]} for i in waiting}
                 ready = components(list(waiting), needs)[0]
             for i in ready:
@@ -74,8 +74,8 @@ class Feedthrough:
                 waiting[target] -= 1
         return order
 
-    def _loop_sentence(self, stuck: set[int]) -> str:
-        # Walk backwards: each stuck block has a stuck predecessor, so the walk must close.
+    def _loop_message(self, stuck: set[int]) -> str:
+        # Go backwards: each stuck block has a stuck predecessor, so the path must close.
         path = [min(stuck)]
         while True:
             before = next(j for j in sorted(stuck) if path[-1] in self._edges[j])
@@ -93,7 +93,7 @@ class Feedthrough:
         return (
             "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
             + "\n".join(lines)
-            + "\nPut a UnitDelay into one of these connections, declare the input feedthrough=False where that is true, or let "
-            "the loop be solved at each step with build(coupling='iterated')."
-            + (f" {direct[0]!r} with timing='plant' shows the inputs of the step before." if direct else "")
+            + "\nPut a UnitDelay into one of these connections, declare an input feedthrough=False if that is true, or solve "
+            "the loop at each step with build(coupling='iterated')."
+            + (f" {direct[0]!r} with timing='plant' has outputs for the inputs of the step before." if direct else "")
         )

@@ -1,8 +1,8 @@
-"""Groups of blocks that are computed together: which they are, in which order a sweep goes through them, what is guessed.
+"""Groups of blocks that are computed together: their members, the order of a sweep, and the guessed values.
 
-There are two kinds. A *loop* stands in the evaluation of t_k: blocks whose outputs at t_k depend on each other. A *step* takes
-FMUs from t_k to t_k+1 together, and computes the blocks without a memory that lie between them along with it. In both, the
-outputs that a block needs before they are computed are guessed; a sweep through the group computes them.
+There are two kinds. A *loop* belongs to the evaluation of t_k: blocks whose outputs at t_k depend on each other. A *step*
+advances FMUs from t_k to t_k+1 together, and also computes the stateless blocks between them. In both, outputs that a block
+needs before they are computed are guessed. A sweep through the group computes them.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from bayesftc.cosim.ports import Port
 
 Pair = tuple[int, int]
-"""A copy: to one place in memory, from another."""
+"""A copy: target and source in memory."""
 
 WORDS = 6
-"""Words of memory for each FMU that is put back: its address, the functions that save, restore and free, two saved states."""
+"""Words of memory for each FMU that is restored: its address, the functions that save, restore and free, two saved states."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Part:
     Attributes
     ----------
     node : int
-        Whose it is.
+        Number of the node.
     kind : {"output", "update", "ahead"}
         Which step function; ``ahead`` computes outputs at the end of a step.
     gathers : tuple of (int, int, int)
-        Copies that bring its inputs: to, from, and a second place from which the mean is taken, or -1.
+        Copies of the inputs: target, source, and a second source for a mean of both, or -1.
     outputs : int
-        Where in memory the outputs go.
+        Place of the outputs in memory.
     """
 
     node: int
@@ -54,26 +54,26 @@ class Group:
     Attributes
     ----------
     nodes : tuple of int
-        The members.
+        Numbers of the members.
     every : int
-        At which multiple of the base step.
+        The multiple of the base step at which the group is computed.
     parts : tuple of Part
         One sweep.
     torn, guesses : tuple of int
-        Places of the values that are guessed, and where the first guesses come from.
+        Places of the guessed values, and of the first guesses.
     names : tuple of str
-        What the guessed values are called.
+        Names of the guessed values.
     externals : tuple of int
-        The FMUs among the members that make steps, and so must be put back.
+        The FMUs among the members that make steps, and so must be restored.
     states : tuple of (int, int)
-        Where the states lie of the other members that have some.
+        Begin and end of the states of the other members with states.
     words : int
-        Where the words about the FMUs begin.
+        Place of the words about the FMUs.
     doubling : tuple of five int
-        For each output of a member: where it lies at t_k, at the beginning and at the end of a step of the group's own, at the
-        end of a step of double size, and where its value at the beginning is kept. Empty without `Coupling.step_error`.
+        For each output of a member, the places of its values: at t_k, at the beginning and at the end of a substep of the
+        group, at the end of a step of double size, and a copy of that at the beginning. Empty without `Coupling.step_error`.
     size : int
-        The place of the step size of the group's own, as a part of the whole.
+        Place of the group's substep size, as a fraction of the step.
     """
 
     nodes: tuple[int, ...]
@@ -90,23 +90,23 @@ class Group:
 
     @property
     def is_loop(self) -> bool:
-        """Whether it stands in the evaluation of t_k."""
+        """Whether the group is an algebraic loop at t_k."""
         return all(part.kind == "output" for part in self.parts)
 
     @property
     def restores(self) -> bool:
-        """Whether its FMUs must be able to go back."""
+        """Whether its FMUs must be able to restore a state."""
         return bool(self.torn or self.doubling)
 
 
 class Places:
-    """Hands out places behind the memory that a diagram's blocks take."""
+    """Allocates places after the memory of a diagram's blocks."""
 
     def __init__(self, begin: int):
         self.end = begin
 
     def take(self, count: int) -> int:
-        """Return where `count` new places begin."""
+        """Allocate `count` places and return the first."""
         begin, self.end = self.end, self.end + count
         return begin
 
@@ -117,9 +117,9 @@ class Grouping:
     Parameters
     ----------
     schedule : Schedule
-        With its blocks laid out.
+        The schedule, with its blocks laid out.
     sources : callable
-        Returns the copies (to, from) that bring a node's inputs: of those that feed through, or of all.
+        Returns the copies (target, source) of a node's inputs: of those that feed through, or of all.
     coupling : Coupling
         How FMUs are coupled.
     """
@@ -152,7 +152,7 @@ class Grouping:
             every=rates.pop() if len(rates) == 1 else 1,
             parts=tuple(parts),
             torn=tuple(torn),
-            guesses=tuple(torn),  # what stood there at the step before
+            guesses=tuple(torn),  # the values of the step before
             names=tuple(self._name(place) for place in torn),
             externals=tuple(i for i in order if schedule.definitions[i] is None and not schedule.updates(i)),
             states=tuple(self._state(i) for i in order if schedule.definitions[i] is not None),
@@ -160,7 +160,7 @@ class Grouping:
         )
 
     def steps(self, plants: list[int]) -> list[Group]:
-        """Return the groups in which FMUs make their steps, in their order; FMUs that meet no other one are in none."""
+        """Return the groups of FMUs that make their steps together, in order; FMUs without connection to another are in none."""
         groups = []
         for every in sorted({self._schedule.nodes[i].every for i in plants}):
             members = self._between([i for i in plants if self._schedule.nodes[i].every == every])
@@ -174,36 +174,35 @@ class Grouping:
         return groups
 
     def copies(self, i: int) -> set[int]:
-        """Return where copies of a node's outputs begin that it has for groups."""
+        """Return the places of the copies of a node's outputs for groups."""
         return {places[i] for places in (self._ahead, self._now) if i in places}
 
     def _step(self, nodes: list[int], island: list[int], needs: Mapping[int, set[int]], plants: list[int]) -> Group:
         schedule, coupling = self._schedule, self._coupling
         order = self._sweep_order(nodes, needs, plants)
-        done: set[int] = {
-            i for i in island if i not in nodes
-        }  # other groups of the island: those it needs have gone before
+        # Other groups of the island that this one needs have been computed before.
+        done: set[int] = {i for i in island if i not in nodes}
         parts: list[Part] = []
         torn: list[int] = []
 
         def gathers(i: int, *, late: bool) -> tuple[tuple[int, int, int], ...]:
-            brought = []
+            copies = []
             for to, origin in self._sources(i, None):
                 j = self._owners.get(origin)
                 if j is None or j not in island:
-                    brought.append((to, origin, -1))
+                    copies.append((to, origin, -1))
                     continue
                 element = origin - schedule.slots[j].start["outputs"]
                 now, ahead = self._now[j] + element, self._ahead[j] + element
                 if late or coupling.iterated:
                     if j not in done:
                         torn.append(ahead)
-                    brought.append((to, ahead, now if coupling.hold == "mean" and not late else -1))
+                    copies.append((to, ahead, now if coupling.hold == "mean" and not late else -1))
                 elif coupling.method == "gauss-seidel" and j in done and j in plants:
-                    brought.append((to, ahead, -1))
+                    copies.append((to, ahead, -1))
                 else:
-                    brought.append((to, now, -1))
-            return tuple(brought)
+                    copies.append((to, now, -1))
+            return tuple(copies)
 
         stepped = [i for i in order if i in plants]
         for i in order:
@@ -215,7 +214,7 @@ class Grouping:
                         parts += [Part(j, "ahead", (), self._ahead[j]) for j in stepped]
                         done |= set(stepped)
                     continue
-            # What feeds through a plant as well (`timing="direct"`) is brought again, as it is at the end.
+            # Inputs with feedthrough of a plant (`timing="direct"`) are copied again, with the values at the end.
             again = late or (coupling.iterated and any(port.feedthrough for port in schedule.nodes[i].block.inputs))
             parts.append(Part(i, "ahead", gathers(i, late=True) if again else (), self._ahead[i]))
             done.add(i)
@@ -225,12 +224,12 @@ class Grouping:
         size = -1
         if coupling.step_error is not None:
             size = self.places.take(1)
-            lies = [
+            begins = [
                 (i, schedule.slots[i].start["outputs"], self.places.take(2 * schedule.depended_on(i))) for i in nodes
             ]
             doubling = tuple(
                 (begin + e, self._now[i] + e, self._ahead[i] + e, kept + 2 * e, kept + 2 * e + 1)
-                for i, begin, kept in lies
+                for i, begin, kept in begins
                 for e in range(schedule.depended_on(i))
             )
         return Group(
@@ -248,7 +247,7 @@ class Grouping:
         )
 
     def _sweep_order(self, nodes: list[int], needs: Mapping[int, set[int]], plants: list[int]) -> list[int]:
-        """Return the FMUs as they were added, each block between them as soon as all that it needs is there."""
+        """Return the FMUs in the order of addition, and each block between them as soon as its inputs are computed."""
         if self._coupling.method != "iterated":
             first = [i for i in nodes if i in plants]
             return first + _order([i for i in nodes if i not in plants], needs)
@@ -262,7 +261,7 @@ class Grouping:
         return order + _order(waiting, needs)
 
     def _between(self, plants: list[int]) -> list[int]:
-        """Return FMUs of one rate, and the blocks without a memory of that rate on the ways from one to another."""
+        """Return FMUs of one rate, and the stateless blocks of that rate on the paths from one FMU to another."""
         schedule = self._schedule
         every = schedule.nodes[plants[0]].every
         plain = {i for i in range(len(schedule.nodes)) if schedule.nodes[i].every == every and self._is_plain(i)}
@@ -279,7 +278,7 @@ class Grouping:
         return sorted({*plants, *(after & before & plain)})
 
     def _is_plain(self, i: int) -> bool:
-        """Return whether a block's outputs depend on its inputs at the same instant alone."""
+        """Return whether a block's outputs depend only on its inputs at the same instant."""
         definition, block = self._schedule.definitions[i], self._schedule.nodes[i].block
         return (
             definition is not None
@@ -294,8 +293,8 @@ class Grouping:
     def _make_places(self, nodes: Iterable[int]) -> None:
         for i in nodes:
             self._ahead[i] = self.places.take(self._width(i))
-            own = self._coupling.step_error is not None
-            self._now[i] = self.places.take(self._width(i)) if own else self._schedule.slots[i].start["outputs"]
+            substeps = self._coupling.step_error is not None
+            self._now[i] = self.places.take(self._width(i)) if substeps else self._schedule.slots[i].start["outputs"]
 
     def _needs(self, i: int, among: set[int], feedthrough: bool | None) -> set[int]:
         owners = {self._owners.get(origin) for _, origin in self._sources(i, feedthrough)}
@@ -319,7 +318,7 @@ class Grouping:
 
 
 def element_name(ports: Iterable[Port], offset: int) -> str:
-    """Return what the element of a block's outputs is called that lies `offset` places behind the first."""
+    """Return the name of the element of a block's outputs that lies `offset` places after the first."""
     for port in ports:
         if offset < port.size:
             return port.name + (f"[{offset}]" if port.size > 1 else "")
@@ -328,45 +327,45 @@ def element_name(ports: Iterable[Port], offset: int) -> str:
 
 
 def components(nodes: list[int], needs: Mapping[int, set[int]]) -> list[list[int]]:
-    """Return the strongly connected components, each after those that it needs; as far as that leaves it open, in order."""
+    """Return the strongly connected components, each after those that it needs, otherwise in the given order."""
     reach = {i: _reached([i], needs, set(nodes)) & set(nodes) for i in nodes}
-    left, found = list(nodes), []
+    left, result = list(nodes), []
     while left:
         for i in left:
-            own = {j for j in reach[i] if i in reach[j]} | {i}
-            if all(j in own or j not in left for k in own for j in reach[k]):
-                found.append(sorted(own))
-                left = [j for j in left if j not in own]
+            component = {j for j in reach[i] if i in reach[j]} | {i}
+            if all(j in component or j not in left for k in component for j in reach[k]):
+                result.append(sorted(component))
+                left = [j for j in left if j not in component]
                 break
-    return found
+    return result
 
 
 def _islands(nodes: list[int], needs: Mapping[int, set[int]]) -> list[list[int]]:
-    """Return the parts that nothing connects."""
-    touches = {i: needs[i] | {j for j in nodes if i in needs[j]} for i in nodes}
-    left, found = list(nodes), []
+    """Return the connected components, without regard to direction."""
+    neighbours = {i: needs[i] | {j for j in nodes if i in needs[j]} for i in nodes}
+    left, islands = list(nodes), []
     while left:
-        island = sorted(_reached([left[0]], touches, set(nodes)) | {left[0]})
-        found.append(island)
+        island = sorted(_reached([left[0]], neighbours, set(nodes)) | {left[0]})
+        islands.append(island)
         left = [i for i in left if i not in island]
-    return found
+    return islands
 
 
 def _reached(start: Iterable[int], edges: Mapping[int, set[int]], through: set[int]) -> set[int]:
-    """Return what can be reached along edges, going on only from nodes of `through`."""
-    found: set[int] = set()
+    """Return the nodes that can be reached along edges, continuing only from nodes of `through`."""
+    visited: set[int] = set()
     waiting = [j for i in start for j in edges[i]]
     while waiting:
         i = waiting.pop()
-        if i not in found:
-            found.add(i)
+        if i not in visited:
+            visited.add(i)
             if i in through:
                 waiting += edges[i]
-    return found
+    return visited
 
 
 def _order(nodes: list[int], needs: Mapping[int, set[int]]) -> list[int]:
-    """Return an order in which few are needed before their turn: next comes the one that lacks least."""
+    """Return an order with few guesses: the next node is always the one that lacks the fewest others."""
     left, order = list(nodes), []
     while left:
         best = min(left, key=lambda i: (len(needs[i] & set(left)), i))

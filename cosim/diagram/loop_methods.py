@@ -1,4 +1,4 @@
-"""Methods of a diagram that is a closed loop: control engineers' figures of it as a linear system."""
+"""Methods of a diagram that is a closed loop: figures of the loop as a linear system."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ if TYPE_CHECKING:
 
 
 class LoopMethods:
-    """Figures of a closed loop, as `closed_loop` makes it; any other diagram refuses with the reason."""
+    """Figures of a closed loop as `closed_loop` makes it; for other diagrams they raise an error with the reason."""
 
     def linear(self, *, plant: Any = None) -> LinearLoop:
-        """Return the closed loop as a linear system, with a figure for each question.
+        """Return the closed loop as a linear system, which has methods for its figures.
 
-        The loop has neither faults nor noise nor limits of the control. The plant is linearized where it stands, at its start
-        values. A Bayesian controller with a linear model is in steady state and trusts its sensors as the model says; any other
-        controller is linearized at its beginning, with its precision learner held.
+        The loop has no faults, no noise and no limits of the control. The plant is linearized at its start values. A Bayesian
+        controller with a linear model is in steady state, with the sensor covariance of its model. Any other controller is
+        linearized at its initial state, with its precision learner stopped.
 
         Parameters
         ----------
         plant : system of python-control, optional
-            A linear system in place of the plant: from the controls to the measured signals, or to the sensors. An FMU that
-            does not show its states needs one: ``LinearModel.from_fmu(...).to_control()``.
+            A linear system in place of the plant: from the controls to the measured signals, or to the sensors. It is
+            necessary for an FMU with hidden states: ``LinearModel.from_fmu(...).to_control()``.
 
         Raises
         ------
         ModelError
-            If the diagram is no closed loop of one plant, one block of sensors and one controller, or cannot be linearized.
+            If the diagram is not a closed loop of one plant, one block of sensors and one controller, or cannot be linearized.
 
         Examples
         --------
@@ -53,7 +53,7 @@ class LoopMethods:
         Parameters
         ----------
         at : str, optional
-            Name of the plant's input at which the loop is broken; needed where there are several controls.
+            Name of the plant's input at which the loop is broken; needed if there are several controls.
         """
         return self.linear().bode(at)
 
@@ -63,7 +63,7 @@ class LoopMethods:
         Parameters
         ----------
         at : str, optional
-            Name of the plant's input whose gain changes; needed where there are several controls.
+            Name of the plant's input whose gain changes; needed if there are several controls.
         """
         return self.linear().root_locus(at)
 
@@ -73,7 +73,7 @@ class LoopMethods:
         Parameters
         ----------
         at : str, optional
-            Name of the plant's input; needed where there are several controls.
+            Name of the plant's input; needed if there are several controls.
         """
         return self.linear().margins(at)
 
@@ -87,7 +87,7 @@ class LoopMethods:
         Parameters
         ----------
         goal, output : str, optional
-            Names of the tracked signal whose goal it is, and of the signal that responds.
+            Names of the tracked signal of the goal, and of the signal that responds.
         """
         return self.linear().zeros(goal, output)
 

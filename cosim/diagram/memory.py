@@ -1,4 +1,4 @@
-"""Where a diagram's numbers lie, in one flat array: each block's states and scratch space, parameters, inputs and outputs."""
+"""The layout of a diagram's memory, one flat array: each block's state and scratch, parameters, inputs and outputs."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Sections = dict[str, tuple[str, int, tuple[int, ...]]]
 """For each argument of a step function: its section, its offset in that section, its shape."""
 
 TABLE = 32
-"""Places reserved for the addresses that an external block's step functions need."""
+"""Number of places for the table of addresses of an external block."""
 
 SECTIONS = ("state", "parameters", "inputs", "outputs")
 
 
 @dataclass(frozen=True)
 class Slots:
-    """Where a node's sections begin in memory, and what each argument name means."""
+    """The beginning of each section of a node in memory, and the place and shape of each named array."""
 
     start: dict[str, int]
     sections: Sections
@@ -41,9 +41,9 @@ class Slots:
 
 
 def arrange(block: Block, definition: Definition | None, begin: int) -> tuple[Slots, Floats]:
-    """Lay one block's sections out from place `begin` on; return where everything is and the initial values.
+    """Lay out one block's sections from place `begin` on; return the places and the initial values.
 
-    An external block, without a definition, gets room for its table of addresses as its parameters.
+    The parameters of an external block, which has no definition, are its table of addresses.
     """
     groups: dict[str, Iterable[tuple[str, Floats]]] = {
         "state": [*_arrays(definition.state), *_arrays(definition.scratch)] if definition else (),
@@ -59,8 +59,8 @@ def arrange(block: Block, definition: Definition | None, begin: int) -> tuple[Sl
         for name, array in groups[section]:
             if name in sections or (definition is not None and name in RESERVED):
                 raise KernelError(
-                    f"{type(block).__name__} uses the name {name!r} twice among its ports, states, parameters and scratch space "
-                    f"({', '.join(sorted(RESERVED))} are taken): rename one."
+                    f"{type(block).__name__} uses the name {name!r} twice among its ports, states, parameters and scratch arrays "
+                    f"({', '.join(sorted(RESERVED))} are reserved): rename one."
                 )
             sections[name] = (section, offset, array.shape)
             pieces.append(array.ravel())
@@ -83,14 +83,14 @@ def bind(kernel: Kernel, slots: Slots, memory: Floats) -> Callable[[float, int],
             views.append(memory[start : start + prod(shape)].reshape(shape))
 
     def step(t: float, k: int) -> None:
-        # NumPy's numbers, as array elements are: a division by zero gives an infinity, as in compiled code.
+        # NumPy's numbers, like array elements: a division by zero gives an infinity, as in compiled code.
         now = {"t": np.float64(t), "k": np.int64(k)}
         try:
             kernel(*[now[v] if isinstance(v, str) else v for v in views])
         except ZeroDivisionError:
             raise KernelError(
-                f"Step function {kernel.__name__!r} divides one plain Python number by another, which is zero; compiled code "
-                "would go on with an infinity. Let one of the two come from an array."
+                f"Step function {kernel.__name__!r} divides a plain Python number by a plain zero, where compiled code gives "
+                "an infinity; take one of the two numbers from an array."
             ) from None
 
     return step

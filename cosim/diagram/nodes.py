@@ -1,4 +1,4 @@
-"""Blocks that stand in a diagram, and references to their ports, which connections are made of."""
+"""Blocks in a diagram, and references to their ports for connections."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from bayesftc.cosim.ports import Port, labels
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A ``block`` that stands in a diagram under a ``name``; ``node["y"]`` refers to its port.
+    """A ``block`` in a diagram, with its ``name``; ``node["y"]`` refers to its port.
 
-    Of a vector or matrix port, ``node["y[1]"]`` (that is ``node["y"][1]``) and ``node["K[0,1]"]`` refer to one element. It runs
-    at every ``every``-th base step.
+    For a vector or matrix port, ``node["y[1]"]`` (the same as ``node["y"][1]``) and ``node["K[0,1]"]`` refer to one element. The
+    block runs at every ``every``-th base step.
     """
 
     name: str
@@ -26,7 +26,7 @@ class Node:
 
     @cached_property
     def inputs(self) -> tuple[Port, ...]:
-        """The inputs of the block, which makes them anew for each who asks."""
+        """The inputs of the block, kept here because the block makes them anew at each access."""
         return tuple(self.block.inputs)
 
     @cached_property
@@ -36,8 +36,8 @@ class Node:
 
     def port(self, name: str) -> Port:
         """Return the port of that name, as `Block.port` does."""
-        found = next((port for port in (*self.outputs, *self.inputs) if port.name == name), None)
-        return self.block.port(name) if found is None else found  # which says what there is
+        match = next((port for port in (*self.outputs, *self.inputs) if port.name == name), None)
+        return self.block.port(name) if match is None else match  # Block.port raises with the list of names
 
     def __getstate__(self) -> dict[str, Any]:
         return {"name": self.name, "block": self.block, "every": self.every}
@@ -64,7 +64,7 @@ class Node:
 
 @dataclass(frozen=True)
 class PortRef:
-    """A port of a block that stands in a diagram, or some of its elements: ``node["y"]``, ``node["y"][0]``.
+    """A port of a block in a diagram, or some of its elements: ``node["y"]``, ``node["y"][0]``.
 
     Attributes
     ----------
@@ -73,9 +73,9 @@ class PortRef:
     port : Port
         The port.
     direction : {"input", "output"}
-        Which side of the block it is on.
+        The side of the block.
     elements : tuple of int
-        The elements that are meant, in order.
+        The elements referred to, in order.
     """
 
     node: Node
@@ -85,7 +85,7 @@ class PortRef:
 
     @property
     def name(self) -> str:
-        """``block.port``, with an index where only some elements are meant."""
+        """``block.port``, with an index if the reference is to some elements only."""
         whole = f"{self.node.name}.{self.port.name}"
         if len(self.elements) == self.port.size:
             return whole
@@ -114,7 +114,7 @@ class PortRef:
 
 
 def label(reference: PortRef) -> str:
-    """Return the name that results have for a port, or for the one element of it that is meant: ``plant.K[0,1]``."""
+    """Return the name in results of a port, or of the one element referred to: ``plant.K[0,1]``."""
     if len(reference.elements) != 1 or not reference.port.shape:
         return reference.name
     return labels(f"{reference.node.name}.{reference.port.name}", reference.port.shape)[reference.elements[0]]

@@ -1,4 +1,4 @@
-"""Parts of a diagram from outside: its signals by name, and a copy of it in which some of them come from elsewhere."""
+"""Open a diagram: find its signals by name, and copy it with some of them fed from outside."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from bayesftc.cosim.errors import ModelError, UnconnectedInputError, UnknownName
 from bayesftc.cosim.ports import Port, labels
 
 Names = Sequence[str] | Mapping[str, str] | str
-"""Signals, by their names; a mapping gives each a new one."""
+"""Names of signals; a mapping gives each a new name."""
 
 Signals = Mapping[str, tuple[Node, Port]]
 Element = tuple[str, str, int]
 """Block, port and element of a scalar signal."""
 
 OUTSIDE = "<outside>"
-"""The name of the block that stands for all that comes from outside."""
+"""The name of the block for all signals from outside."""
 
 
 def signals_of(diagram: Diagram) -> tuple[Signals, Signals]:
-    """Return all inputs and all outputs of a diagram's blocks by name, as ``plant.v``."""
+    """Return all inputs and all outputs of a diagram's blocks by name, such as ``plant.v``."""
     inputs, outputs = (
         {f"{node.name}.{port.name}": (node, port) for node in diagram.nodes for port in getattr(node.block, side)}
         for side in ("inputs", "outputs")
@@ -37,24 +37,24 @@ def signals_of(diagram: Diagram) -> tuple[Signals, Signals]:
 def chosen(
     known: Signals, names: Names, what: str, who: str, allowed: Callable[[str], str]
 ) -> dict[str, tuple[Node, Port, int]]:
-    """Return the scalar signals that are meant, each by its label: ``y[0]``, ``y[1]`` for a vector ``y`` or an element of it.
+    """Return the scalar signals of the given names, each by its label: ``y[0]``, ``y[1]`` for a vector ``y``.
 
     Parameters
     ----------
     known : mapping of str to (Node, Port)
-        The signals by name.
+        All signals by name.
     names : sequence or mapping of str
-        Those that are meant.
+        Names of the signals to choose, vectors or elements.
     what, who : str
-        What they are, and who asks for them, as errors call them.
+        Nouns for a signal and for the caller in error messages.
     allowed : callable
-        Returns a label as it may be called there.
+        Converts a label into an allowed one.
     """
     listed = [names] if isinstance(names, str) else names
     renamed = names if isinstance(names, Mapping) else {name: name for name in listed}
     if len(renamed) < len(listed):
         raise ModelError(f"{who} has one of its {what}s twice: {', '.join(listed)}; name each once.")
-    found: dict[str, tuple[Node, Port, int]] = {}
+    result: dict[str, tuple[Node, Port, int]] = {}
     for signal, label in renamed.items():
         label = allowed(label)
         if signal in known:
@@ -63,13 +63,13 @@ def chosen(
         else:
             scalars = {label: _one(known, signal, what)}
         for scalar, place in scalars.items():
-            if scalar in found or place in found.values():
+            if scalar in result or place in result.values():
                 raise ModelError(
                     f"{who} has two {what}s {scalar!r}, or one of them twice; name each once, and give one of them another "
                     f"name, as in {what}s={{{signal!r}: 'other'}}."
                 )
-            found[scalar] = place
-    return found
+            result[scalar] = place
+    return result
 
 
 def _one(known: Signals, signal: str, what: str) -> tuple[Node, Port, int]:
@@ -89,13 +89,13 @@ def _hand_on(u, y):
 
 @dataclass(frozen=True)
 class HandOn(Block):
-    """Hands on numbers: ``y`` is ``u``. It stands in a diagram for all that comes from outside, or between FMUs."""
+    """A block whose ``y`` is ``u``. It represents signals from outside, or stands between FMUs."""
 
     size: int
 
     @property
     def inputs(self) -> tuple[Port, ...]:
-        """``u``: what comes from outside."""
+        """``u``: the numbers from outside."""
         return (Port("u", (self.size,), default=0.0),)
 
     @property
@@ -120,9 +120,9 @@ def needed(diagram: Diagram) -> dict[str, tuple[Node, Port, int]]:
 
 
 def opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]], who: str) -> tuple[Diagram, list[Element]]:
-    """Return a copy of the diagram in which the given signals come from outside, and where they are put in.
+    """Return a copy of the diagram in which the given signals come from outside, and the elements for their values.
 
-    An output that comes from outside is no longer heard: all that it feeds is fed from outside.
+    If a given signal is an output, all inputs that it feeds are fed from outside instead.
     """
     whole = copy(diagram)
     coupling, whole._coupling = whole._coupling, None
@@ -140,8 +140,8 @@ def opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]], who: str) 
             whole._sources[target] = outside, j
     for name, (node, _, _) in needed(whole).items():
         raise UnconnectedInputError(
-            f"The input {name} of {type(node.block).__name__} has neither a source nor a start value; name it among the inputs "
-            f"of {who}, as it is by default."
+            f"The input {name} of {type(node.block).__name__} has neither a source nor a start value; add it to the inputs "
+            f"of {who}, where it is by default."
         )
     whole.build(coupling)
     return whole, [(OUTSIDE, "u", j) for j in range(len(given))]

@@ -1,4 +1,4 @@
-"""Which signals of a diagram have which part in a closed loop: plain data, which a result keeps and saves."""
+"""The roles of a diagram's signals in a closed loop: plain data that a result keeps and saves."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
 Place = tuple[str, int]
-"""A signal and one of its elements, a matrix row by row."""
+"""A signal and the number of an element; matrices are counted row by row."""
 
 
 @dataclass(frozen=True)
 class SensorRole:
-    """One sensor: what the controller gets of it, its unit, and the names of the faults on the way in their order."""
+    """One sensor: the controller's input from it, its unit, and the names of the faults in between, in their order."""
 
     samples: Place | None
     unit: str | None
@@ -43,19 +43,19 @@ class QuantityRole:
     Attributes
     ----------
     name : str
-        The plant's variable, or ``sensor i`` where a sensor measures a mixture of several.
+        The plant's variable, or ``sensor i`` if a sensor measures a mixture of several.
     unit : str or None
         Its unit.
     sensors : tuple of int
         The sensors that measure it.
     truth : tuple of (float, Place), or None
-        What an ideal sensor reads: weights and signals; None if a signal is missing.
+        Weights and signals whose sum an ideal sensor reads; None if a signal is missing.
     reference : Place or None
-        The element of the goal for it.
+        The source of its element of the goal.
     belief : tuple of float, or None
-        Weights of the controller's ``x_hat``; None if it is no linear function of it.
+        Weights of the controller's ``x_hat``; None if it is no linear function of ``x_hat``.
     goal : int or None
-        The element of the goal that is for it.
+        The number of its element of the goal.
     """
 
     name: str
@@ -69,9 +69,9 @@ class QuantityRole:
 
 @dataclass(frozen=True)
 class InputRole:
-    """One input of the plant on whose way there are faults: what is sent, what is received, the names of the faults.
+    """One input of the plant with faults: the signal before them, the signal after them, and their names.
 
-    ``control`` is the number of the control that is sent; None if it is another signal, such as a noise.
+    ``control`` is the number of the control before the faults; None for another signal, such as a noise.
     """
 
     name: str
@@ -84,7 +84,7 @@ class InputRole:
 
 @dataclass(frozen=True)
 class ControlRole:
-    """One control: the plant's input that it drives first, its limits (None: unlimited), the faults on the way there."""
+    """One control: the first input of the plant that it feeds, its limits (None: unlimited), the faults in between."""
 
     name: str
     unit: str | None
@@ -97,7 +97,7 @@ class ControlRole:
 class LoopRoles:
     """The parts of a closed loop: names of blocks and signals, without any numbers of a run.
 
-    ``fault_kinds`` and ``actuator_kinds`` name the kinds of faults that the controller tells, from number 1 on.
+    ``fault_kinds`` and ``actuator_kinds`` name the kinds of faults that the controller can identify, from number 1 on.
     """
 
     controller: str
@@ -114,14 +114,14 @@ class LoopRoles:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> LoopRoles:
-        """Return what `to_dict` made, after a way through JSON, which has lists in place of tuples."""
+        """Return the roles from the data of `to_dict`, also after JSON has turned tuples into lists."""
         parts = {"sensors": SensorRole, "quantities": QuantityRole, "inputs": InputRole, "controls": ControlRole}
         frozen = {name: _frozen(value) for name, value in plain.items() if name not in parts}
-        made: dict[str, Any] = {
+        roles: dict[str, Any] = {
             name: tuple(part(**{key: _frozen(value) for key, value in each.items()}) for each in plain[name])
             for name, part in parts.items()
         }
-        return cls(**frozen, **made)
+        return cls(**frozen, **roles)
 
 
 def _frozen(value: Any) -> Any:
@@ -134,45 +134,45 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     Parameters
     ----------
     diagram : Diagram
-        With one `Sensors` block and one controller, a block with inputs ``y`` and ``goal`` and the output ``u``: as
-        `closed_loop` makes it, or put together by hand in the same way.
+        A diagram with one `Sensors` block and one controller, a block with inputs ``y`` and ``goal`` and the output ``u``:
+        from `closed_loop`, or connected by hand in the same way.
 
     Raises
     ------
     ModelError
-        If the diagram is no such loop.
+        If the diagram is not such a loop.
     """
-    seen, controller = find_sensors(diagram), find_controller(diagram)
+    sensor_node, controller = find_sensors(diagram), find_controller(diagram)
     y = controller.port("y")
-    quantities = _quantities(diagram, seen, controller)
+    quantities = _quantities(diagram, sensor_node, controller)
     units = {i: quantity.unit for quantity in quantities for i in quantity.sensors}
-    unit = seen.port("y").unit
+    unit = sensor_node.port("y").unit
     sensors = tuple(
         SensorRole(_source(diagram, controller, y, i), units.get(i, unit), tuple(faults_before(diagram, controller, i)))
         for i in range(y.size)
     )
-    inputs = _inputs(diagram, {seen.name, controller.name}, controller)
+    inputs = _inputs(diagram, {sensor_node.name, controller.name}, controller)
     kinds = (tuple(getattr(controller.block, f"{of}_kinds", ())) for of in ("fault", "actuator"))
     return LoopRoles(controller.name, sensors, quantities, inputs, _controls(diagram, controller), *kinds)
 
 
 def known_roles(diagram: Diagram) -> LoopRoles | None:
-    """Return what `find_roles` finds; None if the diagram is no closed loop."""
+    """Return the roles of `find_roles`; None if the diagram is no closed loop."""
     try:
         return find_roles(diagram)
-    except (BayesFTCError, RecursionError):  # hundreds of faults, one after the other: a result is saved all the same
+    except (BayesFTCError, RecursionError):  # a result must be saved even with a chain of hundreds of faults
         return None
 
 
 def _source(diagram: Diagram, node: Node, port: Port, element: int) -> Place | None:
-    """Return what feeds one element of an input."""
-    found = diagram.source_of(node, port, element)
-    return None if found is None else (f"{found[0].node.name}.{found[0].port.name}", found[1])
+    """Return the source of one element of an input."""
+    source = diagram.source_of(node, port, element)
+    return None if source is None else (f"{source[0].node.name}.{source[0].port.name}", source[1])
 
 
 def _inputs(diagram: Diagram, others: Container[str], controller: Node) -> tuple[InputRole, ...]:
-    """Return the inputs that are fed through faults, but for those of the named blocks."""
-    found = []
+    """Return the inputs that are fed through faults, except for those of the named blocks."""
+    roles = []
     for node, port, i in elements(diagram, others):
         if chain := faults_right_before(diagram, node, port, i):
             first, element = chain[0]
@@ -180,14 +180,14 @@ def _inputs(diagram: Diagram, others: Container[str], controller: Node) -> tuple
             received = _source(diagram, node, port, i)
             control = sent[1] if sent and sent[0] == f"{controller.name}.u" else None
             names = tuple(fault.name for fault, _ in chain)
-            found.append(InputRole(element_name(port, i), port.unit, sent, received, names, control))
-    return tuple(found)
+            roles.append(InputRole(element_name(port, i), port.unit, sent, received, names, control))
+    return tuple(roles)
 
 
 def _controls(diagram: Diagram, controller: Node) -> tuple[ControlRole, ...]:
     count = controller.port("u").size
     low, high = (_limits(controller, name, count) for name in ("u_min", "u_max"))
-    led: dict[int, tuple[str, str | None, tuple[str, ...]]] = {}
+    targets: dict[int, tuple[str, str | None, tuple[str, ...]]] = {}
     for node, port, i in elements(diagram, {controller.name}):
         chain = faults_right_before(diagram, node, port, i)
         sent = (
@@ -196,51 +196,51 @@ def _controls(diagram: Diagram, controller: Node) -> tuple[ControlRole, ...]:
             else _source(diagram, node, port, i)
         )
         if sent is not None and sent[0] == f"{controller.name}.u":
-            led.setdefault(sent[1], (element_name(port, i), port.unit, tuple(fault.name for fault, _ in chain)))
+            targets.setdefault(sent[1], (element_name(port, i), port.unit, tuple(fault.name for fault, _ in chain)))
     controls = []
     for j in range(count):
-        name, unit, faults = led.get(j, (f"control {j}", None, ()))
+        name, unit, faults = targets.get(j, (f"control {j}", None, ()))
         controls.append(ControlRole(name, unit, low[j], high[j], faults))
     return tuple(controls)
 
 
 def _limits(controller: Node, name: str, count: int) -> list[float | None]:
-    """Return a limit of each control; None where there is none or the controller does not say."""
-    given = getattr(controller.block, name, None)
-    if given is None:
+    """Return a limit of each control; None if there is none or the controller has no such setting."""
+    limits = getattr(controller.block, name, None)
+    if limits is None:
         return [None] * count
-    values = np.broadcast_to(np.asarray(given, dtype=np.float64), (count,))
+    values = np.broadcast_to(np.asarray(limits, dtype=np.float64), (count,))
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def _quantities(diagram: Diagram, seen: Node, controller: Node) -> tuple[QuantityRole, ...]:
-    block: Any = seen.block
+def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[QuantityRole, ...]:
+    block: Any = sensor_node.block
     rows = block.rows
-    if rows is None:  # what it measures is not linear, and is not kept
+    if rows is None:  # nonlinear measurements have no roles
         return ()
-    # A controller may say what its sensors read of its estimate x_hat (a row of NaN: nothing linear), and what its goal is of it.
+    # A controller may have matrices from its estimate x_hat to the sensors (a row of NaN: not linear) and to its goal.
     C: Floats | None
     G: Floats | None
     C, G = (getattr(controller.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
     groups: dict[tuple[float, ...], list[int]] = {}
     for i, row in enumerate(rows):
         groups.setdefault(tuple(map(float, row)), []).append(i)
-    inputs = [_source(diagram, seen, seen.port("u"), j) for j in range(block.signals)]
+    inputs = [_source(diagram, sensor_node, sensor_node.port("u"), j) for j in range(block.signals)]
     goals = controller.port("goal").size
-    found = []
+    roles = []
     for number, (row, members) in enumerate(groups.items()):
         used = [(weight, place) for weight, place in zip(row, inputs, strict=True) if weight and place is not None]
         truth = tuple(used) if used and len(used) == np.count_nonzero(row) else None
-        name, unit = label_of(diagram, seen, row, members[0])
-        # Sensors of one quantity read the same; a controller may know one of them by a function that is not linear.
-        read = next((C[i] for i in members if np.isfinite(C[i]).all()), None) if C is not None else None
-        goal = number if goals == len(groups) and (C is None or G is None) else None  # unless said otherwise, in order
-        if read is not None and G is not None:
-            goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, read)), None)
+        name, unit = label_of(diagram, sensor_node, row, members[0])
+        # Sensors of one quantity have equal rows, but the controller may have a nonlinear model of one of them.
+        weights = next((C[i] for i in members if np.isfinite(C[i]).all()), None) if C is not None else None
+        goal = number if goals == len(groups) and (C is None or G is None) else None  # without matrices: in order
+        if weights is not None and G is not None:
+            goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, weights)), None)
         reference = None if goal is None else _source(diagram, controller, controller.port("goal"), goal)
-        belief = None if read is None else tuple(map(float, read))
-        found.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal))
-    return tuple(found)
+        belief = None if weights is None else tuple(map(float, weights))
+        roles.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal))
+    return tuple(roles)
 
 
 __all__ = ["ControlRole", "InputRole", "LoopRoles", "Place", "QuantityRole", "SensorRole", "find_roles", "known_roles"]

@@ -1,11 +1,12 @@
-"""From a diagram to a program: which step functions are called in which order, and what is copied between the calls.
+"""From a diagram to a program: the order of the calls of step functions, and the copies between the calls.
 
-A step has two phases. *Evaluate* computes all outputs at t_k in the order of direct feedthrough, then brings the inputs that
-do not feed through, which may come from any block. *Advance* takes every state
-to t_k+1: first the blocks that only know sampled time, in any order (no one's state can be seen before the next evaluation),
-then the FMUs in the order in which they were added. With Gauss-Seidel coupling, an FMU that feeds a later one of the same
-rate directly is read again at once, into a place of its own that only that later FMU's step sees: the outputs that everyone
-else sees, and that are recorded, stay those of t_k until t_k+1 is evaluated.
+A step has two phases. *Evaluate* computes all outputs at t_k in the order of direct feedthrough. Then it copies the inputs
+without feedthrough, which may come from any block. *Advance* takes every state to t_k+1: first the sampled blocks, in any order
+(no state is read before the next evaluation), then the FMUs in the order in which they were added.
+
+With Gauss-Seidel coupling, an FMU that directly feeds a later one of the same rate is read again after its step, into a
+separate place for the later FMU's step. The outputs that all other blocks read, and that are recorded, stay those of t_k until
+t_k+1 is evaluated.
 """
 
 from __future__ import annotations
@@ -32,16 +33,16 @@ from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats, Kernel
 
 NOT_FINITE = 1_000_000
-"""A call's status from here on: the place in memory, plus this number, that came out NaN or infinite."""
+"""A status from here on is this number plus the place in memory of an output that is NaN or infinite."""
 
 
 @dataclass(frozen=True)
 class Call:
-    """One call of a step function: whose, which one, and the copies (to, from) that bring its inputs.
+    """One call of a step function: the node, the kind of function, and the copies (target, source) of its inputs.
 
-    The kind ``inputs`` calls no function: it only brings inputs, so that they are recorded as they are at t_k. The kind
-    ``ahead`` calls the output function, but its results go to the place of outputs ahead of time. The kind ``group`` computes
-    several blocks together, of which `node` is the first.
+    The kind ``inputs`` calls no function. It only copies inputs, so that those of t_k are recorded. The kind ``ahead`` calls the
+    output function and writes its results to the place for outputs at t_k+1. The kind ``group`` computes several blocks
+    together, of which `node` is the first.
     """
 
     node: int
@@ -52,7 +53,7 @@ class Call:
 
 @dataclass(frozen=True)
 class Draw:
-    """One random number a step: the stream (block.port), the channel in it, its distribution and where it goes."""
+    """One random number a step: the stream (block.port), the channel in it, its distribution and its place in memory."""
 
     stream: str
     channel: int
@@ -62,26 +63,26 @@ class Draw:
 
 
 class Schedule:
-    """A diagram ready to run.
+    """A diagram that is ready to run.
 
     Attributes
     ----------
     evaluate, advance : tuple of Call
         The two phases of a step.
     draws : tuple of Draw
-        What the engine's random streams fill.
+        The random numbers of a step.
     initial : ndarray
-        Memory as it stands before the first step: states, parameters, input defaults.
+        Memory before the first step: states, parameters, input defaults.
     free : tuple of (Node, Port)
-        The inputs that nothing feeds, which keep their start values.
+        The unconnected inputs, which keep their start values.
     ahead : dict of int to int
-        Where in memory the outputs at t_k+1 stand, while the others step, of the FMUs that a later FMU sees so.
+        For each FMU whose outputs at t_k+1 are inputs of a later FMU's step: the place of these outputs in memory.
     groups : tuple of Group
         Blocks that are computed together: algebraic loops, and FMUs that are coupled tightly.
     connected : frozenset of (int, str)
-        The outputs that something is connected to: node and name.
+        The connected outputs: node and name.
     remembered : ndarray of int
-        The places in memory of what a run has to remember: all but outputs that are there to be recorded only.
+        The places in memory that belong to the state of a run: all but scratch and outputs that are only recorded.
     """
 
     def __init__(self, diagram: Diagram, coupling: Coupling = Coupling()):  # noqa: B008 - it is frozen
@@ -132,28 +133,28 @@ class Schedule:
         self.remembered = self._remembered(grouping)
 
     def kernel(self, call: Call) -> Kernel | None:
-        """Return the Python step function of a call; None for an external block, and where only inputs are brought."""
+        """Return the Python step function of a call; None for an external block, and for a call that only copies inputs."""
         definition = self.definitions[call.node]
         return getattr(definition, call.kind) if definition and call.kind != "inputs" else None
 
     def signal(self, node: Node, port: Port) -> slice:
-        """Return where a port's elements lie in memory."""
+        """Return the place of a port's elements in memory."""
         slots = self.slots[self._place[node]]
         start = slots.offset(port.name)
         return slice(start, start + port.size)
 
     def layout(self) -> tuple[Any, ...]:
-        """Return what two diagrams must have in common for the memory of one to be that of the other."""
+        """Return the properties in which two diagrams must agree to exchange their memory."""
         blocks = tuple((node.name, type(node.block).__name__, node.every) for node in self.nodes)
         return str(self.step), self.coupling, blocks, len(self.remembered)
 
     def depended_on(self, i: int) -> int:
-        """Return how many numbers the outputs of a node have, those left out that are there to be recorded only."""
+        """Return the number of output elements of a node, without those that are only recorded."""
         block = self.nodes[i].block
         return sum(port.size for port in block.outputs) - block.only_recorded
 
     def describe(self) -> str:
-        """Return the order of a step as text, a line a call; an FMU's line names the FMUs that it sees at t_k+1 already."""
+        """Return the order of a step as text, one call a line; an FMU's line lists the FMUs whose outputs at t_k+1 it gets."""
         lines = [f"at t_k     {self._named(c)}" for c in self.evaluate if c.kind != "inputs"]
         for call in self.advance:
             if call.group:
@@ -164,16 +165,16 @@ class Schedule:
         return "\n".join(lines)
 
     def every(self, call: Call) -> int:
-        """Return at which multiple of the base step a call is made."""
+        """Return the multiple of the base step at which a call is made."""
         return call.group.every if call.group else self.nodes[call.node].every
 
     def output_name(self, i: int, offset: int) -> str:
-        """Return the full name of the output of node `i` that lies `offset` places behind its first."""
+        """Return the full name of the output of node `i` that lies `offset` places after its first."""
         return f"{self.nodes[i].name}.{element_name(self.nodes[i].outputs, offset)}"
 
     @property
     def _tight(self) -> bool:
-        """Whether FMUs that are coupled make their steps together."""
+        """Whether coupled FMUs make their steps together."""
         return self.coupling.iterated or self.coupling.step_error is not None
 
     def _named(self, call: Call) -> str:
@@ -185,11 +186,11 @@ class Schedule:
         return f"{names}  ({', '.join(how) or 'one after the other'})"
 
     def outputs_start(self, call: Call) -> int:
-        """Return where in memory the outputs that a call writes begin."""
+        """Return the place in memory of the outputs that a call writes."""
         return self.ahead[call.node] if call.kind == "ahead" else self.slots[call.node].start["outputs"]
 
     def updates(self, i: int) -> bool:
-        """Return whether a node has something to do between t_k and t_k+1."""
+        """Return whether a node has an update between t_k and t_k+1."""
         definition, block = self.definitions[i], self.nodes[i].block
         if isinstance(block, ExternalBlock):
             return block.timing != "sampled"
@@ -243,9 +244,9 @@ class Schedule:
     def _gathers(
         self, diagram: Diagram, i: int, feedthrough: bool | None = None, *, ahead: tuple[int, ...] = ()
     ) -> tuple[tuple[int, int], ...]:
-        """Return the copies that bring a block's inputs: those that feed through, those that do not, or all of them.
+        """Return the copies of a block's inputs: of those with feedthrough, of those without, or of all.
 
-        What comes from the nodes `ahead` is taken from their outputs ahead of time.
+        Values of the nodes `ahead` are taken from their outputs at t_k+1.
         """
         node, slots, copies = self.nodes[i], self.slots[i], []
         for port in node.inputs:
@@ -266,9 +267,9 @@ class Schedule:
         return [i for i in range(len(self.nodes)) if is_external(self.nodes[i]) and self.updates(i)]
 
     def _pairs_ahead(self, diagram: Diagram) -> dict[int, tuple[int, ...]]:
-        """Return, for each FMU, the earlier ones that it sees at the end of its step.
+        """Return, for each FMU, the earlier FMUs whose outputs at t_k+1 it gets.
 
-        An FMU of another rate has no new value there, or not yet: it is seen at t_k, as by everyone else.
+        An FMU of another rate has no new value at t_k+1, or not yet. Its outputs at t_k are used.
         """
         if self.coupling.method == "jacobi" or self._tight:
             return {}
@@ -305,18 +306,18 @@ class Schedule:
 
     def _advance(self, diagram: Diagram, groups: list[Group]) -> tuple[Call, ...]:
         sampled = [i for i in range(len(self.nodes)) if not is_external(self.nodes[i]) and self.updates(i)]
-        calls = [Call(i, "update", ()) for i in sampled]  # all inputs have come by the end of evaluate
+        calls = [Call(i, "update", ()) for i in sampled]  # evaluate has copied all inputs
         grouped = {i for group in groups for i in group.nodes}
         for group in groups:
             calls.append(Call(group.nodes[0], "group", (), group))
-            if group.every > 1:  # until they run again, their inputs too are recorded as at t_k
+            if group.every > 1:  # until they run again, their inputs of t_k are recorded
                 calls += [Call(i, "inputs", self._gathers(diagram, i)) for i in group.nodes]
         for i in self._plants():
             if i in grouped:
                 continue
             seen = self._seen_ahead.get(i, ())
             calls.append(Call(i, "update", self._gathers(diagram, i, ahead=seen)))
-            if seen and self.nodes[i].every > 1:  # until it runs again, its inputs too are recorded as at t_k
+            if seen and self.nodes[i].every > 1:  # until it runs again, its inputs of t_k are recorded
                 calls.append(Call(i, "inputs", self._gathers(diagram, i)))
             if i in self.ahead:
                 calls.append(Call(i, "ahead", ()))
@@ -329,10 +330,10 @@ class Schedule:
 
 
 def _check_sample_time(node: Node, step: Fraction) -> None:
-    wanted = node.block.sample_time
-    if wanted is not None and wanted != step:
+    required = node.block.sample_time
+    if required is not None and required != step:
         raise StepSizeError(
-            f"Block {node.name!r} must run every {show(wanted)} s, but the diagram runs it every {show(step)} s; "
+            f"Block {node.name!r} must run every {show(required)} s, but the diagram runs it every {show(step)} s; "
             "change the diagram's dt, the block's every=, or the block's own sample time."
         )
 

@@ -1,4 +1,4 @@
-"""Which blocks of a diagram are the parts of a closed loop, and which faults lie on the ways between them."""
+"""Find the parts of a closed loop among the blocks of a diagram, and the faults on the connections between them."""
 
 from __future__ import annotations
 
@@ -11,51 +11,51 @@ from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
-_Known = dict[tuple[str, str, int], list[str] | None]
+_Visited = dict[tuple[str, str, int], list[str] | None]
 
 
 def find_sensors(diagram: Diagram) -> Node:
-    """Return the block of the sensors."""
-    found = [node for node in diagram.nodes if isinstance(node.block, Sensors)]
-    if len(found) != 1:
-        raise ModelError(f"A closed loop has one Sensors block; {diagram!r} has {len(found)}.")
-    return found[0]
+    """Return the node of the sensors."""
+    nodes = [node for node in diagram.nodes if isinstance(node.block, Sensors)]
+    if len(nodes) != 1:
+        raise ModelError(f"A closed loop has one Sensors block; {diagram!r} has {len(nodes)}.")
+    return nodes[0]
 
 
 def find_controller(diagram: Diagram) -> Node:
-    """Return the controller: what the sensors and the goal lead to, and what sends a control."""
-    found = [
+    """Return the node of the controller: the block with inputs ``y`` and ``goal`` and the output ``u``."""
+    nodes = [
         node
         for node in diagram.nodes
         if {"y", "goal"} <= {p.name for p in node.inputs} and "u" in {p.name for p in node.outputs}
     ]
-    if len(found) != 1:
+    if len(nodes) != 1:
         raise ModelError(
-            f"A closed loop has one controller, a block with inputs y and goal and the output u; {diagram!r} has {len(found)}."
+            f"A closed loop has one controller, a block with inputs y and goal and the output u; {diagram!r} has {len(nodes)}."
         )
-    return found[0]
+    return nodes[0]
 
 
-def faults_before(diagram: Diagram, brain: Node, sensor: int) -> list[str]:
+def faults_before(diagram: Diagram, controller: Node, sensor: int) -> list[str]:
     """Return the names of the faults between the sensors and one element of the controller's ``y``, in their order.
 
-    A fault elsewhere, such as that of an actuator between controller and plant, is no fault of a sensor.
+    Faults elsewhere, such as an actuator fault between controller and plant, are not included.
     """
-    # What comes out of the controller leads to no sensor, whatever it has seen.
-    known: _Known = {(brain.name, port.name, i): None for port in brain.inputs for i in range(port.size)}
-    return _trace_source(diagram, diagram.source_of(brain, brain.port("y"), sensor), known) or []
+    # The controller's inputs count as visited, so that no path goes through the controller.
+    visited: _Visited = {(controller.name, port.name, i): None for port in controller.inputs for i in range(port.size)}
+    return _trace_source(diagram, diagram.source_of(controller, controller.port("y"), sensor), visited) or []
 
 
-def _trace(diagram: Diagram, node: Node, port: Port, element: int, known: _Known) -> list[str] | None:
-    """Follow one element of an input back to the sensors; return the faults on the way, None if it does not lead there."""
-    at = (node.name, port.name, element)
-    if at not in known:
-        known[at] = None  # a way that comes back here leads round in a circle
-        known[at] = _trace_source(diagram, diagram.source_of(node, port, element), known)
-    return known[at]
+def _trace(diagram: Diagram, node: Node, port: Port, element: int, visited: _Visited) -> list[str] | None:
+    """Trace one element of an input back to the sensors; return the faults on the path, None if there is no path."""
+    place = (node.name, port.name, element)
+    if place not in visited:
+        visited[place] = None  # a path that returns here is a circle
+        visited[place] = _trace_source(diagram, diagram.source_of(node, port, element), visited)
+    return visited[place]
 
 
-def _trace_source(diagram: Diagram, origin: tuple[PortRef, int] | None, known: _Known) -> list[str] | None:
+def _trace_source(diagram: Diagram, origin: tuple[PortRef, int] | None, visited: _Visited) -> list[str] | None:
     if origin is None:
         return None
     node, channel = origin[0].node, origin[1]
@@ -63,21 +63,21 @@ def _trace_source(diagram: Diagram, origin: tuple[PortRef, int] | None, known: _
     if isinstance(block, Sensors):
         return []
     if isinstance(block, Fault):
-        found = _trace(diagram, node, node.port("u"), channel, known)
-        return None if found is None else [*found, *([node.name] if block.sensor == channel else [])]
-    # Another block on the way, such as a delay, has one input as long as its output: element by element. Else all may matter.
-    alike = [p.size for p in node.inputs] == [origin[0].port.size]
-    ways = [
-        _trace(diagram, node, entry, i, known)
+        faults = _trace(diagram, node, node.port("u"), channel, visited)
+        return None if faults is None else [*faults, *([node.name] if block.sensor == channel else [])]
+    # A block with one input of the output's size, such as a delay, acts element by element. Of others all elements may matter.
+    elementwise = [p.size for p in node.inputs] == [origin[0].port.size]
+    paths = [
+        _trace(diagram, node, entry, i, visited)
         for entry in node.inputs
-        for i in ([channel] if alike else range(entry.size))
+        for i in ([channel] if elementwise else range(entry.size))
     ]
-    there = [names for names in ways if names is not None]
-    return list(dict.fromkeys(name for names in there for name in names)) if there else None
+    complete = [names for names in paths if names is not None]
+    return list(dict.fromkeys(name for names in complete for name in names)) if complete else None
 
 
 def faults_right_before(diagram: Diagram, node: Node, port: Port, element: int) -> list[tuple[Node, int]]:
-    """Return the faults right before one element of an input, in their order, each with its element that is meant."""
+    """Return the faults directly before one element of an input, in their order, each with its faulty element."""
     origin = diagram.source_of(node, port, element)
     if origin is None or not isinstance(origin[0].node.block, Fault):
         return []
@@ -95,7 +95,7 @@ def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tu
 
 
 def elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, Port, int]]:
-    """Give each element of each input, but for those of faults and of the named blocks."""
+    """Yield each element of each input, except for those of faults and of the named blocks."""
     for node in diagram.nodes:
         for port in () if isinstance(node.block, Fault) or node.name in others else node.inputs:
             for i in range(port.size):
@@ -103,17 +103,17 @@ def elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, P
 
 
 def element_name(port: Port, i: int) -> str:
-    """Return what one element of a port is called."""
+    """Return the name of one element of a port."""
     return port.name + (f"[{i}]" if port.size > 1 else "")
 
 
-def label_of(diagram: Diagram, seen: Node, row: tuple[float, ...], sensor: int) -> tuple[str, str | None]:
-    """Return the name and the unit of the quantity that a sensor measures by a row of its matrix."""
+def label_of(diagram: Diagram, sensors: Node, row: tuple[float, ...], sensor: int) -> tuple[str, str | None]:
+    """Return the name and the unit of the quantity that a sensor measures, given its row of the measurement matrix."""
     nonzero = [j for j, weight in enumerate(row) if weight]
     if len(nonzero) != 1 or row[nonzero[0]] != 1.0:
-        return f"sensor {sensor}", seen.port("y").unit
-    found = diagram.source_of(seen, seen.port("u"), nonzero[0])
-    if found is None:
+        return f"sensor {sensor}", sensors.port("y").unit
+    source = diagram.source_of(sensors, sensors.port("u"), nonzero[0])
+    if source is None:
         return f"sensor {sensor}", None
-    port = found[0].port
-    return element_name(port, found[1]), port.unit or seen.port("y").unit
+    port = source[0].port
+    return element_name(port, source[1]), port.unit or sensors.port("y").unit

@@ -40,7 +40,7 @@ def test_a_loop_that_does_not_converge_says_by_how_much():
             "The run stopped at t = 0 s (step 0): the coupling of 'e' and 'y' did not converge in 7 iterations: "
         )
         assert "still changes by " in text
-        assert "the tolerance is 1e-08. Take more iterations, or another acceleration, or a UnitDelay between" in text
+        assert "the tolerance is 1e-08. Use more iterations, or another acceleration, or a UnitDelay between" in text
         assert len(caught.value.result.time) == 0
 
 
@@ -50,7 +50,9 @@ def test_loops_are_refused_with_the_remedy_where_they_are_not_iterated():
     diagram.connect(one["y"], two["u"])
     diagram.connect(two["y"], one["u"])
     for way in (None, "jacobi", Coupling("gauss-seidel", step_error=1e-3)):
-        with pytest.raises(cosim.AlgebraicLoopError, match=r"solved at each step with build\(coupling='iterated'\)\.$"):
+        with pytest.raises(
+            cosim.AlgebraicLoopError, match=r"solve the loop at each step with build\(coupling='iterated'\)\.$"
+        ):
             diagram.build(way)
     assert diagram.build("iterated").schedule.describe() == "at t_k     one and two  (guessing two.y)"
 

@@ -165,31 +165,31 @@ def test_references(reference):
             cosim.ConnectionError,
             r"The controller has 1 controls, but control= names 2 inputs",
         ),
-        ({"noise": {"force": cosim.Gaussian(1.0)}}, cosim.ConnectionError, r"plant\.force has a source already"),
+        ({"noise": {"force": cosim.Gaussian(1.0)}}, cosim.ConnectionError, r"plant\.force already has a source"),
         (
             {"sensors": cosim.Sensors(count=2)},
             cosim.ConnectionError,
             r"The controller has 1 sensors, but the loop has 2",
         ),
-        ({"faults": ["freeze"]}, cosim.ModelError, r"faults must be faults such as Freeze"),
-        ({"faults": [cosim.Freeze(sensor=1, start=1.0)]}, cosim.ModelError, r"is to befall sensor 1, but there are 1"),
+        ({"faults": ["freeze"]}, cosim.ModelError, r"faults must contain only faults, such as Freeze"),
+        ({"faults": [cosim.Freeze(sensor=1, start=1.0)]}, cosim.ModelError, r"refers to sensor 1, but there are 1"),
         ({"reference": [1.0, 2.0]}, cosim.ConnectionError, r"cannot be connected to controller\.goal \(size 1\)"),
         ({"reference": "up"}, cosim.ModelError, r"Only blocks can be added"),
         ({"plant": cosim.Constant(1.0)}, cosim.UnknownNameError, r"Block 'plant' has no port 'speed'"),
         (
             {"controller": Hasty()},
             cosim.StepSizeError,
-            r"Hasty does not know its sample time; give closed_loop\(dt=",
+            r"Hasty has no sample time; give closed_loop\(dt=",
         ),
         (
             {"controller": cosim.Gain(1.0), "dt": 0.1},
             cosim.UnknownNameError,
-            r"controller, of the kind Gain, has no input 'y'.*in each other's place\?",
+            r"controller, of the kind Gain, has no input 'y'.*whether plant and controller are exchanged",
         ),
-        ({"plant": "car.fmu"}, cosim.ModelError, r"plant must be a block, not 'car.fmu': cosim.FMU\(path\) makes one"),
+        ({"plant": "car.fmu"}, cosim.ModelError, r"plant must be a block, not 'car.fmu'; use cosim.FMU\(path\)"),
         ({"controller": control}, cosim.ModelError, r"controller must be a block, not <function control"),
-        ({"sensors": 2}, cosim.ModelError, r"sensors is 2; it must be cosim.Sensors\(count=2"),
-        ({"noise": cosim.Gaussian(1.0)}, cosim.ModelError, r"it must say which input of the plant each source feeds"),
+        ({"sensors": 2}, cosim.ModelError, r"sensors is 2; it must be a Sensors block, such as cosim.Sensors\(count=2"),
+        ({"noise": cosim.Gaussian(1.0)}, cosim.ModelError, r"it must be a mapping from inputs of the plant to sources"),
         (
             {"dt": 0.1},
             cosim.StepSizeError,
@@ -219,7 +219,7 @@ def test_one_fault_needs_no_list():
 
 def test_two_faults_of_a_kind_on_a_sensor_need_names():
     twice = [cosim.Freeze(sensor=0, start=1.0, stop=2.0), cosim.Freeze(sensor=0, start=3.0)]
-    with pytest.raises(cosim.ModelError, match=r"has a block 'freeze_0' already"):
+    with pytest.raises(cosim.ModelError, match=r"already has a block 'freeze_0'"):
         loop(faults=twice)
     named = [twice[0], cosim.Freeze(sensor=0, start=3.0, name="again")]
     assert "again" in [n.name for n in loop(faults=named).nodes]

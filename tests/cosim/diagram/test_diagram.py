@@ -50,14 +50,20 @@ def parts(make_block):
         ),
         (lambda p, b: (b["opt"], b["force"]), "brain.opt is an input, but the source must be an output"),
         (lambda p, b: (p["speed"], p["speed"]), "plant.speed is an output, but the target must be an input"),
-        (lambda p, b: (p, b["opt"]), "The source of a connection must be a port, as node['y'], not <plant: Custom>"),
+        (
+            lambda p, b: (p, b["opt"]),
+            "The source of a connection must be a port, such as node['y'], not <plant: Custom>",
+        ),
         (lambda p, b: (p["speed"], b), "The target of a connection must be a port"),
         (
             lambda p, b: ("plant.speed", b["opt"]),
-            "The source of a connection must be a port, as node['y'], not 'plant.speed'",
+            "The source of a connection must be a port, such as node['y'], not 'plant.speed'",
         ),
-        (lambda p, b: (3, b["opt"]), "The source of a connection must be a port, as node['y'], not 3"),
-        (lambda p, b: ([p["xy"][0], 3.0], b["uv"]), "The source of a connection must be a port, as node['y'], not 3.0"),
+        (lambda p, b: (3, b["opt"]), "The source of a connection must be a port, such as node['y'], not 3"),
+        (
+            lambda p, b: ([p["xy"][0], 3.0], b["uv"]),
+            "The source of a connection must be a port, such as node['y'], not 3.0",
+        ),
     ],
 )
 def test_connections_that_cannot_be(parts, connect, sentence):
@@ -99,13 +105,13 @@ def test_a_second_source_is_refused_and_changes_nothing(parts):
     diagram.connect(plant["P"][3], brain["uv"][1])
     with pytest.raises(
         cosim.ConnectionError,
-        match=r"brain.uv\[1\] has a source already \(plant.P\[3\]\); it cannot also take plant.xy",
+        match=r"brain.uv\[1\] already has a source \(plant.P\[3\]\); it cannot also take plant.xy",
     ):
         diagram.connect(plant["xy"], brain["uv"])
     assert diagram.source_of(brain, brain.block.port("uv"), 0) is None
     diagram.connect(plant["xy"][0], brain["uv"][0])
     diagram.connect(plant["speed"], brain["opt"])
-    with pytest.raises(cosim.ConnectionError, match=r"brain.opt has a source already \(plant.speed\)"):
+    with pytest.raises(cosim.ConnectionError, match=r"brain.opt already has a source \(plant.speed\)"):
         diagram.connect(plant["xy"][1], brain["opt"])
 
 
@@ -190,7 +196,7 @@ def test_unknown_names_list_the_near_ones(parts):
 def test_names():
     diagram = cosim.Diagram(1)
     assert diagram.add(cosim.Constant(1.0)).name == "constant"
-    with pytest.raises(cosim.ModelError, match="has a block 'constant' already; give this Constant another name="):
+    with pytest.raises(cosim.ModelError, match="already has a block 'constant'; give this Constant another name="):
         diagram.add(cosim.Constant(2.0))
     for wrong in ("", "a b", "a\tb", 3, None if False else 1.5):
         with pytest.raises(cosim.ModelError, match="cannot be a block's name"):
@@ -252,7 +258,7 @@ def test_coupling_is_chosen_once_and_kept():
         cosim.Diagram(1).build("jakobi")
     diagram = cosim.Diagram(1).build("jacobi")
     assert diagram.build().schedule.coupling.method == "jacobi"
-    with pytest.raises(cosim.ModelError, match="is built with jacobi coupling already"):
+    with pytest.raises(cosim.ModelError, match="is already built with jacobi coupling"):
         diagram.build("gauss-seidel")
     assert pickle.loads(pickle.dumps(diagram)).schedule.coupling.method == "jacobi"
     assert cosim.Diagram(1).build().schedule.coupling.method == "gauss-seidel"

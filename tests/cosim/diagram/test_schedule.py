@@ -206,7 +206,7 @@ def writes_inputs(held, inputs):
 CASES = {
     "unknown argument": (
         {"output": asks},
-        r"'asks' of block 'b' asks for 'spede', which is no port, state, parameter or scratch space of it",
+        r"'asks' of block 'b' has the argument 'spede', which is no port, state, parameter or scratch array",
     ),
     "late input": (
         {"output": too_early},
@@ -223,7 +223,7 @@ CASES = {
     "no output function": ({"update": too_early}, r"Block 'b' has the output 'y', but no output function"),
     "update writes an output": (
         {"output": shows_constant, "update": update_writes_output},
-        r"The update function 'update_writes_output' of block 'b' writes the output 'y', which others would see before",
+        r"The update function 'update_writes_output' of block 'b' writes the output 'y', which other blocks would read too early",
     ),
     "update writes a side": (
         {"output": shows_constant, "update": update_writes_side},
@@ -231,7 +231,7 @@ CASES = {
     ),
     "writes an input": (
         {"output": shows_constant, "update": writes_input, "state": {"held": 0.0}},
-        r"'writes_input' of block 'b' writes into its input 'u'; an input belongs to the block that feeds it",
+        r"'writes_input' of block 'b' writes into its input 'u', which belongs to the block that feeds it",
     ),
     "writes a side of inputs": (
         {"output": shows_constant, "update": writes_inputs, "state": {"held": 0.0}},
@@ -257,7 +257,7 @@ def test_contract(case, make_block):
 def test_a_block_must_say_what_it_does():
     diagram = cosim.Diagram(1)
     diagram.add(cosim.Block(), "b")
-    with pytest.raises(cosim.KernelError, match="Block does not say what it does: give it a method define"):
+    with pytest.raises(cosim.KernelError, match="Block has no step functions; give it a method define"):
         diagram.build()
 
 
@@ -275,9 +275,7 @@ def test_python_callbacks_run_interpreted_only(make_block):
     result = diagram.simulate(2)
     assert result.metadata["engine"] == "interpreted"
     np.testing.assert_allclose(result["gain.y"], [2 * (math.exp(k) + k + 1) for k in range(3)])
-    with pytest.raises(
-        cosim.KernelError, match="The blocks callback call back into Python, so the diagram can only run interp"
-    ):
+    with pytest.raises(cosim.KernelError, match="The blocks callback call back into Python and cannot be compiled"):
         diagram.simulate(2, engine="compiled")
 
 
