@@ -104,7 +104,7 @@ def campaign_as_alone():
         settings = {"record": ["*"], "piece": len(seeds) + 1, **options}
         campaign = cosim.Campaign(diagram, duration=duration, grid=points, seeds=seeds, **settings)
         with warnings.catch_warnings():
-            warnings.filterwarnings("error", "An FMU that is put back")
+            warnings.filterwarnings("error", "An FMU gives other results")
             result = campaign.run(executor=cosim.Threads(1))
         data, table = result.dataset, result.table
         for number, reason in enumerate(table["reason"]):

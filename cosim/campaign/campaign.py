@@ -28,21 +28,21 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.result import Result
 
 STEPS = 2_000_000
-"""Steps of a piece at the most: half a second of computing if they are quick."""
+"""Largest number of steps of a piece: half a second of computing if they are quick."""
 BYTES = 16_000_000
-"""Of the signals of a piece."""
+"""Largest size of the signals of a piece."""
 PIECES = 32
-"""Into which few runs are cut all the same, for all cores and for those who stop: nobody knows how slow an FMU is."""
+"""Smallest number of pieces, so that slow runs also use all cores, and little is lost if the campaign is stopped."""
 
 
 class Campaign:
-    """A loop x points x seeds.
+    """Runs of a loop at many points of a design with many seeds.
 
     Parameters
     ----------
     loop : Diagram or callable
-        What runs: a diagram, of which the factors change settings by their paths (`varied`), or a function that is called with
-        the factors of a point as keywords and returns a diagram. To run in other processes it must pickle.
+        A diagram, whose settings the factors change by their paths (`varied`); or a function that is called with the factors
+        of a point as keywords and returns a diagram. To run in other processes it must be picklable.
     duration : float, str or Fraction
         Seconds of each run.
     grid : mapping or Design, optional
@@ -51,25 +51,25 @@ class Campaign:
     seeds : int or sequence of int
         Number of runs at each point, or their seeds. All points have the same seeds, so comparisons between them are paired.
     seed : int
-        From which the seeds are hashed.
+        The seed from which the seeds of the runs are computed.
     independent : sequence of str
-        Factors of which each value has seeds, and so noise, of its own.
+        Factors of which each value has different seeds, and so independent noise.
     record : sequence of str
         Names or patterns of the signals to keep.
     metrics : sequence of Metric or callable, optional
         Numbers of each run: metrics such as `RMSE`, or functions from a `Result` to a number.
     decimation : int
-        Keep every how many steps of the signals; metrics see all.
+        Keep every `decimation`-th step of the signals. Metrics use all steps.
     time_limit : float, optional
-        Seconds of computing that a run may take; one that takes longer has failed.
+        Largest computing time of a run in seconds. A run that takes longer counts as failed.
     piece : int, optional
-        Runs that are made, stored and resumed together; by default a 32nd of all, but no more than half a second's of quick
-        ones.
+        Number of runs that are made, stored and resumed together. By default a 32nd of all, but at most half a second of quick
+        runs.
 
     Raises
     ------
     BayesFTCError
-        If the loop cannot be built at the first point, or a name is none of it.
+        If the loop cannot be built at the first point, or a name is unknown in it.
 
     Examples
     --------
@@ -106,12 +106,12 @@ class Campaign:
         self.design = grid if isinstance(grid, Design) or grid is None else Grid(grid)
         self.labels: list[dict[str, Any]] = self.design.labels() if self.design else [{}]
         points = self.design.points() if self.design else [{}]
-        own = seeds_of_points(self.labels, seeds, seed, independent)
+        point_seeds = seeds_of_points(self.labels, seeds, seed, independent)
         names = [record] if isinstance(record, str) or not isinstance(record, Iterable) else list(record)
         whole_number(decimation, "decimation is ")
         trial = Job(
             loop,
-            Plan(tuple(points), own, 1),
+            Plan(tuple(points), point_seeds, 1),
             duration,
             names,
             as_metrics(metrics),
@@ -119,7 +119,7 @@ class Campaign:
             time_limit=time_limit,
         )
         size = _piece(trial) if piece is None else min(whole_number(piece, "piece is "), trial.plan.runs)
-        trial.plan = Plan(tuple(points), own, size)
+        trial.plan = Plan(tuple(points), point_seeds, size)
         self.job = trial
 
     @property
@@ -136,22 +136,22 @@ class Campaign:
         retry_failed: bool = False,
         description: Mapping[str, Any] | None = None,
     ) -> CampaignResult:
-        """Make all runs, or, of a store that has some already, those that are left.
+        """Make all runs, or those that are missing in a store.
 
         Parameters
         ----------
         store : str or path, optional
-            Folder to keep the results in, made if need be; by default they are kept in memory. Whatever ends this call, a
-            further one goes on where it stopped.
+            Folder for the results, made if necessary; by default they are kept in memory. After an interruption, a further call
+            with the same store continues the campaign.
         executor : Executor, optional
-            `Threads`, `Processes` or `DaskCluster`; by default threads where every block and FMU allows that, else processes.
-            The result's ``metadata["executor"]`` says which, and why. The bits are the same on each.
+            `Threads`, `Processes` or `DaskCluster`; by default threads if every block and FMU allows it, else processes.
+            The result's ``metadata["executor"]`` names the executor, with the reason. The bits are the same on each.
         progress : callable, optional
             Called as ``progress(done, of, failed)`` when a piece is done.
         retry_failed : bool
-            With a store: make the runs that have failed there again; what they come to now stands in their place.
+            With a store: repeat the failed runs. The new outcomes replace the old ones.
         description : mapping, optional
-            What else the store is to say of the campaign; a resumption must say the same.
+            Further data for the store's description of the campaign. A resumption must give the same data.
 
         Returns
         -------
@@ -161,9 +161,9 @@ class Campaign:
         Raises
         ------
         ModelError
-            If the executor is none.
+            If `executor` is not an executor.
         StoreError
-            If the store is of another campaign, another process is writing it, or nothing more can be written to it.
+            If the store is of another campaign, another process writes to it, or it cannot be written.
         ModelError
             If the campaign cannot be sent to the processes of the executor.
         """
@@ -171,41 +171,41 @@ class Campaign:
             raise ModelError(
                 f"executor is {executor!r}; it must be Threads(), Processes() or DaskCluster(), or left out."
             )
-        why = f"{executor!r}, as asked for."
+        reason = f"{executor!r}, as requested."
 
         def choose() -> Executor:
-            nonlocal executor, why
+            nonlocal executor, reason
             if executor is None:
                 from bayesftc.cosim.campaign.executors.choice import choose_executor
 
-                executor, why = choose_executor(self.job)
+                executor, reason = choose_executor(self.job)
             return executor
 
         if store is None:
             if retry_failed:
                 raise ModelError(
-                    "retry_failed=True needs a store: without one nothing is kept that could be made again."
+                    "retry_failed=True needs a store, because only a store keeps failed runs; give run() the folder of a store."
                 )
             result = in_memory(self.job, self.labels, choose(), progress)
         else:
             path = expanded(store).absolute()
-            said = description or {}
-            result = in_store(self.job, self.labels, path, said, choose, progress, retry_failed=retry_failed)
+            extra = description or {}
+            result = in_store(self.job, self.labels, path, extra, choose, progress, retry_failed=retry_failed)
         if executor is not None:
-            result.metadata["executor"] = why
+            result.metadata["executor"] = reason
         return result
 
     def replay(self, run: int, *, record: Iterable[str] | None = None, **options: Any) -> Result:
-        """Make one run again, alone, with full recording.
+        """Repeat one run with full recording.
 
         Parameters
         ----------
         run : int
-            Its number in the table.
+            Number of the run in the table.
         record : iterable of str, optional
-            By default all outputs.
+            Names of the signals to keep; by default all outputs.
         **options : object
-            Of `Diagram.simulate`.
+            Further arguments of `Diagram.simulate`.
         """
         points, seeds = self.job.plan.of_runs()
         if isinstance(run, bool) or not isinstance(run, int | np.integer) or not 0 <= run < len(points):
@@ -217,7 +217,7 @@ class Campaign:
         return f"<Campaign: {len(self.labels)} points, {self.runs} runs>"
 
     def _repr_html_(self) -> str:
-        """Return the factors with their values, and what is kept of each run, for notebooks."""
+        """Return a table of the factors, their values, and the kept metrics and signals, for notebooks."""
         job = self.job
         factors = {name: list(dict.fromkeys(str(label[name]) for label in self.labels)) for name in self.labels[0]}
         rows = [(name, ", ".join(values)) for name, values in factors.items()]
@@ -231,7 +231,7 @@ class Campaign:
 
 
 def _piece(job: Job) -> int:
-    """Return how many runs make a piece."""
+    """Return the number of runs in a piece."""
     numbers = sum(int(np.prod(s.shape)) for s in job.signals.values()) * len(job.time)
     steps = whole_steps(job.duration, job.step, "The duration")
     return max(1, min(STEPS // max(steps, 1), BYTES // max(8 * numbers, 1), -(-job.plan.runs // PIECES)))

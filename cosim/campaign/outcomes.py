@@ -1,4 +1,4 @@
-"""What a campaign has come to: a table with a row for each run, and the signals over time."""
+"""The results of a campaign: a table with a row for each run, and the signals over time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class CampaignResult:
-    """The results of a campaign; what they are read from, memory or a store, makes no difference.
+    """The results of a campaign, from memory or from a store.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class CampaignResult:
     dataset : xarray.Dataset
         The recorded signals over ``run`` and ``time`` (seconds), with point, seed and factors as coordinates of the runs.
     metadata : dict of str to object
-        How they were made: ``executor``, a sentence that says which one has made the runs, and why that one.
+        How the runs were made: ``executor`` has the name of the executor, and the reason for it.
     """
 
     def __init__(self, table: Callable[[], pd.DataFrame], dataset: Callable[[], xr.Dataset]):
@@ -91,20 +91,20 @@ class InMemory:
         self._status[where], self._reasons[where] = outcome.status, outcome.reasons
 
     def result(self) -> CampaignResult:
-        """Return what was kept."""
+        """Return the kept outcomes."""
         return CampaignResult(self._table, self._dataset)
 
     @cached_property
     def _runs(self) -> dict[str, Any]:
-        """Return the columns that say which run a row is."""
+        """Return the columns that identify the run of each row."""
         factors = factor_columns(self._labels, [*self._metrics, *self._signals])
         return run_columns(self._job.plan, factors)
 
     def _table(self) -> pd.DataFrame:
         import pandas as pd
 
-        own = {"status": self._status, "reason": self._reasons, "steps": self._steps}
-        return pd.DataFrame({**self._runs, **own, **self._metrics})
+        ends = {"status": self._status, "reason": self._reasons, "steps": self._steps}
+        return pd.DataFrame({**self._runs, **ends, **self._metrics})
 
     def _dataset(self) -> xr.Dataset:
         import xarray as xr
@@ -121,7 +121,7 @@ class InMemory:
 
 
 def memory() -> float:
-    """Return the bytes of memory of this machine; infinity where it does not say."""
+    """Return the bytes of memory of this machine; infinity if the system has no such information."""
     try:
         return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):

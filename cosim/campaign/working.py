@@ -1,4 +1,4 @@
-"""What is left to do of a campaign is done: outcomes go to where they are kept as they come, and it is told how far it is."""
+"""Make the missing runs of a campaign, keep their outcomes as they arrive, and report progress."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ def work(
     job: Job, pieces: list[Piece], executor: Executor, keep: Callable[[Outcome], None], done: int, failed: int,
     progress: Progress | None,
 ) -> None:  # fmt: skip
-    """Have pieces done, and their outcomes kept.
+    """Run pieces and keep their outcomes.
 
     Parameters
     ----------
     job : Job
-        Whose pieces.
+        The job of the pieces.
     pieces : list of Piece
-        Those that are left.
+        The pieces that are left.
     executor : Executor
-        By whom.
+        The executor that runs them.
     keep : callable
-        Is called with each outcome.
+        Called with each outcome.
     done, failed : int
         Numbers of runs that were done, and that have failed, before.
     progress : callable, optional
-        Is told how far it is.
+        Called with the progress.
     """
     if progress:
         progress(done, job.plan.runs, failed)
@@ -85,29 +85,29 @@ def in_store(
         done = store.done()
         left = [piece for piece in store.plan.pieces if piece.index not in done]
         runs = sum(len(piece) for piece in store.plan.pieces) - sum(map(len, left))
-        bad = store.failed()
-        again = list(_stretches(bad, store.plan.size)) if retry_failed else []
+        failed = store.failed()
+        again = list(_stretches(failed, store.plan.size)) if retry_failed else []
         if left or again:
             executor = choose()
-            gathered = _Replacing(store, again)
+            replacing = _Replacing(store, again)
             redone = sum(map(len, again))
 
             def keep(outcome: Outcome) -> None:
-                gathered.write(outcome) if outcome.piece in gathered else store.write(outcome)
+                replacing.write(outcome) if outcome.piece in replacing else store.write(outcome)
 
-            work(job, left + again, executor, keep, runs - redone, len(bad) - redone, progress)
+            work(job, left + again, executor, keep, runs - redone, len(failed) - redone, progress)
         elif progress:
-            progress(runs, job.plan.runs, len(bad))
+            progress(runs, job.plan.runs, len(failed))
         store.finish()
     kept = CampaignStore.open(path)
     return CampaignResult(kept.table, kept.dataset)
 
 
 class _Replacing:
-    """Runs that are made again, put into the store piece by piece: when all of a piece are there."""
+    """Repeated runs, written to the store piece by piece when all runs of a piece have arrived."""
 
     def __init__(self, store: CampaignStore, stretches: list[Piece]):
-        self._store, self._come = store, dict[int, list[Outcome]]()
+        self._store, self._arrived = store, dict[int, list[Outcome]]()
         self._awaited: dict[int, set[Piece]] = {}
         for stretch in stretches:
             self._awaited.setdefault(stretch.index, set()).add(stretch)
@@ -117,14 +117,14 @@ class _Replacing:
 
     def write(self, outcome: Outcome) -> None:
         index = outcome.piece.index
-        self._come.setdefault(index, []).append(outcome)
+        self._arrived.setdefault(index, []).append(outcome)
         self._awaited[index].remove(outcome.piece)
         if not self._awaited[index]:
-            self._store.replace(self._come.pop(index))
+            self._store.replace(self._arrived.pop(index))
 
 
 def _stretches(runs: list[int], size: int) -> Iterator[Piece]:
-    """Yield runs as pieces of consecutive ones, none beyond a piece of the campaign."""
+    """Yield runs as pieces of consecutive runs, each within one piece of the campaign."""
     for (index, _), group in groupby(enumerate(runs), key=lambda pair: (pair[1] // size, pair[1] - pair[0])):
         members = [run for _, run in group]
         yield Piece(index, members[0], members[-1] + 1)

@@ -1,4 +1,4 @@
-"""The two engines. They walk the same schedule over the same memory: one in compiled code, one in plain Python."""
+"""The two engines: the same schedule with the same memory, once in compiled code and once in plain Python."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ WRITES = frozenset({"output", "ahead"})
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a run stopped: at which step, in whose step function, with which status.
+    """Why a run stopped: the step, the node whose step function failed, and its status.
 
-    `outputs` is where in memory the outputs that it was to compute begin; `note` says what a status of several blocks means.
+    `outputs` is the place in memory of the outputs of that function. `note` explains a status of a group of blocks.
     """
 
     k: int
@@ -36,7 +36,7 @@ class Failure:
 
 @dataclass
 class Run:
-    """All that changes while a diagram runs.
+    """Everything that changes while a diagram runs.
 
     Attributes
     ----------
@@ -49,15 +49,15 @@ class Run:
     recording : ndarray, rows x recorded
         Filled row by row, a row every `decimation` steps.
     before : int
-        How many rows of the whole run come before the first row of `recording`.
+        Number of rows of the whole run before the first row of `recording`.
     k : int
         The last step whose outputs are complete; -1 before the first.
     sound : bool
-        Whether memory and FMUs stand as that step has left them: not after a failure or an interruption.
+        Whether memory and FMUs are in the state after that step. False after a failure or an interruption.
     ended : bool
-        Whether an FMU has asked to end it.
+        Whether an FMU has requested the end of the run.
     state_functions : dict
-        For each external node that groups save by way of Python: what they call.
+        For each external node that groups save through Python: its functions.
     """
 
     schedule: Schedule
@@ -79,34 +79,34 @@ class Run:
         return np.array(rows, dtype=np.uint64).reshape(len(rows), 4)
 
     def drawn(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Return where the random numbers go."""
+        """Return the places in memory of the random numbers."""
         return np.array([d.offset for d in self.schedule.draws], dtype=np.int64)
 
 
 class Engine(Protocol):
-    """Takes a run from step to step."""
+    """Advances a run from step to step."""
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
-        """Go from t_begin to t_end; return the last complete step and, if the run had to stop, why.
+        """Run from t_begin to t_end; return the last complete step and, if the run had to stop, the failure.
 
-        The outputs at t_begin are computed first if `first`, else they stand in memory already.
+        If `first`, compute the outputs at t_begin before; else they are already in memory.
         """
 
     def evaluate(self, k: int) -> Failure | None:
-        """Compute all outputs at t_k from the states, inputs and random numbers that stand in memory."""
+        """Compute all outputs at t_k from the states, inputs and random numbers in memory."""
 
     def step(self, k: int) -> Failure | None:
-        """Take the states from t_k to t_k+1, once `evaluate` has brought the outputs and inputs at t_k."""
+        """Advance the states from t_k to t_k+1, after `evaluate` has computed the outputs and inputs at t_k."""
 
 
 class Draws:
-    """Brings the random numbers of a step into memory, with the same bits as inside the compiled loop."""
+    """Writes the random numbers of a step into memory, with the same bits as inside the compiled loop."""
 
     def __init__(self, run: Run):
         self._run, self._streams, self._places = run, run.streams(), run.drawn()
         self._buffer, self._chunk = np.empty((CHUNK, len(self._places))), -1
         if len(self._places):
-            compiled_fill()  # here, for in a first step that keeps pace with the clock there is no time
+            compiled_fill()  # load it here, because a first step in real time has no time for it
 
     def fill(self, k: int) -> None:
         """Draw the numbers of step `k`."""
@@ -181,26 +181,26 @@ class CompiledEngine:
         Parameters
         ----------
         seeds : ndarray of shape (runs,)
-            Of the runs, one after the other.
+            Seeds of the runs.
         initial : ndarray
-            Memory as each run finds it.
+            Memory at the beginning of each run.
         states : ndarray of shape (instances, 3)
-            How each FMU is put back to its beginning: the address of the function, of the instance and of the state.
+            How each FMU is restored to its beginning: the address of the function, of the instance and of the state.
         recordings : ndarray of shape (runs, rows, recorded)
-            Filled; of a run that fails only up to its last complete step.
+            Filled; for a run that fails only up to its last complete step.
         reached : ndarray of shape (runs,)
             Filled with the last complete step of each run.
         end : int
             The last step of a run.
         fresh : bool
-            Whether memory and FMUs stand at the beginning already.
+            Whether memory and FMUs are already in their initial state.
 
         Returns
         -------
         done : int
-            How many runs have come to their end before one failed.
+            Number of complete runs before the first failure.
         failure : Failure or None
-            Why the next one has failed. Its `node` is -1 where an FMU could not be put back.
+            The failure of the next run. Its `node` is -1 if an FMU could not be restored.
         """
         run, step = self._run, self._run.schedule.step
         failed = np.array([-1, 0], dtype=np.int64)
@@ -238,7 +238,7 @@ class CompiledEngine:
 
 @cache
 def compiled_loop(name: str) -> Any:
-    """Return a function of `bayesftc.cosim.run.loop`, compiled, from the disk if any process has compiled it before."""
+    """Return a compiled function of `bayesftc.cosim.run.loop`, from the cache on disk if it is there."""
     from bayesftc.cosim.run import loop
     from bayesftc.cosim.stepping.compiler import compile_function
 
@@ -246,7 +246,7 @@ def compiled_loop(name: str) -> Any:
 
 
 class InterpretedEngine:
-    """Calls the plain Python step functions, in which a debugger can stop."""
+    """Calls the plain Python step functions, which you can step through in a debugger."""
 
     def __init__(self, run: Run):
         self._run = run
@@ -311,9 +311,9 @@ class InterpretedEngine:
 
 
 def _failure(schedule: Schedule, call: Call, k: int, status: int, group: GroupRun | None = None) -> Failure:
-    """Return what a status says that a call has returned at step `k`.
+    """Return the failure for a status that a call has returned at step `k`.
 
-    What is computed ahead of time belongs to the step that it is of.
+    The failure of an output at the end of a step belongs to the next step.
     """
     if group is None:
         instant = k + schedule.every(call) if call.kind == "ahead" else k

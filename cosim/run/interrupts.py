@@ -1,4 +1,4 @@
-"""Ctrl-C that waits: what is imported for the first time must not be left half done."""
+"""Delay Ctrl-C until an import is complete."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from types import FrameType
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Let Ctrl-C wait until the end of the body, and be raised there."""
+    """Delay Ctrl-C until the end of the body, and raise it there."""
     handler = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or not callable(handler):
         yield
         return
-    heard: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda number, frame: heard.append((number, frame)))
+    received: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: received.append((number, frame)))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, handler)
-        if heard:
-            handler(*heard[0])
+        if received:
+            handler(*received[0])
 
 
 @cache
 def import_engine() -> None:
-    """Import what runs diagrams, compiler included, which takes a second.
+    """Import the modules that run diagrams, including the compiler. This takes a second.
 
-    A library whose import is broken off is left half imported, and fails in all later runs of the process.
+    If Ctrl-C interrupted the import, a library would remain half imported, and all later runs of the process would fail.
     """
     with held_back():
         from bayesftc.cosim.run import (

@@ -1,4 +1,4 @@
-"""The compiled co-simulation loop: one function for all diagrams, which walks tables and calls blocks by address."""
+"""The compiled co-simulation loop: one function for all diagrams, which reads tables and calls blocks by address."""
 
 import numpy as np
 
@@ -21,10 +21,10 @@ SIGNATURES = {
 }
 
 
-# Inlined: as a call of its own, numba passes 32 words of array descriptions, twice a step, which took longer than the FMU.
+# Inlined: for a call, numba would pass 32 words of array descriptions, twice a step, which took longer than the FMU.
 @inlined
 def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
-    # Unsigned, so that numba leaves out what would make negative indices count from the end: a tenth of the time of a small loop.
+    # Unsigned, so that numba generates no code for negative indices: this saves a tenth of the time of a small loop.
     for c in range(np.uint64(begin), np.uint64(end)):
         every = calls[c, EVERY]
         count = k
@@ -34,7 +34,7 @@ def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
             count = k // every
         for g in range(np.uint64(calls[c, GATHER_FROM]), np.uint64(calls[c, GATHER_TO])):
             memory[np.uint64(gathers[g, 0])] = memory[np.uint64(gathers[g, 1])]
-        if calls[c, FUNCTION] == 0:  # this one only brings inputs
+        if calls[c, FUNCTION] == 0:  # this call only copies inputs
             continue
         status = call_block(
             calls[c, FUNCTION], base + 8 * calls[c, STATE], base + 8 * calls[c, PARAMETERS],
@@ -52,7 +52,7 @@ def _phase(calls, begin, end, gathers, memory, base, t, k, failed):
 
 @callee
 def phase(calls, begin, end, gathers, memory, t, k, failed):
-    """Make the calls from row `begin` to `end` at step `k`; return whether all went well, else ``failed`` says which did not."""
+    """Make the calls from row `begin` to `end` at step `k`; return False if one fails, and write it to ``failed``."""
     return _phase(calls, begin, end, gathers, memory, memory.ctypes.data, t, k, failed)
 
 
@@ -61,7 +61,7 @@ def run(
     calls, evaluations, gathers, seed, streams, drawn, buffer, memory, recorded, recording, decimation,
     before, first, begin, end, numerator, denominator, failed,
 ):  # fmt: skip
-    """Take the loop from t_begin to t_end; return the last step whose outputs are complete (``begin - 1`` for none).
+    """Run the loop from t_begin to t_end; return the last step whose outputs are complete (``begin - 1`` for none).
 
     Evaluates step `begin` only if `first` is not 0. The first row of `recording` is number `before` of the whole run. On failure
     ``failed`` holds the call and its status.
@@ -100,9 +100,9 @@ def run_many(
 ):  # fmt: skip
     """Make a run to t_end for each seed, from `initial` memory and the saved `states` of the FMUs; return how many are done.
 
-    Each row of `states` is the function that puts an FMU back, the instance, the state. The first run finds all as it is to be
-    if `fresh` is not 0. ``reached`` gets the last complete step of each run. It stops at the first run that fails, with
-    ``failed`` as of `run`; or, where an FMU could not be put back, with -2 less its row, and the status.
+    Each row of `states` has the function that restores an FMU, the instance, and the state. If `fresh` is not 0, the first run
+    starts without restoring. ``reached`` gets the last complete step of each run. The function stops at the first run that
+    fails, with ``failed`` as in `run`. If an FMU cannot be restored, ``failed`` is -2 minus its row, and the status.
     """
     for i in range(seeds.size):
         if i > 0 or fresh == 0:
@@ -124,5 +124,5 @@ def run_many(
 
 
 def empty_chunk(numbers):
-    """Return the buffer of random numbers that `run` needs."""
+    """Return a buffer of random numbers for `run`."""
     return np.empty((numbers, CHUNK))

@@ -1,8 +1,7 @@
-"""Many runs of one diagram: the engine is set up once, and compiled code goes from run to run without Python in between.
+"""Many runs of one diagram: the engine is set up once, and compiled code makes run after run without Python in between.
 
-Each run begins with the same memory and with FMUs that are put back to how they were after initialization, which takes a
-hundredth of the time of making new ones. Where an FMU cannot be put back, or does not repeat itself when it is, each run gets new
-instances.
+Each run begins with the same memory and with FMUs that are restored to their state after initialization. This takes a
+hundredth of the time of new instances. If an FMU cannot be restored, or then gives other results, each run gets new instances.
 """
 
 from __future__ import annotations
@@ -30,22 +29,22 @@ from bayesftc.cosim.run.state_functions import StateFunctions
 from bayesftc.cosim.types import Floats
 
 ROOM = 4_000_000
-"""Bytes of the recordings of the runs that are made in one call: as much as stays in a processor's cache."""
-Wanted = Callable[[], bool]
-"""Asked about twenty times a second whether to go on. From then on it is the runs that take time."""
-Aside = Callable[[], None]
-"""Told before work that is no run's own, of which no time limit is to count: building, compiling, metrics."""
+"""Bytes of the recordings of the runs that are made in one call, so that they stay in the processor's cache."""
+KeepGoing = Callable[[], bool]
+"""Called about twenty times a second; returns whether to continue. From a call on, time counts for the runs."""
+Overhead = Callable[[], None]
+"""Called before work that counts for no time limit of a run: building, compiling, metrics."""
 WELL = (0, 1)
-"""What FMI's functions return if all is well, perhaps with a warning."""
+"""FMI's status ``ok`` and ``warning``."""
 _STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
 
 
 class StoppedFromOutside(Exception):
-    """Whoever wanted the runs does not want them any more."""
+    """The runs are no longer requested."""
 
 
 class _NotPutBackError(Exception):
-    """An FMU could not be put back to the beginning of a run, and is freed."""
+    """An FMU could not be restored to the beginning of a run, and is freed."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +54,11 @@ class Block:
     Attributes
     ----------
     recording : ndarray of shape (runs, rows, recorded)
-        NaN from where a run has failed. It is overwritten by the next block.
+        The recorded numbers, NaN after the failure of a run. The next block overwrites it.
     steps : ndarray of int of shape (runs,)
         The last complete step.
     reasons : tuple of str
-        Why a run has failed, as a sentence; an empty text for those that have not.
+        Why a run has failed; an empty text if it has not.
     """
 
     recording: Floats
@@ -73,15 +72,15 @@ class ManyRuns:
     Parameters
     ----------
     schedule : Schedule
-        What to run.
+        The schedule of the diagram.
     selection : Selection
-        What to record.
+        The signals to record.
     steps : int
         Length of each run in base steps.
     decimation : int
-        Every how many steps are recorded.
+        Every `decimation`-th step is recorded.
     time_limit : float, optional
-        Seconds of computing after which a run is stopped; it has failed then.
+        Seconds of computing after which a run is stopped and counts as failed.
     """
 
     def __init__(
@@ -100,50 +99,50 @@ class ManyRuns:
         self._initial: Floats
         self._states: np.ndarray[Any, np.dtype[np.int64]] | None = None
         self._free: list[tuple[int, int, ctypes.c_int64]] = []
-        self._opened = False  # there are FMUs and an engine
-        self._fresh = False  # and they stand at the beginning of a run
-        self._repeats: bool | None = None  # whether FMUs that are put back give the same bits once more
-        self._pace = 0.0  # seconds that a run takes
-        self._opening = 0.0  # and that it takes to make FMUs
-        self._of = 1  # runs that are to be expected in all
+        self._opened = False  # whether there are FMUs and an engine
+        self._fresh = False  # whether they are at the beginning of a run
+        self._repeats: bool | None = None  # whether restored FMUs give the same bits again
+        self._pace = 0.0  # duration of a run in seconds
+        self._opening = 0.0  # time to make the FMUs in seconds
+        self._of = 1  # expected number of all runs
         rows = steps // decimation + 1
         self._buffer = np.empty((0, rows, len(selection.places)))
         self._few = max(1, ROOM // max(8 * rows * len(selection.places), 1))
 
     def run(
-        self, seeds: Sequence[int], wanted: Wanted = lambda: True, aside: Aside = lambda: None, of: int = 1
+        self, seeds: Sequence[int], keep_going: KeepGoing = lambda: True, overhead: Overhead = lambda: None, of: int = 1
     ) -> Iterator[Block]:
-        """Make a run for each seed; yield them some at a time, in order.
+        """Make a run for each seed; yield them in order, several at a time.
 
         Parameters
         ----------
         seeds : sequence of int
             One for each run.
-        wanted : callable
-            Asked about twenty times a second whether to go on.
-        aside : callable
-            Told when something else than the runs is about to take time: compiling.
+        keep_going : callable
+            Called about twenty times a second; returns whether to continue.
+        overhead : callable
+            Called before work that is not part of a run, such as compiling.
         of : int
-            How many runs there are in all, if this is not the only call.
+            The number of all runs, if this is not the only call.
 
         Raises
         ------
         StoppedFromOutside
-            If it is not wanted to go on.
+            If `keep_going` returns False.
         """
         done, self._of = 0, max(of, len(seeds))
         while done < len(seeds):
-            _go_on(wanted)
+            _go_on(keep_going)
             few, more = self._how_many(len(seeds) - done), self._of > 1
             try:
-                self._ready(aside, more=more)
-                _go_on(wanted)
-                block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), wanted, more=more)
-            except _NotPutBackError:  # the run has yet to be made, with new instances
+                self._ready(overhead, more=more)
+                _go_on(keep_going)
+                block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), keep_going, more=more)
+            except _NotPutBackError:  # make the run again, with new instances
                 continue
             except (StoppedFromOutside, MemoryError):
                 raise
-            except Exception as error:  # noqa: BLE001 - an FMU refuses its parameters, a block in Python raises whatever it does
+            except Exception as error:  # noqa: BLE001 - an FMU may refuse its parameters, a block in Python may raise anything
                 block = self._nothing(reason_of(error, "The run could not be made"))
             done += len(block.steps)
             yield block
@@ -155,29 +154,29 @@ class ManyRuns:
 
     def _how_many(self, left: int) -> int:
         if self._pace == 0.0 or self._repeats is None:
-            return 1  # it may be made once more, to be compared with memory after it
+            return 1  # the run may be repeated, to compare the memory after it
         return max(1, min(left, self._few, int(BREATH / self._pace)))
 
-    def _some(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], wanted: Wanted, *, more: bool) -> Block:
-        """Make the first of some runs, or all."""
+    def _some(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing, *, more: bool) -> Block:
+        """Make the first of the runs, or all of them."""
         began = time.perf_counter()
-        # The first run is made piece by piece: nobody knows yet how long it takes.
+        # The first run is made piece by piece, because its duration is not known yet.
         quick = 0.0 < self._pace < min(BREATH, self._limit or BREATH)
         if self._goes_from_run_to_run and quick:
             block = self._compiled(seeds)
         else:
-            block = self._single(int(seeds[0]), wanted)
+            block = self._single(int(seeds[0]), keep_going)
         self._pace = (time.perf_counter() - began) / len(block.steps)
         if more and self._repeats is None and not block.reasons[0]:
-            self._repeats = self._once_more(int(seeds[0]), block.recording[0], wanted)
+            self._repeats = self._once_more(int(seeds[0]), block.recording[0], keep_going)
         return block
 
     @property
     def _goes_from_run_to_run(self) -> bool:
         return isinstance(self._engine, CompiledEngine)
 
-    def _ready(self, aside: Aside = lambda: None, *, more: bool) -> None:
-        """Have FMUs and an engine; with `more` such that further runs can begin as the first one does."""
+    def _ready(self, overhead: Overhead = lambda: None, *, more: bool) -> None:
+        """Make FMUs and an engine; with `more`, save the FMUs' states for further runs."""
         if self._opened and (self._fresh or self._states is not None):
             return
         self._shut()
@@ -185,7 +184,7 @@ class ManyRuns:
         with self._spares.lent():
             self._run = open_run(self._schedule, self._stack, 0, self._selection, self._steps, self._decimation)
         self._opening = time.perf_counter() - began
-        aside()
+        overhead()
         self._engine = choose_engine("auto", self._run)
         self._opened = self._fresh = True
         self._initial = self._run.memory.copy()
@@ -193,17 +192,17 @@ class ManyRuns:
             self._states = self._saved()
 
     def _saved(self) -> np.ndarray[Any, np.dtype[np.int64]] | None:
-        """Save each FMU's state; return how compiled code puts them back, or None if one does not do what it says it can.
+        """Save each FMU's state; return the table for restoring in compiled code, or None if an FMU fails to save.
 
-        FMUs are promised all the same that nobody goes back within a run: some repeat their first step for ever without that, and
-        one that cannot go back to the beginning for it is found out by the comparison of two runs.
+        The FMUs still get the information that no run returns to an earlier step. Without it some repeat their first step for
+        ever. The comparison of two runs detects an FMU that therefore cannot return to the beginning.
         """
         rows = []
         for instance in self._run.instances.values():
             addresses = getattr(instance, "state_functions", None)
             if addresses is None:
                 functions = StateFunctions(instance)
-                self._stack.callback(functions.take)  # and so keep it alive
+                self._stack.callback(functions.take)  # this keeps the functions alive
                 addresses = functions.addresses
             component, save, restore, free = addresses
             place = ctypes.c_int64(0)
@@ -225,7 +224,7 @@ class ManyRuns:
         with (
             one_processor(run.instances.values()),
             kept() if run.instances else nullcontext() as changed,
-            interrupts() as heard,
+            interrupts() as interrupted,
         ):
             done, failure = engine.advance_many(
                 seeds, self._initial, states, recording, reached, self._steps, fresh=self._fresh
@@ -242,14 +241,14 @@ class ManyRuns:
                 reasons.append(explain(failure, run))
                 recording[done, reached[done] // self._decimation + 1 :] = np.nan
                 self._shut(broken=failure.status < NOT_FINITE)
-        if heard:
+        if interrupted:
             raise KeyboardInterrupt
         if not reasons:
             raise _NotPutBackError
         return Block(recording[: len(reasons)], reached[: len(reasons)], tuple(reasons))
 
-    def _single(self, seed: int, wanted: Wanted, *, limited: bool = True) -> Block:
-        """Make one run, long or slow, or interpreted, piece by piece."""
+    def _single(self, seed: int, keep_going: KeepGoing, *, limited: bool = True) -> Block:
+        """Make one run piece by piece, because it is long, slow or interpreted."""
         run, recording = self._run, self._room(1)
         if not self._fresh and not self._put_back():
             self._give_up()
@@ -257,35 +256,35 @@ class ManyRuns:
         run.recording, run.before, run.k, run.sound = recording[0], 0, -1, True
         if run.seed != seed:
             run.seed = seed
-            if not self._goes_from_run_to_run:  # an interpreted engine holds numbers that it has drawn ahead
+            if not self._goes_from_run_to_run:  # an interpreted engine holds random numbers of the old seed
                 self._engine = choose_engine("auto", run)
         self._fresh = False
 
         limit = self._limit if limited else None
-        stopped = advance(self._engine, self._steps, run, lambda step, steps: _go_on(wanted), limit)
+        stopped = advance(self._engine, self._steps, run, lambda step, steps: _go_on(keep_going), limit)
         if stopped:
             recording[0, max(run.k // self._decimation + 1, 0) :] = np.nan
             self._shut(broken=True)
         return Block(recording, np.array([run.k], dtype=np.int64), (stopped or "",))
 
     def _put_back(self) -> bool:
-        """Put memory and FMUs back to the beginning; return whether that went well."""
+        """Restore memory and FMUs to the beginning; return whether that succeeded."""
         self._run.memory[:] = self._initial
         assert self._states is not None
         return all(_STATE(int(r))(int(component), int(place)) in WELL for r, component, place in self._states)
 
     def _give_up(self) -> None:
-        """Put no FMU back from now on: one could not be."""
+        """Restore no FMU from now on, because one could not be restored."""
         self._repeats = False
         self._shut(broken=True)
 
-    def _once_more(self, seed: int, first: Floats, wanted: Wanted) -> bool:
-        """Return whether a run whose FMUs were put back has the bits of the first one; else have new ones for each run."""
+    def _once_more(self, seed: int, first: Floats, keep_going: KeepGoing) -> bool:
+        """Return whether a repeated run with restored FMUs has the bits of the first; if not, each run gets new FMUs."""
         if self._states is None or not self._opened:
             return False
         if not len(self._states):
-            return True  # without FMUs there is nothing to remember
-        if self._pace > self._opening * self._of:  # to see whether they repeat it takes longer than to make them anew
+            return True  # without FMUs there is no hidden state
+        if self._pace > self._opening * self._of:  # the comparison would take longer than new FMUs for all runs
             self._shut()
             return False
         ends, kept_ = self._run.memory.copy(), first.copy()
@@ -293,18 +292,18 @@ class ManyRuns:
             again = (
                 self._compiled(np.array([seed], dtype=np.uint64))
                 if self._goes_from_run_to_run
-                else self._single(seed, wanted, limited=False)
+                else self._single(seed, keep_going, limited=False)
             )
         except _NotPutBackError:
             first[:] = kept_
             return False
         same = again.recording[0].tobytes() == kept_.tobytes()
         same = same and self._opened and self._run.memory.tobytes() == ends.tobytes()
-        first[:] = kept_  # whose memory the repetition has taken
+        first[:] = kept_  # the repetition has overwritten it
         if not same:
             self._shut()
             warn_user(
-                "An FMU that is put back to its beginning does not repeat the run that it made before; each run gets new "
+                "An FMU gives other results after its initial state is restored; each run gets new "
                 "instances of it, which is slower.",
                 RuntimeWarning,
             )
@@ -316,14 +315,14 @@ class ManyRuns:
         return self._buffer[:runs]
 
     def _nothing(self, reason: str) -> Block:
-        """Return a run that could not even begin."""
+        """Return the block of a run that could not begin."""
         recording = self._room(1)
         recording[:] = np.nan
         self._shut()
         return Block(recording, np.array([-1], dtype=np.int64), (reason,))
 
     def _shut(self, *, broken: bool = False) -> None:
-        """Free the FMUs; of one that is broken nothing may be asked any more, not even to free a saved state."""
+        """Free the FMUs. No function of a broken FMU may be called any more, not even to free a saved state."""
         if self._opened and not broken:
             for free, component, place in self._free:
                 _STATE(free)(component, ctypes.addressof(place))
@@ -333,9 +332,9 @@ class ManyRuns:
             self._stack.close()
 
 
-def _go_on(wanted: Wanted) -> None:
-    if not wanted():
+def _go_on(keep_going: KeepGoing) -> None:
+    if not keep_going():
         raise StoppedFromOutside
 
 
-__all__ = ["Aside", "Block", "ManyRuns", "StoppedFromOutside", "Wanted"]
+__all__ = ["Block", "KeepGoing", "ManyRuns", "Overhead", "StoppedFromOutside"]

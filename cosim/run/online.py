@@ -1,4 +1,4 @@
-"""A block on its own, one step at a time: for a user's own loop, or for hardware."""
+"""Run a single block, one step at a time, in your own loop or on hardware."""
 
 from __future__ import annotations
 
@@ -31,28 +31,26 @@ class Outputs(dict[str, Any]):
 
 
 class Online:
-    """Makes one step of a block at each call; made by `Block.online`.
+    """A block as a callable that makes one step at each call; made by `Block.online`.
 
-    Call it with the block's inputs by name, numbers or sequences; ``None`` or NaN is a missing sample. An input that has a
-    start value takes it in every call that leaves the input out. It returns the outputs of this step: numbers for scalar
-    ports, arrays otherwise.
+    Call it with the block's inputs by name, as numbers or sequences; ``None`` or NaN is a missing sample. If a call leaves out
+    an input with a start value, the input has that value. A call returns the outputs of this step: numbers for scalar ports,
+    arrays otherwise.
 
     Parameters
     ----------
     block : Block
-        The block; its state lives in this object, not in the block.
+        The block. This object holds its state; the block itself does not change.
     dt : float, str or Fraction, optional
-        Sample time in seconds; not needed where the block knows it.
+        Sample time in seconds; not needed if the block has one.
     compiled : bool
-        False to step through the plain Python form.
+        False for the plain Python form, which you can step through in a debugger.
     """
 
     def __init__(self, block: Block, dt: float | str | Fraction | None = None, *, compiled: bool = True):
         step = block.sample_time if dt is None else rational_step(dt)
         if step is None:
-            raise StepSizeError(
-                f"{type(block).__name__} does not know its sample time; give online(dt=...) in seconds."
-            )
+            raise StepSizeError(f"{type(block).__name__} has no sample time; give online(dt=...) in seconds.")
         if block.sample_time not in {None, step}:
             raise StepSizeError(
                 f"{type(block).__name__} runs every {show(block.sample_time)} s, not every {show(step)} s."
@@ -88,7 +86,7 @@ class Online:
         return Outputs({n: float(v[0]) if p.shape == () else v.copy() for n, (p, v) in self._outputs.items()})
 
     def reset(self) -> None:
-        """Go back to the state before the first step."""
+        """Return to the state before the first step."""
         self._memory[:] = self._initial
         self._k = 0
 
@@ -106,7 +104,7 @@ class Online:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):
             raise ModelError(
-                f"{self._title}: the input {name}={value!r} is no number or sequence of numbers."
+                f"{self._title}: the input {name}={value!r} is not a number or a sequence of numbers."
             ) from None
         if array.ndim == 0 and int(np.prod(shape)) == 1:
             array = array.reshape(shape)

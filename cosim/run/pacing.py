@@ -1,4 +1,4 @@
-"""Real time: a run that never goes ahead of the clock, and says how often it fell behind."""
+"""Real time: keep a run from getting ahead of the clock, and count the late steps."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.errors import ModelError
 
 PACK = 1e-3
-"""Seconds of the clock below which steps are not waited for one by one."""
+"""Steps shorter than this, in seconds of the clock, are waited for in packs."""
 
 
 class Pacer:
-    """Lets t_k be computed when its time has come, and not before.
+    """Delays each step of a run until its time.
 
-    What is computed at t_k has until t_k+1 (with steps shorter than `PACK`: until the next pack of them) before it counts as an
-    overrun. After an overrun the run goes on without a pause until it has caught up.
+    Step k is an overrun if it is not done at t_k+1, or at the end of the next pack for steps shorter than `PACK`. After an
+    overrun the run continues without a pause until it has caught up.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Pacer:
     Raises
     ------
     ModelError
-        If the pace is no positive number.
+        If the pace is not a positive number.
     """
 
     def __init__(self, pace: Any, step: Fraction, k: int):
@@ -47,20 +47,20 @@ class Pacer:
         self._began = time.perf_counter()
 
     def wait(self, k: int) -> None:
-        """Wait until the time of step `k` has come."""
+        """Wait until the time of step `k`."""
         rest = self._due(k) - time.perf_counter()
         if rest > 0:
             time.sleep(rest)
 
     def done(self, k: int) -> None:
-        """Note when the steps up to `k` were done."""
+        """Record that the steps up to `k` are done now."""
         late = time.perf_counter() - self._due(k + self.pack)
         if late > 0:
             self.overruns += 1
             self.worst = max(self.worst, late)
 
     def report(self) -> dict[str, float]:
-        """Return the pace, how many steps (or packs of them) were late, and by how many seconds at worst."""
+        """Return the pace, the number of late steps (or packs of them), and the largest delay in seconds."""
         return {"pace": self.pace, "overruns": self.overruns, "worst_overrun": self.worst}
 
     def _due(self, k: int) -> float:

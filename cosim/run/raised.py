@@ -1,4 +1,4 @@
-"""What a user's code has raised in a run, as the reason for which that run has failed."""
+"""Messages for exceptions of a user's code in a run."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from bayesftc.cosim.errors import BayesFTCError
 
 
 def reason_of(error: Exception, what: str) -> str:
-    """Return a sentence: of this package's own errors theirs, of others `what` with the error and where it comes from.
+    """Return the message of an error: as it is for errors of this package, else `what` with type, message and place.
 
     Parameters
     ----------
     error : Exception
-        What was raised.
+        The exception.
     what : str
-        What could not be done, as a sentence without its end.
+        A sentence about what could not be done, without its full stop.
     """
     if isinstance(error, BayesFTCError):
         return str(error)

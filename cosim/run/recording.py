@@ -1,4 +1,4 @@
-"""Which signals a run keeps: names and patterns to places in memory."""
+"""Select the signals that a run keeps: from names and patterns to places in memory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 
 @dataclass(frozen=True)
 class Selection:
-    """Places in memory to record, and what stands in which column."""
+    """Places in memory to record, and for each signal its first column and shape."""
 
     places: np.ndarray[Any, np.dtype[np.int64]]
     columns: dict[str, tuple[int, tuple[int, ...]]]
@@ -31,31 +31,31 @@ def select_signals(schedule: Schedule, record: Iterable[str | PortRef] | None) -
     UnknownNameError
         If a name or pattern matches no signal.
     ModelError
-        If it is neither names nor patterns.
+        If `record` is neither names nor patterns.
     """
     if isinstance(record, str | PortRef):
         record = [record]
     if record is not None and not isinstance(record, Iterable):
         raise ModelError(
-            f"record is {record!r}; it must be names of signals or patterns, as ['plant.*'], or None for all outputs."
+            f"record is {record!r}; it must be names of signals or patterns, such as ['plant.*'], or None for all outputs."
         )
     outputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.outputs}
     inputs = {f"{node.name}.{port.name}": (node, port) for node in schedule.nodes for port in node.inputs}
-    known = {**inputs, **outputs}
+    signals = {**inputs, **outputs}
     chosen: list[str] = []
     for pattern in outputs if record is None else record:
         pattern = pattern.name if isinstance(pattern, PortRef) else str(pattern)
-        matches = [pattern] if pattern in known else [name for name in outputs if fnmatchcase(name, pattern)]
+        matches = [pattern] if pattern in signals else [name for name in outputs if fnmatchcase(name, pattern)]
         if not matches:
-            raise UnknownNameError(f"There is no signal {pattern!r} to record; {did_you_mean(pattern, known)}")
+            raise UnknownNameError(f"There is no signal {pattern!r} to record; {did_you_mean(pattern, signals)}")
         chosen += [name for name in matches if name not in chosen]
     places: list[int] = []
     columns, units = {}, {}
     for name in chosen:
-        node, port = known[name]
-        lies = schedule.signal(node, port)
+        node, port = signals[name]
+        place = schedule.signal(node, port)
         columns[name] = (len(places), port.shape)
-        places += range(lies.start, lies.stop)
+        places += range(place.start, place.stop)
         if port.unit:
             units[name] = port.unit
     return Selection(np.array(places, dtype=np.int64), columns, units)

@@ -1,4 +1,4 @@
-"""One diagram for many seeds, as results one after the other: `_campaign.many` for those who look at each run."""
+"""Run one diagram for many seeds, and return the results one after the other."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 def repeat(
     diagram: Diagram, duration: float | str | Fraction, seeds: Iterable[int], record: Iterable[str]
 ) -> Iterator[Result]:
-    """Yield the result of ``diagram.simulate(duration, seed=seed, record=record)`` for each seed, to the same bits.
+    """Yield the result of ``diagram.simulate(duration, seed=seed, record=record)`` for each seed, with the same bits.
 
     Parameters
     ----------
     diagram : Diagram
-        What to run.
+        The diagram.
     duration : float, str or Fraction
         Seconds of each run.
     seeds : iterable of int
@@ -38,27 +38,27 @@ def repeat(
     Raises
     ------
     SimulationError
-        If a run has to stop; the sentence says at which seed.
+        If a run has to stop; the message contains its seed.
     """
     schedule, record = diagram.schedule, list(record)
     steps = whole_steps(duration, schedule.step, "The duration")
     selection = select_signals(schedule, record)
-    own = [check_seed(seed) for seed in seeds]
+    checked = [check_seed(seed) for seed in seeds]
     done = 0
     with closing(ManyRuns(schedule, selection, steps)) as many:
-        for block in many.run(own):
+        for block in many.run(checked):
             for rows, reason in zip(block.recording, block.reasons, strict=True):
                 if reason:
-                    _fail(diagram, duration, own[done], record, reason)
+                    _fail(diagram, duration, checked[done], record, reason)
                 done += 1
                 yield Result(rows.copy(), selection.columns, schedule.step, units=selection.units)
 
 
 def _fail(diagram: Diagram, duration: float | str | Fraction, seed: int, record: Iterable[str], reason: str) -> None:
-    """Raise what a run that has to stop raises, with what it has come to."""
+    """Raise the error of a run that has to stop, with its signals so far."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it is raised
+            warnings.simplefilter("ignore")  # the error below contains the reason
             result = diagram.simulate(duration, seed=seed, record=record)
     except SimulationError as error:
         error.args = (f"With seed {seed}: {error}",)

@@ -1,4 +1,4 @@
-"""The signals of a run: by name, over time, saved to a file, shown in a figure, handed to pandas and xarray."""
+"""The signals of a run: access by name, files, figures, conversion to pandas, xarray and python-control."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 FORMAT = "bayesftc-result-1"
 
-# What NumPy, zip and JSON raise over bytes that are not what they should be.
+# What NumPy, zip and JSON raise for damaged files.
 _DAMAGE = (
     OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError, SyntaxError,
     MemoryError, zipfile.BadZipFile, zlib.error, pickle.UnpicklingError, struct.error, tokenize.TokenError,
@@ -54,15 +54,15 @@ class Result(Mapping[str, Floats]):
     recording : ndarray, rows x scalars
         The recorded numbers; kept, not copied.
     columns : mapping of name to (int, tuple)
-        Where each signal begins in a row, and its shape.
+        The first column of each signal, and its shape.
     step : Fraction
         The base step in seconds.
     decimation : int
         Base steps between two rows.
     before : int
-        How many rows of the whole run come before the first row here: none, unless it is a piece of a live run.
+        Number of rows of the whole run before the first row here: 0, except for a later piece of a live run.
     parts : LoopRoles or Diagram, optional
-        Which signals have which part in a closed loop, for `plot`; of a diagram they are found when they are needed.
+        The roles of the signals in a closed loop, for `plot`; or the diagram, from which they are derived when needed.
     units, metadata, stopped
         See below.
 
@@ -71,9 +71,9 @@ class Result(Mapping[str, Floats]):
     units : dict
         The unit of each signal that has one.
     metadata : dict
-        What the run was: seed, duration, step, engine, kinds of blocks.
+        Properties of the run: seed, duration, step, engine, kinds of blocks.
     stopped : str or None
-        Why the run ended early, as a sentence; None if it did not.
+        Why the run ended early; None if it did not.
     """
 
     def __init__(
@@ -96,13 +96,13 @@ class Result(Mapping[str, Floats]):
 
     @property
     def roles(self) -> LoopRoles | None:
-        """Which signals have which part in a closed loop; None if the diagram is none, or is not known."""
+        """The roles of the signals in a closed loop; None if the diagram is no closed loop, or is not known."""
         if self._parts is not None and not isinstance(self._parts, LoopRoles):
             self._parts = known_roles(self._parts)
         return self._parts
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_parts": self.roles}  # a copy in another process needs no blocks
+        return {**self.__dict__, "_parts": self.roles}  # roles, because a copy in another process needs no blocks
 
     @property
     def time(self) -> Floats:
@@ -119,16 +119,14 @@ class Result(Mapping[str, Floats]):
         return values.reshape(len(values), *shape) if len(shape) != 1 else values
 
     def _without(self, name: object) -> str:
-        """Return the sentence about a signal that is not there."""
+        """Return the message about a missing signal."""
         if isinstance(name, list | tuple):
-            return (
-                f"A result gives one signal at a time, not {name!r}; result.to_pandas()[{list(name)!r}] gives several."
-            )
-        sentence = f"The result has no signal {name!r}; {did_you_mean(name, self._columns)}"
+            return f"A result gives one signal at a time, not {name!r}; use result.to_pandas()[{list(name)!r}] for several."
+        message = f"The result has no signal {name!r}; {did_you_mean(name, self._columns)}"
         block, _, port = str(name).rpartition(".")
-        if block and port and any(known.startswith(f"{block}.") for known in self._columns):
-            sentence += f" An input of a block is kept where it is named: simulate(..., record=['*', {name!r}])."
-        return sentence
+        if block and port and any(signal.startswith(f"{block}.") for signal in self._columns):
+            message += f" To record an input of a block, name it: simulate(..., record=['*', {name!r}])."
+        return message
 
     # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.
     __eq__ = object.__eq__
@@ -184,9 +182,9 @@ class Result(Mapping[str, Floats]):
         Parameters
         ----------
         outputs : iterable of str, optional
-            Names of the signals to take; all by default.
+            Names of the signals to use as outputs; all by default.
         inputs : iterable of str
-            Names of those to take as its inputs.
+            Names of the signals to use as inputs.
 
         Raises
         ------
@@ -196,10 +194,10 @@ class Result(Mapping[str, Floats]):
         import control
 
         rows, names = self._scalars(list(self) if outputs is None else outputs)
-        driving, input_names = self._scalars(inputs)
-        given = {"inputs": driving, "input_labels": input_names} if input_names else {}
+        input_rows, input_names = self._scalars(inputs)
+        settings = {"inputs": input_rows, "input_labels": input_names} if input_names else {}
         return control.TimeResponseData(
-            self.time, rows, output_labels=names, issiso=False, title="bayesftc", plot_inputs=False, **given
+            self.time, rows, output_labels=names, issiso=False, title="bayesftc", plot_inputs=False, **settings
         )
 
     def _scalars(self, signals: Iterable[str]) -> tuple[Floats, list[str]]:
@@ -212,13 +210,13 @@ class Result(Mapping[str, Floats]):
     def plot(self, signals: Iterable[str] | None = None) -> Figure:
         """Return the figure of a closed loop: signals, belief, control, expected noise and faults of its sensors.
 
-        Of a diagram that is no closed loop, or of a run without any signal of its controller, it is that of `plot_signals`. A
-        notebook shows the figure; a script shows it with ``matplotlib.pyplot.show()``.
+        For a diagram that is no closed loop, or a run without recorded signals of its controller, it is the figure of
+        `plot_signals`. A notebook shows the figure by itself; in a script call ``matplotlib.pyplot.show()``.
 
         Parameters
         ----------
         signals : iterable of str, optional
-            Names of signals: then the figure is ``plot_signals(signals)``.
+            Names of signals. With names, the figure is ``plot_signals(signals)``.
         """
         from bayesftc.cosim.judging.loop_figure import plot_run
         from bayesftc.cosim.judging.panels import shown_figure
@@ -249,7 +247,7 @@ class Result(Mapping[str, Floats]):
         return plot_signals(self, signals, shown_figure())
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the result to one file (a zip of NumPy arrays); it appears under its name only when it is whole.
+        """Write the result to one file (a zip of NumPy arrays); it appears under its name only when it is complete.
 
         Raises
         ------
@@ -277,18 +275,18 @@ class Result(Mapping[str, Floats]):
             reason = error.strerror or error
             raise ResultFileError(f"The result cannot be written to {path}: {reason}; choose another folder.") from None
         finally:
-            with suppress(OSError):  # it is there only where the write has failed
+            with suppress(OSError):  # it exists only if writing has failed
                 temporary.unlink(missing_ok=True)
         return path
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Result:
-        """Read a result that `save` has written.
+        """Read a result from a file of `save`.
 
         Raises
         ------
         ResultFileError
-            If the file is missing, damaged, or no result.
+            If the file is missing, damaged, or not a result.
         """
         path = Path(path)
         if not is_file(path):
@@ -308,8 +306,8 @@ class Result(Mapping[str, Floats]):
                 columns,
                 Fraction(header["step"]),
                 decimation=header["decimation"],
-                before=header.get("before", 0),  # files of earlier versions hold whole runs,
-                parts=(roles := header.get("roles")) and LoopRoles.from_dict(roles),  # and no roles
+                before=header.get("before", 0),  # files of earlier versions contain whole runs,
+                parts=(roles := header.get("roles")) and LoopRoles.from_dict(roles),  # without roles
                 units=header["units"],
                 metadata=header["metadata"],
                 stopped=header["stopped"],
@@ -318,5 +316,5 @@ class Result(Mapping[str, Floats]):
             raise ResultFileError(f"The result file {path} cannot be read: {error.strerror}.") from None
         except _DAMAGE:
             raise ResultFileError(
-                f"{path} is no result file of bayesftc, or it is damaged; run the simulation again."
+                f"{path} is not a result file of bayesftc, or it is damaged; run the simulation again."
             ) from None

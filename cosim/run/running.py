@@ -1,6 +1,6 @@
-"""The parts of a run: its FMUs are opened, its engine chosen, pieces run with Ctrl-C, progress and time limits in between.
+"""The parts of a run: open its FMUs, choose its engine, run it in pieces with Ctrl-C, progress and time limits in between.
 
-They are for runs that stay alive (`session`), of which a simulation is one that does not, and for what makes many (`_repeat`).
+They are used by single runs (`session`) and by many runs of one diagram (`many`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Progress = Callable[[int, int], None]
 
 
 def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selection, steps: int, decimation: int) -> Run:
-    """Return a run at its beginning, whose FMUs the stack will close and whose recording is still empty.
+    """Return a run at its beginning, with an empty recording; the stack closes its FMUs.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
         if isinstance(node.block, ExternalBlock):
             with kept():
                 instance = node.block.instantiate(schedule.step * node.every, node.name)
-            stack.callback(getattr(instance, "close", lambda: None))  # before the check, which may refuse it
+            stack.callback(getattr(instance, "close", lambda: None))  # before the check, which may raise
             _check_instance(node.block, instance)
             instances[i] = instance
             rounding: Roundable | None = getattr(instance, "rounding", None)
@@ -69,17 +69,17 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
 
 
 def _check_instance(block: ExternalBlock, instance: External) -> None:
-    """Refuse an instance that lacks something of what `External` says."""
+    """Refuse an instance that lacks a member of `External`."""
     missing = _MEMBERS - set(dir(type(instance))) - getattr(instance, "__dict__", {}).keys()
     if missing:
         raise KernelError(
-            f"What {type(block).__name__} has instantiated, a {type(instance).__name__}, lacks {' and '.join(sorted(missing))}; "
-            "give it all that the class External in bayesftc.cosim.block has."
+            f"The instance of {type(block).__name__}, a {type(instance).__name__}, lacks {' and '.join(sorted(missing))}; "
+            "give it all members of the class External in bayesftc.cosim.block."
         )
 
 
 def _take_own_inputs(schedule: Schedule, node: int, values: Mapping[str, Floats], memory: Floats) -> None:
-    """Write into memory what an FMU has itself given to inputs, for those that nothing is connected to."""
+    """Write into memory the start values that an FMU itself has for inputs; connected inputs overwrite them."""
     begin = schedule.slots[node].start["inputs"]
     for port in schedule.nodes[node].block.inputs:
         if port.name in values:
@@ -88,32 +88,32 @@ def _take_own_inputs(schedule: Schedule, node: int, values: Mapping[str, Floats]
 
 
 def place_tables(run: Run) -> None:
-    """Write into memory what compiled code needs to know of each FMU's instance.
+    """Write into memory the table of each FMU's instance, for compiled code.
 
     Raises
     ------
     KernelError
-        If an instance needs more room than there is.
+        If a table has too many words.
     """
     place_words(run)
     for i, instance in run.instances.items():
         if len(instance.table) > TABLE:
             node = run.schedule.nodes[i]
             raise KernelError(
-                f"The table of {node.name!r}, a {type(node.block).__name__}, has {len(instance.table)} words, and there is room "
-                f"for {TABLE}: keep what is more in memory of its own, and the address of that in the table."
+                f"The table of {node.name!r}, a {type(node.block).__name__}, has {len(instance.table)} words, but the limit is "
+                f"{TABLE}; keep further numbers in memory of the instance, and their address in the table."
             )
         start = run.schedule.slots[i].start["parameters"]
         run.memory[start : start + len(instance.table)] = instance.table.view(np.float64)
 
 
 def make_room(run: Run, end: int) -> None:
-    """Give a run an empty recording of the steps that come after those done, up to step `end`.
+    """Give a run an empty recording for the steps from the next one to step `end`.
 
     Raises
     ------
     ModelError
-        If it does not fit into memory.
+        If the recording does not fit into memory.
     """
     run.before = run.k // run.decimation + 1
     rows, columns = end // run.decimation + 1 - run.before, len(run.recorded)
@@ -124,33 +124,33 @@ def make_room(run: Run, end: int) -> None:
 
 
 def too_large(rows: int, columns: int) -> ModelError:
-    """Return the error that a recording does not fit into memory."""
+    """Return the error for a recording that does not fit into memory."""
     return ModelError(
-        f"Recording {columns} numbers at {rows} steps takes {8e-9 * rows * columns:.3g} GB, more than this machine has; name "
-        "fewer signals with record=..., or keep every n-th step with decimation=n."
+        f"Recording {columns} numbers at {rows} steps takes {8e-9 * rows * columns:.3g} GB, more than this machine has; record "
+        "fewer signals with record=..., or every n-th step with decimation=n."
     )
 
 
-def choose_engine(wanted: str, run: Run) -> Engine:
-    """Return the engine of that name for a run; ``auto`` is compiled where every block allows it.
+def choose_engine(name: str, run: Run) -> Engine:
+    """Return the engine of that name for a run; ``auto`` is compiled if every block allows it.
 
     Raises
     ------
     ModelError
         If there is no engine of that name.
     KernelError
-        If a block that calls back into Python was to be compiled.
+        If the name is ``compiled`` and a block calls back into Python.
     """
-    if wanted not in {"auto", "compiled", "interpreted"}:
-        raise ModelError(f"engine is {wanted!r}; it must be 'auto', 'compiled' or 'interpreted'.")
-    if wanted == "compiled" and not run.schedule.compiled:
+    if name not in {"auto", "compiled", "interpreted"}:
+        raise ModelError(f"engine is {name!r}; it must be 'auto', 'compiled' or 'interpreted'.")
+    if name == "compiled" and not run.schedule.compiled:
         names = [
             n.name for n, d in zip(run.schedule.nodes, run.schedule.definitions, strict=True) if d and not d.compiled
         ]
         raise KernelError(
-            f"The blocks {', '.join(names)} call back into Python, so the diagram can only run interpreted."
+            f"The blocks {', '.join(names)} call back into Python and cannot be compiled; use engine='auto' or 'interpreted'."
         )
-    if wanted == "interpreted" or not run.schedule.compiled:
+    if name == "interpreted" or not run.schedule.compiled:
         return InterpretedEngine(run)
     return CompiledEngine(run)
 
@@ -163,33 +163,35 @@ def advance(
     time_limit: float | None = None,
     pacer: Pacer | None = None,
 ) -> str | None:
-    """Take a run on to step `end` in pieces of about `BREATH` seconds; return why it stopped early, if it did.
+    """Run to step `end` in pieces of about `BREATH` seconds; return the reason if the run stopped early.
 
     ``run.k`` is then the last complete step.
     """
-    # The first piece is one step: a slow FMU must not keep Ctrl-C waiting for many.
+    # The first piece is one step: with a slow FMU, Ctrl-C must not wait for many steps.
     begin, piece, started = max(run.k, 0), 1, time.perf_counter()
     origin = begin
     while True:
         before = time.perf_counter()
         until = min(begin + (pacer.pack if pacer else piece), end)
         if pacer and run.k < 0:
-            until = 0  # what belongs to t_0 is not to wait for t_1
+            until = 0  # compute t_0 without waiting for t_1
         if pacer:
             pacer.wait(until)
         run.sound, run.ended = False, False
         with (
             one_processor(run.instances.values()),
             kept() if run.instances else nullcontext() as changed,
-            interrupts() as heard,
+            interrupts() as interrupted,
         ):
             run.k, failure = engine.advance(begin, until, first=run.k < 0)
         if changed:
             warn_of_arithmetic(run)
         now = time.perf_counter()
         if failure:
-            reason = explain(failure, run)  # by which a failed FMU also knows what it must not be asked any more
-            if heard:
+            reason = explain(
+                failure, run
+            )  # also after Ctrl-C: the failed FMU notes which functions it must not call any more
+            if interrupted:
                 raise KeyboardInterrupt
             return reason
         run.sound = True
@@ -208,18 +210,17 @@ def advance(
 
 
 def warn_of_arithmetic(run: Run) -> None:
-    """Warn that an FMU of a run has changed how this process computes; it was put back."""
+    """Warn that an FMU of a run has changed the floating-point mode of this process, which was restored."""
     suspects = " or ".join(repr(run.schedule.nodes[i].name) for i in run.instances)
     warn_user(
-        f"The FMU of {suspects} has changed how this process rounds, or makes numbers below 2.2e-308 zero, for all that is "
-        "computed. It was put back, but the results of other blocks may differ in their last digits from what they should be: "
-        "isolate the FMU (isolate=True).",
+        f"The FMU of {suspects} has changed how this process rounds, or that numbers below 2.2e-308 become zero. The setting was "
+        "restored, but the results of other blocks may be wrong in their last digits; isolate the FMU (isolate=True).",
         RuntimeWarning,
     )
 
 
 def explain(failure: Failure, run: Run) -> str:
-    """Return the sentence that says when, where and why a run stopped."""
+    """Return the message with the time, the place and the reason at which a run stopped."""
     node = run.schedule.nodes[failure.node]
     t = float(failure.k * run.schedule.step)
     when = f"at t = {t:g} s (step {failure.k})"
@@ -236,18 +237,18 @@ def explain(failure: Failure, run: Run) -> str:
             f"The run stopped {when}: {name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
             f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
         )
-    own = run.instances.get(failure.node)
-    detail = own.explain(failure.status) if own is not None else ""
-    run.ended = own is not None and own.has_ended
+    instance = run.instances.get(failure.node)
+    detail = instance.explain(failure.status) if instance is not None else ""
+    run.ended = instance is not None and instance.has_ended
     if run.ended:
-        return f"The run has ended {when}, as {node.name!r} wanted. {detail}"
-    if _date_crash(own, failure.k, t):
+        return f"The run has ended {when}, as {node.name!r} requested. {detail}"
+    if _date_crash(instance, failure.k, t):
         return f"The run stopped {when}: t{detail[1:]}"
     return f"The run stopped {when}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
 
 
 def _date_crash(instance: External | None, k: int, t: float) -> bool:
-    """Tell the crash of an isolated FMU, if it is one, at which step it was noticed; return whether there is one."""
+    """Set step and time of the crash of an isolated FMU, if there is one; return whether there is."""
     crash: FMUCrashed | None = getattr(instance, "crash", None)
     if crash is not None:
         crash.step, crash.time = k, t
@@ -255,7 +256,7 @@ def _date_crash(instance: External | None, k: int, t: float) -> bool:
 
 
 def failed(stopped: str, result: Result, run: Run) -> SimulationError:
-    """Return what a run that had to stop raises: `FMUCrashed` where an isolated FMU was the reason."""
+    """Return the error of a run that had to stop: `FMUCrashed` if an isolated FMU was the reason."""
     for instance in run.instances.values():
         crash: FMUCrashed | None = getattr(instance, "crash", None)
         if crash is not None and crash.step is not None:

@@ -1,7 +1,7 @@
-"""A live run: it goes on piece by piece, is saved and put back, and starts anew, while FMUs stay loaded.
+"""A live run: it continues piece by piece, is saved, restored and reset, while FMUs stay loaded.
 
-Pieces add up to the bits of one `simulate`: time is an integer step, every random number is a function of seed and step, and
-all else that a run remembers stands in its memory and in its FMUs.
+The pieces together have the bits of one `simulate`: time is an integer step, every random number is a function of seed and
+step, and the rest of a run's state is in its memory and in its FMUs.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class RunState:
-    """All that a live run remembers at one step; made by `Session.save_state`.
+    """The complete state of a live run at one step; made by `Session.save_state`.
 
-    It pickles if the state of every FMU does, and can then be restored in another process.
+    It can be pickled if the state of every FMU can, and then be restored in another process.
 
     Attributes
     ----------
@@ -54,13 +54,13 @@ class RunState:
     seed : int
         Seed of the run.
     memory : ndarray
-        States, parameters, inputs and outputs of all blocks, without what is only recorded.
+        States, parameters, inputs and outputs of all blocks, without outputs that are only recorded.
     instances : mapping of str to object
         The saved state of each FMU.
     layout : tuple
-        What the diagram is like, so that a state goes back only where it fits.
+        Properties of the diagram. A state is restored only in a diagram with the same.
     parameters : mapping of str to mapping
-        What each FMU was given as parameters, which its saved state holds as well.
+        The parameters of each FMU, which are also part of its saved state.
     """
 
     k: int
@@ -77,7 +77,7 @@ class Session:
     Parameters
     ----------
     diagram : Diagram
-        What to run; it is built and frozen if it is not yet.
+        The diagram; it is built and frozen if necessary.
     seed : int
         Seed of all random streams.
     record : iterable of str, optional
@@ -116,7 +116,7 @@ class Session:
             record = list(record)
             diagram = diagram.watching(record)
         self._schedule: Schedule = diagram.schedule
-        self._parts = copy(diagram)  # without its live run: a result that is kept keeps no FMU open
+        self._parts = copy(diagram)  # a copy has no live run, so that a kept result keeps no FMU open
         self._decimation = whole_number(decimation, "decimation is ")
         self._selection = select_signals(self._schedule, record)
         self._free = _settable(self._schedule)
@@ -126,16 +126,15 @@ class Session:
             for port in node.block.inputs
             if (source := diagram.source_of(node, port, 0))
         }
-        self._wanted = engine
+        self._engine_name = engine
         self._engine: Engine
         self._run: Run | None = None
         self._is_running = False
         self._pacer: Pacer | None = None
-        self._asked: tuple[Any, int] = (None, 0)
+        self._last_duration: tuple[Any, int] = (None, 0)
         self._stack = ExitStack()
-        self._finalizer = weakref.finalize(
-            self, self._stack.close
-        )  # FMUs of a session that is dropped are freed as well
+        # This also frees the FMUs of a session that is dropped without close().
+        self._finalizer = weakref.finalize(self, self._stack.close)
         self._open(check_seed(seed))
 
     def advance(
@@ -146,10 +145,10 @@ class Session:
         progress: Progress | None = None,
         time_limit: float | None = None,
     ) -> Result:
-        """Go on for `duration` seconds; return the signals of this piece.
+        """Continue for `duration` seconds; return the signals of this piece.
 
         Rows follow those of the piece before; only the first piece has the row at t = 0. ``advance(0)`` at the beginning
-        yields that row alone.
+        returns only that row.
 
         Parameters
         ----------
@@ -157,38 +156,39 @@ class Session:
             Seconds; a whole number of base steps.
         pace : float, optional
             Simulated seconds for each second of the clock, 1.0 for real time. The clock runs on between calls with the same
-            pace, so that what is computed outside counts, too; a call without it, `restore` and `reset` stop the clock.
-            ``result.metadata["pace"]`` has the pace, the number of late steps (``overruns``) and the seconds by which the worst
-            was late (``worst_overrun``), since the clock has started.
+            pace, so that computing time outside counts, too. A call without pace, `restore` and `reset` stop the clock.
+            ``result.metadata["pace"]`` has the pace, the number of late steps (``overruns``) and the largest delay in seconds
+            (``worst_overrun``) since the clock has started.
         progress : callable, optional
-            Called as ``progress(step, steps)`` now and then, of this piece.
+            Called as ``progress(step, steps)`` about twenty times a second, with the steps of this piece.
         time_limit : float, optional
-            Seconds of computing after which the run is stopped; it can go on from there.
+            Seconds of computing after which the run is stopped; it can continue from there.
 
         Raises
         ------
         SimulationError
             If the run has to stop; its ``result`` has the signals of this piece up to the last complete step. After the failure
-            of a block the session goes on only after `restore` or `reset`.
+            of a block the session can continue only after `restore` or `reset`.
 
         Warns
         -----
         UserWarning
-            If an FMU has asked to end the simulation: the result then ends there, and its ``stopped`` says why.
+            If an FMU has requested the end of the simulation: the result ends there, and its ``stopped`` has the reason.
         """
         run = self._sound_run()
         step = self._schedule.step
-        if not (isinstance(duration, float) and duration == self._asked[0]):  # many calls for a step each are usual
-            self._asked = duration, whole_steps(duration, step, "The duration")
-        steps = self._asked[1]
+        # The number of steps is kept, because many calls with the same short duration are usual.
+        if not (isinstance(duration, float) and duration == self._last_duration[0]):
+            self._last_duration = duration, whole_steps(duration, step, "The duration")
+        steps = self._last_duration[1]
         end = max(run.k, 0) + steps
         if end * step.numerator > EXACT:
-            whole_steps(end * step, step, "The run's length")  # says so
+            whole_steps(end * step, step, "The run's length")  # raises
         if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0):
             raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
         if progress is not None and not callable(progress):
             raise ModelError(
-                f"progress is {progress!r}; it must be a function that is called with step and steps, or None."
+                f"progress is {progress!r}; it must be a function of two arguments, step and steps, or None."
             )
         if pace is None or self._pacer is None or self._pacer.pace != pace:
             self._pacer = None if pace is None else Pacer(pace, self._schedule.step, max(run.k, 0))
@@ -225,16 +225,16 @@ class Session:
         return result
 
     def set(self, name: str | PortRef, value: ArrayLike) -> None:
-        """Give an input that nothing feeds a value, which it keeps until it is set again; `reset` brings its start value back.
+        """Set the value of an unconnected input. It stays until it is set again; `reset` restores its start value.
 
-        A plant takes it in its next step, a block that feeds it through shows it at the next t_k.
+        A plant uses it in its next step. A block with direct feedthrough uses it at the next t_k.
 
         Parameters
         ----------
         name : str or port
             Name of the input, ``"plant.force"``, or of one of its elements, ``"plant.u[1]"``; or the port, ``plant["force"]``.
         value : float or array
-            One number for each element, or one for all. An FMU takes no NaN and no infinity.
+            One number for each element, or one for all. Inputs of an FMU must be finite.
 
         Raises
         ------
@@ -244,24 +244,25 @@ class Session:
             If the value does not fit.
         """
         run = self._sound_run()
-        asked = label(name) if isinstance(name, PortRef) else name
-        if asked not in self._free:
-            raise UnknownNameError(self._not_free(asked))
-        lies, shape, is_plant = self._free[asked]
+        signal = label(name) if isinstance(name, PortRef) else name
+        if signal not in self._free:
+            raise UnknownNameError(self._not_free(signal))
+        place, shape, is_plant = self._free[signal]
         try:
-            if np.asarray(value).dtype.kind in "USV":  # of which NumPy would read the digits
+            if np.asarray(value).dtype.kind in "USV":  # NumPy would convert text with digits
                 raise TypeError
             values = np.broadcast_to(np.asarray(value, dtype=np.float64), shape or (1,)).ravel()
         except (ValueError, TypeError, OverflowError):
-            size = lies.stop - lies.start
+            size = place.stop - place.start
             raise ModelError(
-                f"{asked} cannot be set to {brief(value)}; give {'one number' if size == 1 else f'{size} numbers'}."
+                f"{signal} cannot be set to {brief(value)}; give {'one number' if size == 1 else f'{size} numbers'}."
             ) from None
         if is_plant and not np.isfinite(values).all():
             raise ModelError(
-                f"{asked} cannot be set to {value!r}: an FMU must be given finite numbers; see what computed it."
+                f"{signal} cannot be set to {value!r}, because inputs of an FMU must be finite; check the computation of the "
+                "value."
             )
-        run.memory[lies] = values
+        run.memory[place] = values
 
     @property
     def k(self) -> int:
@@ -279,37 +280,40 @@ class Session:
         return "compiled" if isinstance(self._engine, CompiledEngine) else "interpreted"
 
     def save_state(self) -> RunState:
-        """Return all that the run remembers now; `restore` goes back to it as often as one likes.
+        """Return the complete state of the run; `restore` can return to it repeatedly.
 
         Raises
         ------
         FMUError
-            If an FMU cannot save its state; the sentence names it.
+            If an FMU cannot save its state; the message names it.
         """
         run = self._sound_run()
         saved = {self._schedule.nodes[i].name: instance.save() for i, instance in run.instances.items()}
-        given = {
+        parameters = {
             node.name: dict(node.block.parameters or {}) for node in self._schedule.nodes if isinstance(node.block, FMU)
         }
-        return RunState(run.k, run.seed, run.memory[self._schedule.remembered], saved, self._schedule.layout(), given)
+        return RunState(
+            run.k, run.seed, run.memory[self._schedule.remembered], saved, self._schedule.layout(), parameters
+        )
 
     def restore(self, state: RunState) -> None:
-        """Go back to a saved state: of this session, or of another one of the same diagram, whatever that recorded.
+        """Return to a saved state: of this session, or of another session of the same diagram, with any recorded signals.
 
-        What is only recorded of an FMU that runs at a multiple of the step is NaN until its next step: it is no part of a state.
+        Outputs that are only recorded are no part of a state. For an FMU that runs at a multiple of the step they are NaN until
+        its next step.
 
         Raises
         ------
         ModelError
-            If it is no state of such a diagram, or of one in which a block has other parameters: the saved state of an FMU
-            has its parameters in it, so that the new ones would be without effect.
+            If it is not a state of such a diagram, or if a block has other parameters. The saved state of an FMU contains its
+            parameters, so that new ones would have no effect.
         FMUError
-            If an FMU cannot take it: one without ``canSerializeFMUState`` takes states of this session only, and none from before
-            a `reset`.
+            If an FMU cannot restore it. An FMU without ``canSerializeFMUState`` can only restore states of this session from
+            after the last `reset`.
         """
         if not isinstance(state, RunState) or state.layout != self._schedule.layout():
             raise ModelError(
-                f"{state!r} is no saved state of this diagram; restore what save_state() has returned for the same blocks."
+                f"{state!r} is not a saved state of this diagram; restore a state from save_state() of the same blocks."
             )
         memory = self._schedule.initial.copy()
         memory[self._schedule.remembered] = state.memory
@@ -323,11 +327,11 @@ class Session:
         self._pacer = None
         if state.seed != run.seed:
             run.seed = state.seed
-            self._engine = choose_engine(self._wanted, run)  # an engine holds numbers that it has drawn ahead
+            self._engine = choose_engine(self._engine_name, run)  # the old engine holds random numbers of the old seed
         run.k, run.sound = state.k, True
 
     def reset(self, seed: int | None = None) -> None:
-        """Go back to the beginning, with new instances of the FMUs, whose binaries stay loaded.
+        """Return to the beginning, with new instances of the FMUs, whose binaries stay loaded.
 
         Parameters
         ----------
@@ -364,19 +368,19 @@ class Session:
         return f"<Session at t = {max(self._run.k, 0) * float(self._schedule.step):g} s: {self.engine}>"
 
     def __reduce__(self) -> NoReturn:
-        raise ModelError("A live session cannot be pickled; pickle the diagram, and what save_state() returns.")
+        raise ModelError("A live session cannot be pickled; pickle the diagram and the state from save_state().")
 
     def _not_free(self, name: object) -> str:
         source = self._fed.get(name if isinstance(name, str) else "")
         if source:
-            return f"{name} is fed by {source} and cannot be set; leave that connection out, or set what feeds it."
-        return f"There is no input {name!r} that nothing feeds; {did_you_mean(name, self._free)}"
+            return f"{name} is fed by {source} and cannot be set; leave that connection out, or set an input of its source."
+        return f"There is no unconnected input {name!r}; {did_you_mean(name, self._free)}"
 
     def _open(self, seed: int) -> None:
         self._run, self._pacer = None, None
         try:
             run = open_run(self._schedule, self._stack, seed, self._selection, 0, self._decimation)
-            self._engine = choose_engine(self._wanted, run)
+            self._engine = choose_engine(self._engine_name, run)
         except BaseException:
             self._stack.close()
             raise
@@ -387,7 +391,7 @@ class Session:
             raise ModelError("The session is closed; start a new one with diagram.start().")
         if self._is_running:
             raise ModelError(
-                "The session is running, in another thread or around this call; wait until advance() has returned."
+                "The session is running, in another thread or in a function that makes this call; wait until advance() returns."
             )
         return self._run
 
@@ -395,45 +399,45 @@ class Session:
         run = self._opened()
         if not run.sound:
             raise ModelError(
-                f"The session stopped in the middle of a step after step {run.k}; go back with restore(state) or reset() first."
+                f"The session stopped in the middle of a step after step {run.k}; call restore(state) or reset() first."
             )
         return run
 
 
 def _settable(schedule: Schedule) -> dict[str, tuple[slice, tuple[int, ...], bool]]:
-    """Return the inputs that nothing feeds, and their elements, by name: where in memory, the shape, whether an FMU's."""
-    found: dict[str, tuple[slice, tuple[int, ...], bool]] = {}
+    """Return the unconnected inputs, and their elements, by name: place in memory, shape, whether of an FMU."""
+    inputs: dict[str, tuple[slice, tuple[int, ...], bool]] = {}
     for node, port in schedule.free:
-        lies, name, is_plant = schedule.signal(node, port), f"{node.name}.{port.name}", is_external(node)
-        found[name] = lies, port.shape, is_plant
+        place, name, is_plant = schedule.signal(node, port), f"{node.name}.{port.name}", is_external(node)
+        inputs[name] = place, port.shape, is_plant
         if port.shape:
-            for i, element in enumerate(labels(name, port.shape), lies.start):
-                found[element] = slice(i, i + 1), (), is_plant
-    return found
+            for i, element in enumerate(labels(name, port.shape), place.start):
+                inputs[element] = slice(i, i + 1), (), is_plant
+    return inputs
 
 
 def _check_parameters(schedule: Schedule, memory: Floats, parameters: Mapping[str, Mapping[str, Any]]) -> None:
-    """Refuse the memory, and the parameters of the FMUs, of a diagram of the same blocks with other parameters."""
+    """Refuse the state of a diagram of the same blocks with other parameters of blocks or FMUs."""
     for node, slots, definition in zip(schedule.nodes, schedule.slots, schedule.definitions, strict=True):
         for name, (section, _, shape) in slots.sections.items() if definition else ():
             if section == "parameters":
                 place = slice(slots.offset(name), slots.offset(name) + prod(shape))
-                there, here = memory[place], schedule.initial[place]
-                # What is computed for a sample time may differ in its last bits on another machine.
-                last = 1e-13 * float(np.max(np.abs(here[np.isfinite(here)]), initial=0.0))
-                if not np.allclose(there, here, rtol=1e-9, atol=last, equal_nan=True):
+                saved, present = memory[place], schedule.initial[place]
+                # Parameters that depend on the sample time may differ in their last bits on another machine.
+                last = 1e-13 * float(np.max(np.abs(present[np.isfinite(present)]), initial=0.0))
+                if not np.allclose(saved, present, rtol=1e-9, atol=last, equal_nan=True):
                     raise _other_parameters(node.name, name)
         if isinstance(node.block, FMU):
             before, now = parameters.get(node.name, {}), dict(node.block.parameters or {})
-            own = {variable.name: variable.start for variable in node.block.description.variables}
+            defaults = {variable.name: variable.start for variable in node.block.description.variables}
             for name in sorted(before.keys() | now.keys()):
-                values = before.get(name, own.get(name)), now.get(name, own.get(name))
+                values = before.get(name, defaults.get(name)), now.get(name, defaults.get(name))
                 if values[0] != values[1]:
                     raise _other_parameters(node.name, name, f", {values[0]!r} and not {values[1]!r}")
 
 
 def _other_parameters(block: str, name: str, values: str = "") -> ModelError:
     return ModelError(
-        f"The saved state is of a diagram in which block {block!r} has another parameter {name!r}{values}, and parameters are "
-        "part of a state; restore it where they are the same, and make what is to change an input (an FMU's with tunable=...)."
+        f"In the saved state, block {block!r} has another parameter {name!r}{values}, and parameters are part of a state; "
+        "restore it in a diagram with the same parameters, and use inputs for values that change (for an FMU with tunable=...)."
     )

@@ -1,4 +1,4 @@
-"""How compiled code saves blocks that are saved in Python: an FMU in another process, or with an integrator around it."""
+"""Functions by which compiled code saves blocks that are saved in Python, such as an FMU in another process."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ if TYPE_CHECKING:
     from bayesftc.cosim.block import External
 
 ERROR = 3
-"""FMI's word for what went wrong in Python."""
+"""FMI's status ``error``, for an exception in Python."""
 
 _STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
 
 
 class StateFunctions:
-    """The functions by which compiled code saves an external block that has none in C: they call its Python methods.
+    """C functions that call the Python methods of an external block to save, restore and free its state.
 
-    The signatures are those of FMI; a state is a number under which the saved object is kept.
+    The signatures are those of FMI. A state is a number, the key of the saved object.
     """
 
     def __init__(self, instance: External):
@@ -28,13 +28,13 @@ class StateFunctions:
         self._raised: BaseException | None = None
 
     def take(self) -> BaseException | None:
-        """Return what the methods have raised, if they have; the next failure has reasons of its own."""
+        """Return the first exception of the methods, if any, and clear it."""
         raised, self._raised = self._raised, None
         return raised
 
     @cached_property
     def addresses(self) -> tuple[int, int, int, int]:
-        """Address of the instance, which is not needed, and of the functions that save, restore and free."""
+        """Address of the instance (0, it is not needed), and of the functions that save, restore and free."""
         self._callbacks = [_STATE(f) for f in (self._save, self._restore, self._free)]
         save, restore, free = (ctypes.cast(f, ctypes.c_void_p).value or 0 for f in self._callbacks)
         return 0, save, restore, free
@@ -57,7 +57,7 @@ class StateFunctions:
     def _tried(self, action: Callable[[], None]) -> int:
         try:
             action()
-        except BaseException as error:  # noqa: BLE001 - it cannot pass compiled code: `GroupRun.explain` says it
-            self._raised = self._raised or error  # what comes after follows from the first
+        except BaseException as error:  # noqa: BLE001 - it cannot pass compiled code; `GroupRun.explain` raises it
+            self._raised = self._raised or error  # later errors follow from the first
             return ERROR
         return 0

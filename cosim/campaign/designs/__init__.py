@@ -1,1 +1,1 @@
-"""Which runs a campaign makes: points, ranges, seeds, factors."""
+"""The runs of a campaign: points, ranges, seeds, factors."""

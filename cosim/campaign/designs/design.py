@@ -1,7 +1,7 @@
-"""Which points a campaign runs: all combinations of values, a list, or (`samples`) points that fill ranges evenly.
+"""The points of a campaign: all combinations of values, a list, or (`samples`) points that fill ranges evenly.
 
-A design has points, one after the other; each gives every factor a value and a label, which stands for the value in tables. Two
-designs multiply: ``LatinHypercube(...) * Grid(...)`` has each point of the one with each point of the other.
+A design is a list of points. Each point has a value and a label for every factor; tables show the label. Two designs can be
+multiplied: ``LatinHypercube(...) * Grid(...)`` combines each point of the one with each point of the other.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from bayesftc.cosim.errors import ModelError, brief
 
 MOST = 1_000_000
-"""Points of a design: more do not fit into memory."""
+"""Largest number of points of a design; more do not fit into memory."""
 
 
 def check_points(count: int) -> None:
-    """Refuse a design of more points than a campaign can have.
+    """Refuse a design with too many points for a campaign.
 
     Raises
     ------
@@ -30,12 +30,12 @@ def check_points(count: int) -> None:
     """
     if count > MOST:
         raise ModelError(
-            f"The design has {brief(count)} points, but a campaign has at most {MOST:,}; take fewer values."
+            f"The design has {brief(count)} points, but a campaign has at most {MOST:,}; use fewer values."
         )
 
 
 class Level(NamedTuple):
-    """A value of a factor, and how tables call it."""
+    """A value of a factor, and its label in tables."""
 
     label: Any
     value: Any
@@ -44,8 +44,8 @@ class Level(NamedTuple):
 class Design:
     """Points of a campaign, in order.
 
-    To write a design, define `levels`; what it returns must not depend on anything but the design's own settings, since a
-    campaign that is resumed asks again.
+    To write a design, define `levels`. Its result must depend only on the settings of the design, because a resumed campaign
+    calls it again.
     """
 
     def levels(self) -> list[dict[str, Level]]:
@@ -57,7 +57,7 @@ class Design:
         return [{name: level.value for name, level in point.items()} for point in self.levels()]
 
     def labels(self) -> list[dict[str, Any]]:
-        """Return for each point what stands for each factor's value in tables: a number, a text, True, False or None."""
+        """Return for each point the label of each factor in tables: a number, a text, True, False or None."""
         return [{name: level.label for name, level in point.items()} for point in self.levels()]
 
     @property
@@ -69,18 +69,18 @@ class Design:
         return len(self.levels())
 
     def __mul__(self, other: Design) -> Crossed:
-        """Return the design of each of these points with each point of another, whose points change first."""
+        """Return the design of all combinations with the points of another design, which change first."""
         return Crossed(self, other) if isinstance(other, Design) else NotImplemented
 
 
 @dataclass(frozen=True)
 class Crossed(Design):
-    """Each point of one design with each point of another; what ``one * other`` returns.
+    """All combinations of the points of two designs, the result of ``one * other``.
 
     Parameters
     ----------
     one, other : Design
-        Without a factor in common. The points of `other` change first.
+        Designs without a common factor. The points of `other` change first.
     """
 
     one: Design
@@ -89,7 +89,7 @@ class Crossed(Design):
     def __post_init__(self) -> None:
         twice = sorted(set(self.one.factors) & set(self.other.factors))
         if twice:
-            raise ModelError(f"Two designs that are multiplied both set {twice[0]!r}; leave it to one of them.")
+            raise ModelError(f"Two designs that are multiplied both set {twice[0]!r}; remove it from one of them.")
 
     def levels(self) -> list[dict[str, Level]]:
         """Return for each point the value of each factor with its label."""
@@ -105,7 +105,7 @@ class Grid(Design):
     Parameters
     ----------
     values : mapping
-        Factor -> its values, as a sequence, or as a mapping of labels to values where the values are no plain numbers or texts::
+        Factor -> its values, as a sequence, or as a mapping of labels to values if they are not plain numbers or texts::
 
             Grid({"controller.precision": {"fixed": FixedPrecision(), "gamma": GammaPrecision()}, "freeze_0.start": [2.0, 6.0]})
 
@@ -120,7 +120,7 @@ class Grid(Design):
     def __post_init__(self) -> None:
         if not isinstance(self.values, Mapping) or not self.values:
             raise ModelError(
-                f"Grid has values={brief(self.values)}; it takes a mapping of each factor's name to its values."
+                f"Grid has values={brief(self.values)}; give a mapping from the names of factors to their values."
             )
         for name, values in self.values.items():
             _levels(name, values)
@@ -139,26 +139,28 @@ class Points(Design):
     Parameters
     ----------
     values : sequence of mapping
-        For each point factor -> value; each has the same factors.
+        For each point factor -> value. All points have the same factors.
 
     Raises
     ------
     ModelError
-        If there is no point, or one has other factors than the first.
+        If there is no point, or a point has other factors than the first.
     """
 
     values: Sequence[Mapping[str, Any]]
 
     def __post_init__(self) -> None:
         if isinstance(self.values, Mapping | str) or not all(isinstance(point, Mapping) for point in self.values):
-            raise ModelError(f"Points has {brief(self.values)}; it takes a list of mappings of factors to values.")
+            raise ModelError(f"Points has {brief(self.values)}; give a list of mappings from factors to values.")
         if not len(self.values) or not self.values[0]:
-            raise ModelError("Points has no point, or one without a factor; give at least one factor and one point.")
+            raise ModelError(
+                "Points has no point, or a point without a factor; give at least one point and one factor."
+            )
         for number, point in enumerate(self.values):
             if point.keys() != self.values[0].keys():
                 raise ModelError(
                     f"Point {number} sets {', '.join(map(repr, point))} and point 0 "
-                    f"{', '.join(map(repr, self.values[0]))}; each point of a list has the same factors."
+                    f"{', '.join(map(repr, self.values[0]))}; give all points of a list the same factors."
                 )
 
     def levels(self) -> list[dict[str, Level]]:
@@ -168,7 +170,7 @@ class Points(Design):
 
 
 def label_of(value: Any) -> Any:
-    """Return what stands for a value in tables: itself if it is a number, a text or None, else its text."""
+    """Return the label of a value in tables: the value if it is a number, a text or None, else its text."""
     if isinstance(value, np.generic):
         value = value.item()
     return value if value is None or isinstance(value, bool | int | float | str) else brief(value, 120)
@@ -186,14 +188,14 @@ def _levels(name: str, values: Any) -> list[Level]:
         levels = [Level(label_of(value), value) for value in values]
     if not levels:
         raise ModelError(f"Factor {name!r} has no value; give at least one, or leave the factor out.")
-    seen: set[Any] = set()
+    labels: set[Any] = set()
     for level in levels:
-        if level.label in seen:
+        if level.label in labels:
             raise ModelError(
-                f"Factor {name!r} has {brief(level.label)} twice; give each value once, or labels of their own: "
+                f"Factor {name!r} has {brief(level.label)} twice; give each value once, or different labels: "
                 "{label: value, ...}."
             )
-        seen.add(level.label)
+        labels.add(level.label)
     return levels
 
 

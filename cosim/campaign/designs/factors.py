@@ -1,4 +1,4 @@
-"""A diagram with other settings: what the factors of a campaign change, by paths such as ``"controller.precision"``."""
+"""Change settings of a diagram, as factors of a campaign do, by paths such as ``"controller.precision"``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, d
 from bayesftc.cosim.fmi.fmu import FMU
 
 FITTED = ("channels", "signals")
-"""Settings that a loop fits to its wiring; a block that takes another's place has them of that one, unless it says its own."""
+"""Settings that a loop derives from its connections. A block that replaces another inherits them, unless it sets them."""
 
 
 class Change(NamedTuple):
-    """A factor's value, the steps from what is changed to where it goes, and the factor's whole path."""
+    """A factor's value, the remaining steps of its path, and its whole path."""
 
     steps: Sequence[str]
     value: Any
@@ -27,31 +27,31 @@ class Change(NamedTuple):
 
 
 def varied(diagram: Diagram, changes: Mapping[str, Any]) -> Diagram:
-    """Return a diagram of the same wiring in which some settings are others.
+    """Return a diagram with the same connections and some other settings.
 
     Parameters
     ----------
     diagram : Diagram
-        Stays as it is.
+        The original, which is not changed.
     changes : mapping of str to object
-        By path the new value: of a block as a whole (``"freeze_0"``), of a setting (``"freeze_0.start"``), of a setting's
+        Path -> new value: of a block as a whole (``"freeze_0"``), of a setting (``"freeze_0.start"``), of a setting's
         setting (``"controller.precision.forgetting"``), of an element (``"controller.model.B[0]"``), or of a parameter of an
-        FMU (``"plant.m"``; ``"plant.parameters.name"`` if a setting of `FMU` is called so, too). What is inside of another one of
-        them is changed after that, in whatever order they stand; the settings of one thing change at once.
+        FMU (``"plant.m"``; ``"plant.parameters.name"`` if `FMU` also has a setting of that name). In any order of the paths,
+        an object is changed before its parts, and all settings of one object at once.
 
     Returns
     -------
     Diagram
-        With the coupling of the original; built if that is.
+        The changed diagram, with the coupling of the original; built if the original is.
 
     Raises
     ------
     UnknownNameError
         If there is no such block, setting or parameter.
     ConnectionError
-        If a new block lacks a port that is connected, or has another size there.
+        If a new block lacks a connected port, or has it with another size.
     BayesFTCError
-        What a block has against its new settings.
+        If a block refuses its new settings.
 
     Examples
     --------
@@ -67,43 +67,45 @@ def varied(diagram: Diagram, changes: Mapping[str, Any]) -> Diagram:
     for path, value in changes.items():
         name, steps = _split(path, blocks)
         of_blocks.setdefault(name, []).append(Change(steps, value, path))
-    for name, own in of_blocks.items():
-        for change in own:
+    for name, of_block in of_blocks.items():
+        for change in of_block:
             if not change.steps:
                 blocks[name] = _in_place_of(blocks[name], change.value, change.path)
-        blocks[name] = _changed(blocks[name], [change for change in own if change.steps])
+        blocks[name] = _changed(blocks[name], [change for change in of_block if change.steps])
     return diagram.rewired(blocks)
 
 
 def _split(path: str, blocks: Mapping[str, Block]) -> tuple[str, list[str]]:
-    """Return the name of a path's block, which may have dots in it, and the further steps."""
+    """Return the name of a path's block, which may contain dots, and the further steps."""
     if not isinstance(path, str):
         raise ModelError(f"{path!r} cannot be a factor; it must be a path such as 'controller.precision'.")
-    found = [name for name in blocks if path == name or path.startswith(name + ".")]
-    if not found:
+    matches = [name for name in blocks if path == name or path.startswith(name + ".")]
+    if not matches:
         raise UnknownNameError(
             f"The factor {path!r} names no block of the diagram; {did_you_mean(path.split('.')[0], blocks)}"
         )
-    name = max(found, key=len)
+    name = max(matches, key=len)
     return name, re.findall(r"[^.\[\]]+|\[[^\]]*\]", path[len(name) :])
 
 
 def _in_place_of(block: Block, value: Any, path: str) -> Block:
     if not isinstance(value, Block):
         raise ModelError(
-            f"The factor {path!r} is a whole block, and {value!r} is none; name one of its settings, as {path}.NAME."
+            f"The factor {path!r} is a whole block, but {value!r} is not a block; name one of its settings: {path}.NAME."
         )
     if is_dataclass(value) and is_dataclass(block):
-        own = {f.name: f.default for f in fields(value) if f.name in FITTED}
+        defaults = {f.name: f.default for f in fields(value) if f.name in FITTED}
         fitted = {
-            n: getattr(block, n) for n, default in own.items() if hasattr(block, n) and getattr(value, n) == default
+            n: getattr(block, n)
+            for n, default in defaults.items()
+            if hasattr(block, n) and getattr(value, n) == default
         }
         return replace(value, **fitted) if fitted else value  # type: ignore[return-value]
     return value
 
 
 def _changed(part: Any, changes: Sequence[Change]) -> Any:
-    """Return `part` with what lies at the end of the steps replaced: a whole before its parts, and those all at once."""
+    """Return `part` with the changes: first the object as a whole, then its parts, all at once."""
     for change in changes:
         if not change.steps:
             part = change.value
@@ -115,51 +117,53 @@ def _changed(part: Any, changes: Sequence[Change]) -> Any:
         return part
     path = next(iter(inner.values()))[0].path
     if all(step.startswith("[") for step in inner):
-        for step, own in inner.items():
-            part = _with_element(part, step[1:-1], own)
+        for step, group in inner.items():
+            part = _with_element(part, step[1:-1], group)
         return part
     if isinstance(part, Mapping):
-        for step, own in inner.items():
+        for step, group in inner.items():
             if step not in part:
-                raise UnknownNameError(f"The factor {own[0].path!r}: there is no {step!r}; {did_you_mean(step, part)}")
-        return {**part, **{step: _changed(part[step], own) for step, own in inner.items()}}
+                raise UnknownNameError(
+                    f"The factor {group[0].path!r}: there is no {step!r}; {did_you_mean(step, part)}"
+                )
+        return {**part, **{step: _changed(part[step], group) for step, group in inner.items()}}
     if is_dataclass(part) and not isinstance(part, type):
         return _with_settings(part, inner)
     raise ModelError(
-        f"The factor {path!r}: {type(part).__name__} has no settings that could be changed one by one; give the whole."
+        f"The factor {path!r}: the settings of {type(part).__name__} cannot be changed one by one; give a whole new object."
     )
 
 
 def _with_settings(part: Any, inner: Mapping[str, list[Change]]) -> Any:
-    """Return a dataclass with some settings changed at once, for each alone might not fit the others."""
-    known = [f.name for f in fields(part) if f.init]
+    """Return a dataclass with some settings changed, all at once because they may depend on each other."""
+    names = [f.name for f in fields(part) if f.init]
     new: dict[str, Any] = {}
-    for step, own in inner.items():
-        if step in known:
-            whole = [change for change in own if not change.steps] if _has_parameters(part, step) else own
+    for step, group in inner.items():
+        if step in names:
+            whole = [change for change in group if not change.steps] if _has_parameters(part, step) else group
             if whole:
                 new[step] = _changed(getattr(part, step), whole)
         elif not isinstance(part, FMU):
             raise UnknownNameError(
-                f"The factor {own[0].path!r}: {type(part).__name__} has no setting {step!r}; {did_you_mean(step, known)}"
+                f"The factor {group[0].path!r}: {type(part).__name__} has no setting {step!r}; {did_you_mean(step, names)}"
             )
     if isinstance(part, FMU):
-        given = dict(new.get("parameters", part.parameters) or {})
-        for step, own in inner.items():
-            for change in own:
-                if step not in known:
-                    _give_parameter(part, given, [step, *change.steps], change)
+        parameters = dict(new.get("parameters", part.parameters) or {})
+        for step, group in inner.items():
+            for change in group:
+                if step not in names:
+                    _set_parameter(part, parameters, [step, *change.steps], change)
                 elif step == "parameters" and change.steps:
-                    _give_parameter(part, given, change.steps, change)
-        new |= {"parameters": given} if given else {}
+                    _set_parameter(part, parameters, change.steps, change)
+        new |= {"parameters": parameters} if parameters else {}
     try:
         return replace(part, **new)
     except (TypeError, ValueError) as error:
         if isinstance(error, BayesFTCError):
             raise
-        paths = ", ".join(repr(change.path) for own in inner.values() for change in own)
+        paths = ", ".join(repr(change.path) for group in inner.values() for change in group)
         raise ModelError(
-            f"{type(part).__name__} does not take what {paths} would have it be: {type(error).__name__}: {error}."
+            f"{type(part).__name__} refuses the values of {paths}: {type(error).__name__}: {error}."
         ) from error
 
 
@@ -167,8 +171,8 @@ def _has_parameters(part: Any, step: str) -> bool:
     return isinstance(part, FMU) and step == "parameters"
 
 
-def _give_parameter(fmu: FMU, given: dict[str, Any], steps: Sequence[str], change: Change) -> None:
-    """Give an FMU's parameter, of whose name dots and brackets may be parts, or an element of an array, its value."""
+def _set_parameter(fmu: FMU, parameters: dict[str, Any], steps: Sequence[str], change: Change) -> None:
+    """Set a parameter of an FMU, or an element of an array; names may contain dots and brackets."""
     name, value = "".join(s if s.startswith("[") else f".{s}" for s in steps).lstrip("."), change.value
     try:
         fmu.start_value(name)
@@ -176,8 +180,8 @@ def _give_parameter(fmu: FMU, given: dict[str, Any], steps: Sequence[str], chang
         base, bracket, index = name.rpartition("[")
         if not bracket or not isinstance(array := fmu.start_value(base), tuple):
             raise
-        name, value = base, _with_element(given.get(base, array), index.rstrip("]"), [change._replace(steps=())])
-    given[name] = value
+        name, value = base, _with_element(parameters.get(base, array), index.rstrip("]"), [change._replace(steps=())])
+    parameters[name] = value
 
 
 def _with_element(part: Any, index: str, changes: Sequence[Change]) -> Any:

@@ -1,7 +1,7 @@
-"""All runs of a campaign, numbered: which point of the design and which seed each has, and how they are cut into pieces.
+"""The numbered runs of a campaign: the point and the seed of each, and their division into pieces.
 
-Runs are counted point by point. A piece is what is run, sent, written and resumed as a whole: some runs in a row, of one point
-or of several. The plan depends on nothing but the campaign, so that each executor and each resumption has the same pieces.
+Runs are counted point by point. A piece is run, sent, written and resumed as a whole: several consecutive runs, of one point
+or of more. The plan depends only on the campaign, so that each executor and each resumption has the same pieces.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from bayesftc.cosim.types import Floats
 
 OK = "ok"
 FAILED = "failed"
-"""What the table says of a run: that it went to its end, or that it has stopped, for a reason that stands beside it."""
+"""The status of a run in the table: complete, or stopped early; then the table has the reason."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class Plan:
     Attributes
     ----------
     points : tuple of mapping of str to object
-        For each point of the design the value of each factor.
+        The value of each factor, for each point of the design.
     seeds : tuple of tuple of int
-        For each point the seeds of its runs.
+        The seeds of the runs, for each point.
     size : int
-        Runs of a piece; the last one may have fewer.
+        Number of runs in a piece; the last piece may have fewer.
     """
 
     points: tuple[Mapping[str, Any], ...]
@@ -65,44 +65,44 @@ class Plan:
 
     def of_runs(self) -> tuple[np.ndarray[Any, np.dtype[np.int64]], np.ndarray[Any, np.dtype[np.int64]]]:
         """Return for each run the number of its point, and its seed."""
-        points = np.repeat(np.arange(len(self.seeds)), [len(own) for own in self.seeds])
-        return points, np.array([seed for own in self.seeds for seed in own], dtype=np.int64)
+        points = np.repeat(np.arange(len(self.seeds)), [len(seeds) for seeds in self.seeds])
+        return points, np.array([seed for seeds in self.seeds for seed in seeds], dtype=np.int64)
 
     def groups(self, piece: Piece) -> Iterator[tuple[int, tuple[int, ...]]]:
-        """Yield for each point that has runs in a piece its number and the seeds of these runs, in order."""
+        """Yield the number of each point with runs in a piece, and the seeds of these runs, in order."""
         point = bisect_right(self._ends, piece.begin)
         at = piece.begin
         while at < piece.end:
-            own, first = self.seeds[point], self._ends[point] - len(self.seeds[point])
+            seeds, first = self.seeds[point], self._ends[point] - len(self.seeds[point])
             end = min(piece.end, self._ends[point])
             if at < end:
-                yield point, own[at - first : end - first]
+                yield point, seeds[at - first : end - first]
             at, point = end, point + 1
 
     @cached_property
     def _ends(self) -> list[int]:
-        """Return for each point how many runs there are up to its last."""
+        """Return for each point the number of runs up to its last one."""
         return list(accumulate(map(len, self.seeds)))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the runs of a piece have come to; each array has a row for each run.
+    """The outcomes of the runs of a piece; each array has a row for each run.
 
     Attributes
     ----------
     piece : Piece
-        Which runs.
+        The runs.
     metrics : mapping of str to ndarray of shape (runs,)
         By the name of the metric; NaN for a run that has failed.
     signals : mapping of str to ndarray of shape (runs, rows, ...)
-        What was recorded, by the name of the signal; NaN from where a run has failed.
+        The recorded signals by name; NaN after the failure of a run.
     status, reasons : tuple of str
-        `OK` or `FAILED`, and for those that have failed the sentence that says why (else an empty text).
+        `OK` or `FAILED`, and for failed runs the reason (else an empty text).
     steps : ndarray of int, of shape (runs,)
-        The last complete step of each.
+        The last complete step of each run.
     seconds : float
-        Of computing that the piece took.
+        Computing time of the piece in seconds.
     """
 
     piece: Piece
@@ -115,7 +115,7 @@ class Outcome:
 
 
 def joined(piece: Piece, outcomes: Sequence[Outcome]) -> Outcome:
-    """Return as one what the runs of a piece have come to, from outcomes of its parts, in order."""
+    """Return the outcome of a piece from the outcomes of its parts, in order."""
     first = outcomes[0]
     return Outcome(
         piece,

@@ -1,4 +1,4 @@
-"""Ranges of factors: two bounds, whole numbers, or a distribution; and how the unit interval is scaled to one."""
+"""Ranges of factors: two bounds, whole numbers, or a distribution; and the scaling from the unit interval to a range."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.types import Floats
 
-TAKES = (
-    "it takes (low, high), range(low, high) for whole numbers, or a distribution of scipy.stats with its parameters."
-)
+TAKES = "give (low, high), range(low, high) for whole numbers, or a distribution of scipy.stats with its parameters."
 
 
 def checked(design: str, ranges: Any) -> None:
-    """Raise an error if there is no factor or a range that is none; `design` is who asks."""
+    """Raise an error if there is no factor, or a wrong range; `design` is the name of the design."""
     if not isinstance(ranges, Mapping) or not ranges:
-        raise ModelError(f"{design} has ranges={brief(ranges)}; it takes a mapping of each factor's name to its range.")
+        raise ModelError(
+            f"{design} has ranges={brief(ranges)}; give a mapping from the names of factors to their ranges."
+        )
     for name, given in ranges.items():
         if isinstance(given, range):
             if not given:
@@ -46,16 +46,16 @@ def scaled(name: str, given: Any, unit: Floats) -> list[Any]:
         If a distribution has no finite value at one of them.
     """
     if isinstance(given, range):
-        count = (given[-1] - given[0]) // given.step + 1  # of which len() has a largest one
+        count = (given[-1] - given[0]) // given.step + 1  # len() fails for very long ranges
         return [given[min(int(place * count), count - 1)] for place in unit.tolist()]
     if _is_distribution(given):
         values = np.asarray(given.ppf(unit))
         if not np.isfinite(values).all():
             raise ModelError(
-                f"The distribution of factor {name!r} is {values[~np.isfinite(values)][0]} at one of the points; give one with "
-                "finite quantiles between 0 and 1, or another seed."
+                f"The distribution of factor {name!r} is {values[~np.isfinite(values)][0]} at one of the points; give a "
+                "distribution with finite quantiles between 0 and 1, or another seed."
             )
-        # Those of a distribution over whole numbers come as floats.
+        # A distribution over whole numbers has quantiles of type float.
         return [int(v) for v in values] if hasattr(given, "pmf") else values.tolist()
     low, high = _bounds(name, given)
     return np.asarray(low + unit * (high - low)).tolist()  # type: ignore[no-any-return]

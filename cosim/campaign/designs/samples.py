@@ -22,17 +22,17 @@ class Sampled(Design):
     Parameters
     ----------
     ranges : mapping
-        Factor -> ``(low, high)``: any number between them, each as probable; ``range(1, 11)``: one of these whole numbers; or a
-        distribution of `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
+        Factor -> ``(low, high)``: a uniform distribution; ``range(1, 11)``: one of these whole numbers; or a distribution of
+        `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
     count : int
         Number of points.
     seed : int
-        Of the random numbers; the same seed gives the same points.
+        Seed of the random numbers; the same seed gives the same points.
 
     Raises
     ------
     ModelError
-        If a range, the count or the seed cannot be one.
+        If a range, the count or the seed is wrong.
     """
 
     ranges: Mapping[str, Any]
@@ -44,7 +44,7 @@ class Sampled(Design):
         for name, value, least in (("count", self.count, 1), ("seed", self.seed, 0)):
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
                 raise ModelError(
-                    f"{type(self).__name__} has {name}={brief(value)}; it takes a whole number from {least} up."
+                    f"{type(self).__name__} has {name}={brief(value)}; it must be a whole number from {least} up."
                 )
         check_points(self.count)
 
@@ -68,25 +68,25 @@ class Sampled(Design):
 
 @dataclass(frozen=True)
 class LatinHypercube(Sampled):
-    """A Latin hypercube: of `count` equally probable slices of each factor's range each holds one point.
+    """A Latin hypercube: each of `count` equally probable slices of each factor's range contains one point.
 
-    By `scipy.stats.qmc.LatinHypercube` (McKay, Beckman and Conover 1979). It suits any number of points; what `sensitivity`
-    asks for is `SaltelliDesign`.
+    By `scipy.stats.qmc.LatinHypercube` (McKay, Beckman and Conover 1979). It suits any number of points. `sensitivity` needs a
+    `SaltelliDesign` instead.
 
     Parameters
     ----------
     ranges : mapping
-        Factor -> ``(low, high)``: any number between them, each as probable; ``range(1, 11)``: one of these whole numbers; or a
-        distribution of `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
+        Factor -> ``(low, high)``: a uniform distribution; ``range(1, 11)``: one of these whole numbers; or a distribution of
+        `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
     count : int
         Number of points.
     seed : int
-        Of the random numbers; the same seed gives the same points.
+        Seed of the random numbers; the same seed gives the same points.
 
     Raises
     ------
     ModelError
-        If a range, the count or the seed cannot be one.
+        If a range, the count or the seed is wrong.
     """
 
     def unit_points(self) -> Floats:
@@ -99,26 +99,25 @@ class LatinHypercube(Sampled):
 
 @dataclass(frozen=True)
 class SobolSequence(Sampled):
-    """The first points of a scrambled Sobol sequence, which fill the ranges more evenly than chance does.
+    """The first points of a scrambled Sobol sequence, which fill the ranges more evenly than random points.
 
-    By `scipy.stats.qmc.Sobol` (Owen's scrambling). A longer sequence of the same seed begins with the same points, so that a
-    design can be grown; it is balanced where `count` is a power of two. Not to be confused with the indices of the same name, for
-    which `SaltelliDesign` makes the points.
+    By `scipy.stats.qmc.Sobol` (Owen's scrambling). A longer sequence with the same seed begins with the same points, so that a
+    design can be extended. It is balanced if `count` is a power of two. For Sobol indices use `SaltelliDesign`.
 
     Parameters
     ----------
     ranges : mapping
-        Factor -> ``(low, high)``: any number between them, each as probable; ``range(1, 11)``: one of these whole numbers; or a
-        distribution of `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
+        Factor -> ``(low, high)``: a uniform distribution; ``range(1, 11)``: one of these whole numbers; or a distribution of
+        `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
     count : int
         Number of points.
     seed : int
-        Of the scrambling; the same seed gives the same points.
+        Seed of the scrambling; the same seed gives the same points.
 
     Raises
     ------
     ModelError
-        If a range, the count or the seed cannot be one.
+        If a range, the count or the seed is wrong.
     """
 
     def unit_points(self) -> Floats:
@@ -132,30 +131,30 @@ class SobolSequence(Sampled):
 
 @dataclass(frozen=True)
 class SaltelliDesign(Sampled):
-    """The points from which `sensitivity` finds Sobol indices: which factor drives a metric.
+    """The points from which `sensitivity` computes Sobol indices: the influence of each factor on a metric.
 
-    By SALib: `count` points of a scrambled Sobol sequence, and for each of them further ones in which one factor is changed
+    By SALib: `count` points of a scrambled Sobol sequence, and for each of them further points in which one factor is changed
     (Saltelli et al. 2010). There are ``count * (factors + 2)`` points, or ``count * (2 * factors + 2)`` with the indices of
     pairs.
 
     Parameters
     ----------
     ranges : mapping
-        Factor -> ``(low, high)``: any number between them, each as probable; ``range(1, 11)``: one of these whole numbers; or a
-        distribution of `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
+        Factor -> ``(low, high)``: a uniform distribution; ``range(1, 11)``: one of these whole numbers; or a distribution of
+        `scipy.stats` with its parameters, such as ``scipy.stats.lognorm(0.5)``, by its quantiles (``ppf``).
     count : int
-        Number of base points, a power of two. Indices of a smooth metric want some hundreds.
+        Number of base points, a power of two. Indices of a smooth metric need some hundreds.
     seed : int
-        Of the scrambling; the same seed gives the same points.
+        Seed of the scrambling; the same seed gives the same points.
     second_order : bool
-        Whether the indices of pairs of factors are wanted as well.
+        Whether the design also serves for the indices of pairs of factors.
 
     Raises
     ------
     ModelError
-        If a range, the count or the seed cannot be one.
+        If a range, the count or the seed is wrong.
     BayesFTCError
-        If SALib is not installed; when the points are asked for.
+        If SALib is not installed, when the points are computed.
     """
 
     second_order: bool = field(default=False, kw_only=True)
@@ -165,19 +164,19 @@ class SaltelliDesign(Sampled):
         if self.count & (self.count - 1):
             near = 1 << (int(self.count).bit_length() - 1)
             raise ModelError(
-                f"SaltelliDesign has count={self.count}, with which its points are not balanced; take {near} or {2 * near}."
+                f"SaltelliDesign has count={self.count}, with which its points are not balanced; use {near} or {2 * near}."
             )
 
     @property
     def block(self) -> int:
-        """How many points belong together: a base point and those in which one factor is changed."""
+        """Number of points that belong together: a base point and those in which one factor is changed."""
         return (2 if self.second_order else 1) * len(self.ranges) + 2
 
     def __len__(self) -> int:
         return self.count * self.block
 
     def problem(self) -> dict[str, Any]:
-        """Return what SALib asks for of the factors: their names, in the unit cube."""
+        """Return the problem for SALib: the names of the factors, in the unit cube."""
         names = list(self.ranges)
         return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
 

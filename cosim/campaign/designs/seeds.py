@@ -1,4 +1,4 @@
-"""Seeds of a campaign: the same noise for all points that are compared, noise of its own where that is asked for."""
+"""Seeds of a campaign: the same noise for all points that are compared, or independent noise by choice."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_m
 from bayesftc.cosim.random import check_seed
 
 LARGEST = 2**63 - 1
-"""Seed that a table of integers of 64 bits holds."""
+"""Largest seed in a table column of 64-bit integers."""
 
 
 MOST = 10_000_000
-"""Runs of a campaign: of more not even the numbers fit into memory."""
+"""Largest number of runs of a campaign; for more, not even the run numbers fit into memory."""
 
 
 def hashed_seeds(seed: int, purpose: str, count: int) -> list[int]:
     """Return `count` seeds for one purpose.
 
-    They are hashed from the seed and the purpose, so that runs for one purpose (a scenario, finding a setting) never share noise
-    with those for another.
+    They are computed from a hash of the seed and the purpose, so that runs for one purpose (a scenario, finding a setting)
+    never share noise with those for another.
 
     Parameters
     ----------
     seed : int
-        Of all.
+        The seed for all purposes.
     purpose : str
-        What they are for.
+        Name of the purpose.
     count : int
-        How many.
+        Number of seeds.
     """
     return _drawn(np.random.SeedSequence((check_seed(seed), zlib.crc32(purpose.encode()))), count)
 
@@ -46,18 +46,18 @@ def seeds_of_points(
     Parameters
     ----------
     labels : sequence of mapping
-        For each point the label of each factor.
+        The label of each factor, for each point.
     seeds : int or sequence of int
-        How many runs each point has, or the seeds of the runs, the same for all points.
+        The number of runs of each point, or their seeds, the same for all points.
     seed : int
-        From which they are hashed where only their number is given.
+        The seed from which they are computed if `seeds` is a number.
     independent : sequence of str
-        Factors of which each value has seeds of its own.
+        Factors of which each value has different seeds.
 
     Raises
     ------
     ModelError
-        If the seeds can be none, or are given and `independent` as well.
+        If the seeds are wrong, or listed although `independent` is given.
     UnknownNameError
         If there is no such factor.
     """
@@ -73,43 +73,41 @@ def seeds_of_points(
     if isinstance(seeds, Sequence):
         if independent:
             raise ModelError(
-                "seeds lists the seeds, the same for all points; give their number for independent=... to hash them."
+                "seeds is a list, which holds for all points, and independent=... needs different seeds; give their number."
             )
-        own = tuple(check_seed(s) for s in seeds)
-        if own and max(own) > LARGEST:
-            raise ModelError(
-                f"seeds has {max(own)}; the seeds of a campaign go up to 2**63 - 1, as columns of tables do."
-            )
-        if not own or len(set(own)) < len(own):
-            raise ModelError("seeds has no seed, or one twice; each run of a point needs one of its own.")
-        return (own,) * len(labels)
+        listed = tuple(check_seed(s) for s in seeds)
+        if listed and max(listed) > LARGEST:
+            raise ModelError(f"seeds has {max(listed)}; use seeds up to 2**63 - 1, the limit of table columns.")
+        if not listed or len(set(listed)) < len(listed):
+            raise ModelError("seeds has no seed, or one twice; give each run of a point a different seed.")
+        return (listed,) * len(labels)
     if seeds < 1:
         raise ModelError(f"seeds is {seeds}; each point needs at least one run.")
     if seeds * len(labels) > MOST:
         raise ModelError(
-            f"seeds is {brief(seeds)} and there are {len(labels)} points, but a campaign has at most {MOST:,} runs; make several "
-            "campaigns of it, each with its own seed."
+            f"seeds is {brief(seeds)} and there are {len(labels)} points, but a campaign has at most {MOST:,} runs; make "
+            "several campaigns with different seeds."
         )
     if not independent:
         return (tuple(hashed_seeds(seed, "", seeds)),) * len(labels)
     check_seed(seed)
-    known: dict[tuple[str, ...], tuple[int, ...]] = {}
+    by_values: dict[tuple[str, ...], tuple[int, ...]] = {}
     for point in labels:
         values = tuple(repr(point[name]) for name in independent)
-        if values not in known:
-            known[values] = tuple(_seeds_of_values(seed, values, seeds))
-    return tuple(known[tuple(repr(point[name]) for name in independent)] for point in labels)
+        if values not in by_values:
+            by_values[values] = tuple(_seeds_of_values(seed, values, seeds))
+    return tuple(by_values[tuple(repr(point[name]) for name in independent)] for point in labels)
 
 
 def _seeds_of_values(seed: int, values: tuple[str, ...], count: int) -> list[int]:
-    """Return seeds for values of factors; of 256 bits of hash, for among thousands of points two of 32 bits may be the same."""
+    """Return seeds for values of factors, from a hash of 256 bits: among thousands of points, two of 32 bits may be equal."""
     digest = hashlib.sha256(repr(values).encode()).digest()
     words = np.frombuffer(digest, dtype="<u4").tolist()
     return _drawn(np.random.SeedSequence((seed, *words)), count)
 
 
 def _drawn(sequence: np.random.SeedSequence, count: int) -> list[int]:
-    """Return numbers of 63 bits: what columns of tables hold."""
+    """Return numbers of 63 bits, which fit into table columns."""
     return [int(s) for s in sequence.generate_state(count, np.uint64) >> np.uint64(1)]
 
 

@@ -1,12 +1,12 @@
-"""Who makes the runs: an executor has the pieces of a job done and hands their outcomes on as they come.
+"""Executors run the pieces of a job and pass on their outcomes as they arrive.
 
 To write an executor you must:
 
-1. return from ``run(job, pieces)`` an iterator of the `Outcome` of each piece, in any order, each once, which asks for pieces
-   only as fast as outcomes are taken, so that those that wait do not fill the memory;
-2. have every piece done by ``job.run(piece)``, in this process or in another one to which the job was pickled: the bits are the
-   same wherever that is;
-3. stop at once, and leave nothing behind, when the iterator is closed or Ctrl-C comes.
+1. return from ``run(job, pieces)`` an iterator of the `Outcome` of each piece, in any order, each once. Take pieces only as fast
+   as outcomes are taken, so that waiting outcomes do not fill the memory;
+2. run every piece by ``job.run(piece)``, in this process or in another one to which the job was pickled: the bits are the
+   same everywhere;
+3. stop at once, and leave nothing behind, when the iterator is closed or on Ctrl-C.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from typing import Protocol, TypeVar
 
 from bayesftc.cosim.campaign.designs.plan import Piece
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.run.many import Wanted
+from bayesftc.cosim.run.many import KeepGoing
 
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
 AHEAD = 2
-"""Pieces for each worker that are made or wait to be taken."""
+"""Number of pieces for each worker that are being run or wait to be taken."""
 
 
 class Work(Protocol[R_co]):
-    """What is done piece by piece: a `Job` is."""
+    """Work that is done piece by piece, such as a `Job`."""
 
-    def run(self, piece: Piece, wanted: Wanted = ...) -> R_co:
-        """Do a piece, in any thread; raise `StoppedFromOutside` when it is no longer wanted."""
+    def run(self, piece: Piece, keep_going: KeepGoing = ...) -> R_co:
+        """Do a piece, in any thread; raise `StoppedFromOutside` if it is no longer needed."""
 
     def close(self) -> None:
-        """Free what all pieces have shared."""
+        """Free what all pieces share."""
 
 
 class Executor(Protocol):
-    """Has the pieces of a job done; see the module's text."""
+    """Runs the pieces of a job; see the docstring of the module."""
 
     def run(self, job: Work[R], pieces: Iterable[Piece]) -> Generator[R, None, None]:
         """Yield the outcome of each piece."""
@@ -48,7 +48,7 @@ class Executor(Protocol):
 
 @dataclass(frozen=True)
 class Threads:
-    """Runs on threads of this process: the compiled loop frees the interpreter, so they use all cores.
+    """Runs on threads of this process. The compiled loop releases the interpreter's lock, so they use all cores.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def cores() -> int:
 
 
 def check_jobs(jobs: object) -> None:
-    """Refuse what is no number of workers; None is one for each core."""
+    """Refuse a wrong number of workers; None is one for each core."""
     if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
         raise ModelError(f"jobs is {jobs!r}; it must be a whole number of workers, at least 1.")
 

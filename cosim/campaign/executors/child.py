@@ -1,6 +1,6 @@
-"""The process of a worker: has a job from who has started it, and does piece after piece of it.
+"""The process of a worker: it gets a job from its host process, and runs piece after piece of it.
 
-It tells when it begins to compute, so that one in which an FMU hangs can be told from one that compiles. It dies with its host.
+It reports when it begins to compute, so that the host can distinguish an FMU that hangs from compiling. It ends with its host.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from bayesftc.cosim.base.processes import begin
 from bayesftc.cosim.errors import BayesFTCError
 
 PULSE = 0.1
-"""Seconds between two signs of life while runs are computed."""
+"""Seconds between two reports while runs are computed."""
 
 
 def main(*descriptors: str) -> None:
@@ -29,18 +29,18 @@ def main(*descriptors: str) -> None:
     status = 0
     try:
         _serve(talk)
-    except (EOFError, ConnectionError):  # the host has gone
+    except (EOFError, ConnectionError):  # the host has ended
         pass
-    except BaseException:  # noqa: BLE001 - the host sees that it ended; here is why
+    except BaseException:  # noqa: BLE001 - the host sees only that this process ended; print the reason
         traceback.print_exc()
         status = 70
-    os._exit(status)  # what an FMU's library does at a regular exit could hang
+    os._exit(status)  # at a regular exit, the library of an FMU could hang
 
 
 def _serve(talk: Connection) -> None:
     try:
         job = pickle.loads(talk.recv_bytes())
-    except Exception as error:  # noqa: BLE001 - whatever is missing here
+    except Exception as error:  # noqa: BLE001 - unpickling may raise anything
         talk.send(("unusable", f"{type(error).__name__}: {error}"))
         return
     _forward(talk)
@@ -50,9 +50,11 @@ def _serve(talk: Connection) -> None:
         method, *arguments = talk.recv()
         try:
             if method == "run":
-                signs.aside()
+                signs.overhead()
                 answer = (
-                    job.run(*arguments, signs.wanted, signs.aside) if hasattr(job, "failed") else job.run(*arguments)
+                    job.run(*arguments, signs.keep_going, signs.overhead)
+                    if hasattr(job, "failed")
+                    else job.run(*arguments)
                 )
             else:
                 answer = getattr(job, method)(*arguments)
@@ -75,7 +77,7 @@ def send(talk: Connection, answer: Any) -> None:
 
 
 def receive(talk: Connection, sizes: list[int]) -> Any:
-    """Return what was sent by `send`, once its first message was taken."""
+    """Return an answer from `send`, after its first message was received."""
     head = talk.recv_bytes()
     buffers = [bytearray(size) for size in sizes]
     for buffer in buffers:
@@ -85,26 +87,26 @@ def receive(talk: Connection, sizes: list[int]) -> Any:
 
 
 class _Signs:
-    """What the host is told while a piece is done."""
+    """Reports to the host while a piece is done."""
 
     def __init__(self, talk: Connection):
-        self._talk, self._last, self._is_aside = talk, 0.0, False
+        self._talk, self._last, self._is_overhead = talk, 0.0, False
 
-    def wanted(self) -> bool:
+    def keep_going(self) -> bool:
         now = time.monotonic()
-        if self._is_aside or now - self._last > PULSE:
+        if self._is_overhead or now - self._last > PULSE:
             self._talk.send(("computing",))
-            self._last, self._is_aside = now, False
-        return True  # a host that wants no more ends this process
+            self._last, self._is_overhead = now, False
+        return True  # to stop, the host ends this process
 
-    def aside(self) -> None:
-        if not self._is_aside:
-            self._talk.send(("aside",))
-            self._is_aside = True
+    def overhead(self) -> None:
+        if not self._is_overhead:
+            self._talk.send(("overhead",))
+            self._is_overhead = True
 
 
 def _forward(talk: Connection) -> None:
-    """Send what is logged and warned of to the host, whose settings say what is to be seen."""
+    """Send log messages and warnings to the host, whose settings determine what is shown."""
 
     class Forward(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -123,17 +125,17 @@ def _forward(talk: Connection) -> None:
         file: TextIO | None = None,
         line: str | None = None,
     ) -> None:
-        known = category if category.__module__ == "builtins" else UserWarning
-        talk.send(("warning", str(message), known, filename, lineno))
+        portable = category if category.__module__ == "builtins" else UserWarning
+        talk.send(("warning", str(message), portable, filename, lineno))
 
     warnings.showwarning = warn
 
 
 def _portable(error: Exception) -> Exception:
-    """Return an error that pickles; of others its text remains."""
+    """Return an error that can be pickled: the error itself, or an error with its text."""
     try:
         pickle.loads(pickle.dumps(error))
-    except Exception:  # noqa: BLE001 - whatever a user's error does when it is pickled
+    except Exception:  # noqa: BLE001 - pickling a user's error may raise anything
         return BayesFTCError(f"{type(error).__name__}: {error}")
     return error
 

@@ -1,4 +1,4 @@
-"""Which executor a campaign runs on if nobody says."""
+"""Choose the default executor of a campaign."""
 
 from __future__ import annotations
 
@@ -16,43 +16,43 @@ from bayesftc.cosim.fmi.reading.archive import open_archive
 
 
 def choose_executor(job: Job) -> tuple[Executor, str]:
-    """Return the executor for a job, and the sentence that says why it is that one.
+    """Return the executor for a job, and the reason for it as a sentence.
 
-    Threads where they use all cores: where all blocks are compiled, FMUs may be there more than once in a process, and none of
-    them computes in Python. Isolated FMUs have processes of their own, which threads keep busy as well as processes do. Looked at
-    are the first point, and the blocks that other points have in its place.
+    It is `Threads` if threads can use all cores: all blocks are compiled, FMUs can have several instances in a process, and no
+    FMU computes in Python. Isolated FMUs have separate processes, so that threads suffice for them. The choice considers the
+    first point, and the blocks that other points have in its place.
 
     Parameters
     ----------
     job : Job
-        What is to run.
+        The job.
     """
     if cores() == 1:
         return Threads(), "Threads: this process may use one core."
     against = next(_against_threads(job), None)
     if against is None:
-        return Threads(), "Threads: all blocks are compiled, and no FMU needs a process of its own."
+        return Threads(), "Threads: all blocks are compiled, and no FMU needs a separate process."
     executor = Processes()
     try:
         executor.check(job)
     except ModelError as error:
-        return Threads(1), f"One thread: {against}, and processes are out of the question. {error}"
+        return Threads(1), f"One thread: {against}, and processes are impossible. {error}"
     return executor, f"Processes: {against}."
 
 
 def _against_threads(job: Job) -> Iterator[str]:
-    """Yield what speaks against threads."""
+    """Yield the reasons against threads."""
     diagram = job.diagram(0)
     schedule = diagram.schedule
     for node, definition in zip(schedule.nodes, schedule.definitions, strict=True):
         if definition is not None and not definition.compiled:
-            yield f"the block {node.name!r} computes in Python, of which one thread runs at a time"
+            yield f"the block {node.name!r} computes in Python, which runs one thread at a time"
     for name, block in _blocks(job, diagram):
         if isinstance(block, FMU) and not block.isolate:
             if block.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
-                yield f"the FMU {name!r} can be there only once in a process"
+                yield f"the FMU {name!r} allows only one instance per process"
             if "resources/slavemodule.txt" in open_archive(Path(block.path)).names:
-                yield f"the FMU {name!r} computes in Python, of which one thread runs at a time"
+                yield f"the FMU {name!r} computes in Python, which runs one thread at a time"
 
 
 def _blocks(job: Job, diagram: Diagram) -> Iterator[tuple[str, Block]]:

@@ -1,4 +1,4 @@
-"""Worker processes that share a job, started as they are needed: what a run does to its process it does to no other run."""
+"""Worker processes for one job, started as they are needed: a run that crashes its process does not affect other runs."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from bayesftc.cosim.base.processes import can_start, how_it_ended, kill_group, s
 from bayesftc.cosim.campaign.designs.plan import Piece, joined
 from bayesftc.cosim.campaign.executors.child import receive
 from bayesftc.cosim.errors import BayesFTCError, ModelError
-from bayesftc.cosim.run.many import StoppedFromOutside, Wanted
+from bayesftc.cosim.run.many import KeepGoing, StoppedFromOutside
 
 GLANCE = 0.1
-"""Seconds after which it is seen whether a process that says nothing is alive, and still wanted."""
+"""Seconds between two checks whether a silent process is alive and still needed."""
 GRACE = 3.0
-"""Seconds beyond the time limit that a run may say nothing: between steps it looks at its time limit itself."""
+"""Seconds of silence beyond the time limit after which a process is ended; between steps a run checks its limit itself."""
 LEAVING = 5.0
-"""Seconds for a process to vanish once it was killed."""
+"""Seconds for a process to end after it was killed."""
 SENDING = 60
-"""Seconds for a message to come whole."""
+"""Seconds for a complete message to arrive."""
 
 
 class Lost(Exception):
-    """A process is gone, or had to be ended; the text says how, as in "it was killed by ..."."""
+    """A process has ended, or had to be ended; the text continues a sentence: "was killed by ..."."""
 
 
 class Crew:
-    """Workers that have the same job; see `bayesftc.cosim.campaign.executors.base.Work`.
+    """Workers with the same job; see `bayesftc.cosim.campaign.executors.base.Work`.
 
     Parameters
     ----------
@@ -49,23 +49,23 @@ class Crew:
         self._all: set[_Worker] = set()
         self._end = weakref.finalize(self, _end_all, self._all)
 
-    def run(self, piece: Piece, wanted: Wanted = lambda: True) -> Any:
-        """Do a piece in one of the processes. Where that dies, each run is made alone, to find out which one has done it.
+    def run(self, piece: Piece, keep_going: KeepGoing = lambda: True) -> Any:
+        """Do a piece in one of the processes. If that dies, make each run alone, to find the run that is responsible.
 
         Raises
         ------
         StoppedFromOutside
-            When it is no longer wanted.
+            If the piece is no longer needed.
         BayesFTCError
-            If no process can begin, or die with something that is no campaign.
+            If no process can start, or one dies with a job that is no campaign.
         """
         try:
-            return self._ask(wanted, "run", piece)
+            return self._ask(keep_going, "run", piece)
         except Lost as lost:
             if not self._is_recoverable:
                 raise BayesFTCError(f"The process of a worker {lost}.") from None
         runs = [Piece(piece.index, run, run + 1) for run in range(piece.begin, piece.end)]
-        return joined(piece, [self._alone(run, wanted) for run in runs])
+        return joined(piece, [self._alone(run, keep_going) for run in runs])
 
     def close(self) -> None:
         """End all processes."""
@@ -73,20 +73,20 @@ class Crew:
         with self._lock:
             self._idle.clear()
 
-    def _alone(self, run: Piece, wanted: Wanted) -> Any:
+    def _alone(self, run: Piece, keep_going: KeepGoing) -> Any:
         try:
-            return self._ask(wanted, "run", run)
+            return self._ask(keep_going, "run", run)
         except Lost as lost:
             reason = str(lost)
         try:
-            return self._ask(wanted, "failed", run, reason)
-        except Lost as lost:  # which has done nothing but to begin
+            return self._ask(keep_going, "failed", run, reason)
+        except Lost as lost:  # the process died without making a run
             raise BayesFTCError(f"The process of a worker {lost}.") from None
 
-    def _ask(self, wanted: Wanted, method: str, *arguments: Any) -> Any:
-        worker = self._take(wanted)
+    def _ask(self, keep_going: KeepGoing, method: str, *arguments: Any) -> Any:
+        worker = self._take(keep_going)
         try:
-            answer = worker.ask(wanted, method, *arguments)
+            answer = worker.ask(keep_going, method, *arguments)
         except BaseException:
             self._drop(worker)
             raise
@@ -94,7 +94,7 @@ class Crew:
             self._idle.append(worker)
         return answer
 
-    def _take(self, wanted: Wanted) -> _Worker:
+    def _take(self, keep_going: KeepGoing) -> _Worker:
         while self._idle:
             with self._lock:
                 worker = self._idle.pop() if self._idle else None
@@ -105,10 +105,12 @@ class Crew:
         worker = _Worker()
         self._all.add(worker)
         try:
-            worker.begin(self._payload, wanted)
+            worker.begin(self._payload, keep_going)
         except Lost as lost:
             self._drop(worker)
-            raise BayesFTCError(f"A worker process cannot begin: it {lost}. What it has printed may say why.") from None
+            raise BayesFTCError(
+                f"A worker process cannot start: it {lost}. See its printed output for the reason."
+            ) from None
         except BaseException:
             self._drop(worker)
             raise
@@ -127,82 +129,80 @@ class _Worker:
 
     def __init__(self) -> None:
         if not can_start():
-            raise ModelError(
-                "Worker processes need Linux or macOS and a Python that can be started; use executor=Threads()."
-            )
+            raise ModelError("Worker processes need Linux or macOS and a Python executable; use executor=Threads().")
         self.is_recoverable, self._limit = False, None
         with contextlib.ExitStack() as opened:
-            ours, theirs = socket.socketpair()
-            opened.callback(theirs.close)
+            host_end, worker_end = socket.socketpair()
+            opened.callback(worker_end.close)
             for direction in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
-                ours.setsockopt(socket.SOL_SOCKET, direction, struct.pack("ll", SENDING, 0))
-            self._talk = Connection(ours.detach())
-            self._process, self._lifeline = start("bayesftc.cosim.campaign.executors.child:main", [theirs.fileno()])
+                host_end.setsockopt(socket.SOL_SOCKET, direction, struct.pack("ll", SENDING, 0))
+            self._talk = Connection(host_end.detach())
+            self._process, self._lifeline = start("bayesftc.cosim.campaign.executors.child:main", [worker_end.fileno()])
         self._lock, self._is_over = threading.Lock(), False
 
     @property
     def is_alive(self) -> bool:
         return not self._is_over and self._process.poll() is None
 
-    def begin(self, payload: bytes, wanted: Wanted) -> None:
-        """Hand over the job.
+    def begin(self, payload: bytes, keep_going: KeepGoing) -> None:
+        """Send the job.
 
         Raises
         ------
         ModelError
-            If the process cannot make it of its bytes.
+            If the process cannot unpickle it.
         """
-        with contextlib.suppress(OSError):  # it is gone, as is seen at once
+        with contextlib.suppress(OSError):  # if the process has ended, `_next` notices it
             self._talk.send_bytes(payload)
-        answer = self._next(wanted)
+        answer = self._next(keep_going)
         if answer[0] == "unusable":
             raise ModelError(
-                f"The campaign cannot run in other processes: what it is made of is not found there ({answer[1]}). Blocks, "
-                "metrics and functions must be of modules that they can import too."
+                f"The campaign cannot run in other processes, because they cannot load it ({answer[1]}); put its blocks, "
+                "metrics and functions into modules that these processes can import."
             )
         _, self._limit, self.is_recoverable = answer
 
-    def ask(self, wanted: Wanted, method: str, *arguments: Any) -> Any:
-        """Return what a method of the job returns there.
+    def ask(self, keep_going: KeepGoing, method: str, *arguments: Any) -> Any:
+        """Call a method of the job in the process and return its result.
 
         Raises
         ------
         Lost
-            If the process dies, or has to be ended as a run says nothing for longer than the time limit.
+            If the process dies, or is ended because a run is silent for longer than the time limit.
         Exception
-            What the job raises.
+            The exception of the job.
         """
         with contextlib.suppress(OSError):
             self._talk.send((method, *arguments))
-        answer = self._next(wanted)
+        answer = self._next(keep_going)
         if answer[0] == "raised":
             error: Exception = answer[1]
             error.add_note(f"In a worker process:\n{answer[2]}")
             raise error
         return answer[1]
 
-    def _next(self, wanted: Wanted) -> tuple[Any, ...]:
+    def _next(self, keep_going: KeepGoing) -> tuple[Any, ...]:
         """Return the next message that is an answer."""
-        told, is_computing = time.monotonic(), False
+        heard, is_computing = time.monotonic(), False
         while True:
-            if not wanted():
+            if not keep_going():
                 raise StoppedFromOutside
             message = self._message()
             if message is None:
-                silent = time.monotonic() - told
+                silent = time.monotonic() - heard
                 if is_computing and self._limit is not None and silent > self._limit + GRACE:
                     raise Lost(
-                        f"was ended, for it reached its time limit of {self._limit:g} s of computing within a step"
+                        f"was ended, because it reached its time limit of {self._limit:g} s of computing within a step"
                     )
                 continue
             kind = message[0]
-            told, is_computing = time.monotonic(), kind == "computing" or (is_computing and kind != "aside")
+            heard, is_computing = time.monotonic(), kind == "computing" or (is_computing and kind != "overhead")
             if kind == "log":
                 logging.getLogger(message[1]).log(message[2], "%s", message[3])
             elif kind == "warning":
                 _, text, category, file, line = message
                 warnings.warn_explicit(text, category, file, line, registry=_registry)
-            elif kind not in {"computing", "aside"}:
+            elif kind not in {"computing", "overhead"}:
                 return message
 
     def _message(self) -> tuple[Any, ...] | None:
@@ -215,14 +215,14 @@ class _Worker:
                     raise EOFError
             message: tuple[Any, ...] = self._talk.recv()
             return ("done", receive(self._talk, message[1])) if message[0] == "done" else message
-        except Exception:  # noqa: BLE001 - it is closed, or an FMU has written into it: that may be anything
-            raise Lost(self._obituary()) from None
+        except Exception:  # noqa: BLE001 - it is closed, or an FMU has written into it: that may raise anything
+            raise Lost(self._cause_of_death()) from None
 
-    def _obituary(self) -> str:
+    def _cause_of_death(self) -> str:
         try:
             return how_it_ended(self._process.wait(LEAVING))
         except subprocess.TimeoutExpired:
-            return "closed its connection, or wrote what is no answer into it, and was ended"
+            return "closed its connection, or wrote invalid data into it, and was ended"
 
     def end(self) -> None:
         """End the process at once."""

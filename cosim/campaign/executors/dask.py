@@ -1,7 +1,7 @@
 """Runs on a cluster, by Dask distributed.
 
-The job goes there as one task; each Dask worker that has it starts a crew of processes, which do the pieces. FMUs are
-tasks too, called by the hash of their content. All three are pure, so what is lost with a worker is made again elsewhere.
+The job is sent as one task. Each Dask worker with the job starts a crew of processes, which run the pieces. FMUs are tasks,
+too, named by the hash of their content. All three are pure functions, so that lost results can be computed again elsewhere.
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ if TYPE_CHECKING:
 CONNECTING = 10
 """Seconds for the scheduler to answer."""
 IDLE = 10.0
-"""Seconds without a piece after which a worker ends the processes of a job, whose client may have been killed."""
+"""Seconds without a piece after which a worker ends the processes of a job, because its client may have been killed."""
 LOOK = 1.0
-"""Seconds between two looks at what the cluster has become."""
+"""Seconds between two checks of the cluster."""
 
 
 @dataclass(frozen=True)
 class DaskCluster:
     """Runs on a Dask cluster.
 
-    The workers need this package, and the modules that the campaign's own functions and blocks are of (what a script or notebook
-    defines goes along); FMUs go there by themselves. Each Dask worker has its runs made in processes of their own, as many as it
-    has threads, so that a run that crashes takes no worker down. A piece of which the worker dies runs again elsewhere.
+    The workers need this package, and the modules of the campaign's functions and blocks (definitions of a script or notebook
+    are sent). FMUs are sent automatically. Each Dask worker makes its runs in separate processes, as many as it has threads, so
+    that a run that crashes does not end a worker. If a worker dies, its pieces run again elsewhere.
 
     Parameters
     ----------
     address : str or distributed.Client, optional
-        Of the scheduler, as ``"tcp://10.0.0.1:8786"``, or a client that is connected to it. By default a cluster on this
-        machine, which ends with the campaign; that needs Linux or macOS.
+        Address of the scheduler, such as ``"tcp://10.0.0.1:8786"``, or a client that is connected to it. By default a cluster
+        on this machine, which ends with the campaign; it needs Linux or macOS.
     workers : int, optional
-        How many workers a cluster on this machine has; by default one for each core.
+        Number of workers of a cluster on this machine; by default one for each core.
     """
 
     address: str | Client | None = None
@@ -62,11 +62,11 @@ class DaskCluster:
         check_jobs(self.workers)
         if self.workers is not None and self.address is not None:
             raise ModelError(
-                "workers= is of a cluster on this machine; the one at address= has the workers that it has."
+                "workers= is for a cluster on this machine, and address= for another cluster; give only one of them."
             )
         if isinstance(self.address, str) and not re.fullmatch(r"(\w+://)?[^/\s]+:\d+/?|inproc://\S+", self.address):
             raise ModelError(
-                f"address is {self.address!r}; give that of the Dask scheduler with its port, such as tcp://10.0.0.1:8786."
+                f"address is {self.address!r}; give the Dask scheduler's address with its port, such as tcp://10.0.0.1:8786."
             )
 
     def run(self, job: Work[R], pieces: Iterable[Piece]) -> Generator[R, None, None]:
@@ -92,11 +92,11 @@ class _Campaign:
         ]
         self._crew = client.submit(_Crew, self._name, parcel.payload, tuple(parcel.fmus), *fmus, key=self._name)
         self._waiting: dict[Future[Any], Piece] = {}
-        self._given: dict[Future[Any], str] = {}  # to which worker, as far as the scheduler is free to do so
+        self._given: dict[Future[Any], str] = {}  # the preferred worker; the scheduler may choose another
         self._threads: dict[str, int] = {}
         self._looked, self._began = 0.0, time.monotonic()
         self._again: deque[Piece] = deque()
-        self._parts: dict[int, tuple[Piece, dict[int, Any]]] = {}  # of pieces that are made run by run
+        self._parts: dict[int, tuple[Piece, dict[int, Any]]] = {}  # outcomes of pieces that are made run by run
 
     def outcomes(self, pieces: Iterator[Piece]) -> Iterator[Any]:
         """Yield the outcome of each piece."""
@@ -110,7 +110,7 @@ class _Campaign:
                     del self._given[future]
                     yield from self._taken(future, self._waiting.pop(future))
         finally:
-            with suppress(Exception):  # a cluster that is gone has nothing left to stop
+            with suppress(Exception):  # if the cluster has ended, there is nothing to stop
                 if self._client.status == "running":
                     self._client.cancel(list(self._waiting))
                     self._client.run(_stop, self._name, on_error="ignore")
@@ -118,24 +118,23 @@ class _Campaign:
             self._crew.release()
 
     def _look(self) -> None:
-        """See now and then how many threads there are, and that there are any."""
+        """Update the number of threads once in a while, and warn if there are none."""
         if time.monotonic() - self._looked < LOOK and self._threads:
             return
         if self._local:
             self._local.tend()
         try:
             self._threads = self._client.nthreads()
-        except (OSError, ValueError) as error:  # a client that is closed, too
+        except (OSError, ValueError) as error:  # ValueError: the client is closed
             raise _lost(error) from None
         self._looked = time.monotonic()
         if not self._threads and self._began and self._looked - self._began > CONNECTING:
-            warn_user("The Dask cluster has no workers; the campaign waits for some.")
+            warn_user("The Dask cluster has no workers; the campaign waits until there are some.")
             self._began = 0.0
 
     def _submit(self, pieces: Iterator[Piece]) -> None:
-        if (
-            self._again
-        ):  # Dask suspects all that a worker had when it died: a run is alone with its workers, or it is not proven
+        if self._again:
+            # When a worker dies, Dask suspects all its tasks. So each suspected run is made alone.
             if not self._waiting:
                 self._send(self._again.popleft())
             return
@@ -146,11 +145,11 @@ class _Campaign:
             self._send(piece, worker)
 
     def _least_busy(self) -> str | None:
-        """Return who is to have the next piece: left to itself, Dask gives all of them to the first worker that has the job."""
+        """Return the worker for the next piece. By default, Dask would give all pieces to the first worker with the job."""
         if not self._threads:
             return None if self._waiting else ""
-        given = Counter(self._given.values())
-        load = {worker: given[worker] / threads for worker, threads in self._threads.items()}
+        count = Counter(self._given.values())
+        load = {worker: count[worker] / threads for worker, threads in self._threads.items()}
         least = min(load, key=lambda worker: load[worker])
         return least if load[least] < AHEAD else None
 
@@ -179,14 +178,14 @@ class _Campaign:
         except KilledWorker as error:
             if not hasattr(self._job, "failed") or error.task != self._key(piece):
                 raise BayesFTCError(f"The workers of the Dask cluster die one after the other: {error}") from None
-            if piece.index not in self._parts:  # which of the runs it is, is to be found out
+            if piece.index not in self._parts:  # find out which of the runs is responsible
                 self._parts[piece.index] = piece, {}
                 self._again += [Piece(piece.index, run, run + 1) for run in range(piece.begin, piece.end)]
                 return
             outcome = self._job.failed(
                 piece, "has ended several workers of the Dask cluster, the last one " + _last(error)
             )
-        except (CancelledError, CommClosedError) as error:  # the latter while the client has not noticed yet
+        except (CancelledError, CommClosedError) as error:  # CommClosedError: the client has not noticed yet
             raise _lost(error) from None
         except OSError as error:
             if self._client.status != "running":
@@ -206,7 +205,7 @@ class _Campaign:
 
 
 class _Crew:
-    """What the workers need; where it is sent to another one, that has the same. The processes belong to the Dask worker."""
+    """The job and its FMUs, as a task that Dask copies between workers. The processes belong to the Dask worker."""
 
     def __init__(self, name: str, payload: bytes, contents: tuple[Content, ...], *fmus: bytes):
         self._parts: tuple[Any, ...] = name, payload, contents, *fmus
@@ -226,9 +225,9 @@ class _Crew:
 
 
 class _Here:
-    """The crew of this Dask worker for one job; it ends when it is told to, or has had nothing to do for a while.
+    """The crew of this Dask worker for one job; it ends on `stop`, or when it has been idle for `IDLE` seconds.
 
-    It does not end with `_Crew`, of which Dask drops and fetches copies as it sees fit.
+    It does not end with `_Crew`, because Dask drops and fetches copies of that at any time.
     """
 
     def __init__(self, name: str, payload: bytes):
@@ -284,23 +283,21 @@ def _same(data: bytes) -> bytes:
 
 @contextmanager
 def _client(address: str | Client | None) -> Iterator[Client]:
-    """Yield a client of the scheduler, which may be at work already."""
+    """Yield a client of the scheduler: the given one, or a new one."""
     import dask
     from distributed import Client
     from distributed.comm.addressing import normalize_address, parse_address
     from distributed.comm.registry import get_backend
 
-    quiet = {
-        "distributed.admin.large-graph-warning-threshold": "1 TB"
-    }  # an FMU is as large as it is, and goes there once
+    # No warning about large FMUs: each is sent once.
+    quiet = {"distributed.admin.large-graph-warning-threshold": "1 TB"}
     with dask.config.set(quiet):
         if isinstance(address, Client):
             yield address
             return
         try:
-            if (
-                address is not None
-            ):  # a client that fails of it would be closed once more when Python ends, for 20 seconds
+            if address is not None:
+                # Check the address first: Python would close a failed client again at its end, for 20 seconds.
                 get_backend(parse_address(normalize_address(address))[0])
             client = Client(address, timeout=CONNECTING, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -314,29 +311,29 @@ def _client(address: str | Client | None) -> Iterator[Client]:
 
 
 def _check(client: Client) -> None:
-    """See that the workers that are there have this package; warn where their bits may be others."""
+    """Check that the present workers have this package; warn if their results may differ."""
     try:
-        found = client.run(environment, on_error="return")
-    except Exception as error:  # noqa: BLE001 - of whatever kind
+        environments = client.run(environment, on_error="return")
+    except Exception as error:  # noqa: BLE001 - it may raise anything
         raise _lost(error) from None
-    own = environment()
-    for worker, theirs in found.items():
-        if isinstance(theirs, BaseException):
+    here = environment()
+    for worker, there in environments.items():
+        if isinstance(there, BaseException):
             raise BayesFTCError(
-                f"The Dask worker {worker} cannot use bayesftc ({_first_line(theirs)}); install bayesftc there in this version."
+                f"The Dask worker {worker} cannot use bayesftc ({_first_line(there)}); install this version of bayesftc there."
             )
-        unlike = changes(own, theirs)
-        if unlike:
-            said = "; ".join(unlike).replace(" before", " here").replace(" now", " there")
+        differences = changes(here, there)
+        if differences:
+            text = "; ".join(differences).replace(" before", " here").replace(" now", " there")
             warn_user(
-                f"The Dask worker {worker} differs from this machine ({said}): the last places of its numbers may do so too."
+                f"The Dask worker {worker} differs from this machine ({text}); its numbers may differ in their last digits."
             )
             return
 
 
 def _lost(error: BaseException) -> BayesFTCError:
     return BayesFTCError(
-        f"The connection to the Dask scheduler was lost ({_first_line(error)}); what is stored is kept: resume the "
+        f"The connection to the Dask scheduler was lost ({_first_line(error)}), but stored runs are kept; resume the "
         "campaign when the scheduler is back."
     )
 

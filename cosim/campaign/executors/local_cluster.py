@@ -1,4 +1,4 @@
-"""A Dask cluster on this machine: a scheduler in this process and workers that are programs, which die with it."""
+"""A Dask cluster on this machine: a scheduler in this process, and worker processes that end with it."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from bayesftc.cosim.errors import ModelError
 
 HOST = "127.0.0.1"
 FOLDER = "bayesftc-dask-"
-"""How the name of the folder begins in which workers put what they have no memory for."""
+"""Prefix of the temporary folder in which workers put data that do not fit into memory."""
 
 
 class LocalCluster:
     """A context in which the cluster runs.
 
-    Dask's own one starts its workers by multiprocessing, which runs the user's script once more in each, and fails where that has
-    no ``if __name__ == "__main__"``.
+    Dask's own local cluster starts its workers by multiprocessing. This runs the user's script again in each, and fails if the
+    script has no ``if __name__ == "__main__"``.
 
     Parameters
     ----------
     workers : int, optional
-        Of one thread each; by default one for each core.
+        Number of workers, of one thread each; by default one for each core.
 
     Attributes
     ----------
     address : str
-        Of its scheduler.
+        Address of its scheduler.
     processes : list of subprocess.Popen
         The workers.
     """
@@ -41,7 +41,7 @@ class LocalCluster:
     def __init__(self, workers: int | None = None):
         if not can_start():
             raise ModelError(
-                "A Dask cluster on this machine needs Linux or macOS and a Python that can be started; use executor=Threads(), "
+                "A Dask cluster on this machine needs Linux or macOS and a Python executable; use executor=Threads(), "
                 "or give the address= of a scheduler."
             )
         self._count = workers or cores()
@@ -74,7 +74,7 @@ class LocalCluster:
         return self
 
     def tend(self) -> None:
-        """Start workers in place of those that have died."""
+        """Replace workers that have died."""
         for process in [p for p in self.processes if p.poll() is not None]:
             self._end(process)
             self._start()
@@ -108,7 +108,7 @@ def _close(scheduler: Any) -> None:
 
 
 def worker(lifeline: str, address: str, folder: str) -> None:
-    """Be a worker until the scheduler has gone."""
+    """Run a worker until the scheduler ends."""
     begin(int(lifeline))
     asyncio.run(_serve(address, folder))
 

@@ -1,4 +1,4 @@
-"""Runs in processes of their own, on this machine."""
+"""Runs in worker processes on this machine."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from bayesftc.cosim.campaign.runs.pickling import pickled
 
 @dataclass(frozen=True)
 class Processes:
-    """Runs in processes of their own: for FMUs of which a process may have only one, and for what Python computes.
+    """Runs in worker processes: for FMUs that allow one instance per process, and for blocks and metrics in Python.
 
-    On Linux and macOS; elsewhere the campaign ends with a `BayesFTCError` before its first run.
+    It works on Linux and macOS. Elsewhere the campaign ends with a `BayesFTCError` before its first run.
 
-    The campaign is pickled, once for each process; with cloudpickle installed (the extra ``campaign`` brings it) also what a
-    script or notebook defines. A script needs no ``if __name__ == "__main__"``.
+    The campaign is pickled, once for each process. With cloudpickle (in the extra ``campaign``) this includes functions and
+    blocks that a script or notebook defines. A script needs no ``if __name__ == "__main__"``.
 
-    A run that ends its process, or that hangs in a step beyond the time limit, has failed; the others go on.
+    A run that ends its process, or hangs in a step beyond the time limit, counts as failed. The other runs continue.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Processes:
         check_jobs(self.jobs)
 
     def check(self, job: object) -> None:
-        """Raise a `ModelError` if a job cannot go to other processes."""
+        """Raise a `ModelError` if a job cannot be sent to other processes."""
         pickled(job)
 
     def run(self, job: Work[R], pieces: Iterable[Piece]) -> Generator[R, None, None]:

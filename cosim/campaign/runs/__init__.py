@@ -1,1 +1,1 @@
-"""The runs of a campaign as a job: what is run, what is measured of it, and how it travels."""
+"""The runs of a campaign as a job: loop, metrics, and transport to other processes."""

@@ -1,4 +1,4 @@
-"""The columns that say which run a row is: its number, point, seed and the value of each factor."""
+"""The columns that identify the run of a row: its number, point, seed and the value of each factor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bayesftc.cosim.campaign.designs.plan import Plan
 from bayesftc.cosim.errors import ModelError, brief
 
 OWN = ("run", "point", "seed", "status", "reason", "steps", "time")
-"""Names that tables and datasets of every campaign have."""
+"""Names of columns in the tables and datasets of every campaign."""
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
@@ -22,31 +22,31 @@ def factor_columns(labels: Sequence[Mapping[str, Any]], taken: Iterable[str] = (
     Parameters
     ----------
     labels : sequence of mapping of str to object
-        For each point what stands for each factor's value: a number, a text, True, False or None.
+        The label of each factor, for each point: a number, a text, True, False or None.
     taken : iterable of str
-        Names of metrics and signals; a factor that is called like one of these, or like one of `OWN`, is named
+        Names of metrics and signals. The column of a factor with one of these names, or a name in `OWN`, is called
         ``"factor:NAME"``.
 
     Returns
     -------
     dict of str to ndarray of shape (points,)
-        Of bool, int64 or float64 where all values are; NaN where a number is missing. Else texts, None where one is missing.
+        Columns of bool, int64 or float64 if all values are; NaN for a missing number. Else texts, None for a missing one.
 
     Raises
     ------
     ModelError
-        If a value is none that a table can hold.
+        If a table cannot hold a value.
     """
     names = dict.fromkeys(name for point in labels for name in point)
-    elsewhere = {*OWN, *taken}
+    reserved = {*OWN, *taken}
     return {
-        f"factor:{name}" if name in elsewhere else name: _column(name, [point.get(name) for point in labels])
+        f"factor:{name}" if name in reserved else name: _column(name, [point.get(name) for point in labels])
         for name in names
     }
 
 
 def run_columns(plan: Plan, factors: Mapping[str, Array], begin: int = 0, end: int | None = None) -> dict[str, Array]:
-    """Return run, point, seed and factors of the runs from `begin` on, to before `end`, by the name of the column."""
+    """Return the columns run, point, seed and factors of the runs from `begin` to before `end`, by name."""
     points, seeds = plan.of_runs()
     points, seeds = points[begin:end], seeds[begin:end]
     runs = np.arange(begin, begin + len(points))

@@ -1,4 +1,4 @@
-"""The FMUs of a campaign: in the diagram, and named by factors."""
+"""Find the FMUs of a campaign: in the diagram, and in factors."""
 
 from __future__ import annotations
 
@@ -14,40 +14,40 @@ from bayesftc.cosim.fmi.reading.archive import open_archive
 
 
 def fmus_of(job: Job) -> dict[str, Path]:
-    """Return the FMUs of a campaign, by their SHA-256: those of the first point, wherever they are in it, and of the factors."""
-    found: dict[str, Path] = {}
+    """Return the FMUs of a campaign by their SHA-256: those anywhere in the first point, and those of the factors."""
+    paths: dict[str, Path] = {}
 
-    def note(thing: Any) -> Reduced | None:
-        if not isinstance(thing, FMU):
+    def note(value: Any) -> Reduced | None:
+        if not isinstance(value, FMU):
             return None
-        path = Path(thing.path)
-        found[open_archive(path).digest] = path
+        path = Path(value.path)
+        paths[open_archive(path).digest] = path
         return str, ()
 
     diagram = job.diagram(0)
     for part in (diagram, *job.plan.points):
         try:
             pickled(part, note)
-        except ModelError:  # a block that does not pickle has none that are of use elsewhere
+        except ModelError:  # if a block cannot be pickled, the job cannot either: note only the blocks that are FMUs
             for node in diagram.nodes:
                 note(node.block)
     for path in paths_among(job):
-        found[open_archive(path).digest] = path
-    return found
+        paths[open_archive(path).digest] = path
+    return paths
 
 
 def paths_among(job: Job) -> list[Path]:
     """Return the FMUs that factors name by their paths."""
     values = {value for point in job.plan.points for value in point.values() if isinstance(value, str | Path)}
     named = sorted(expanded(value).absolute() for value in values if str(value).endswith(".fmu"))
-    found = []
+    readable = []
     for path in named:
         try:
             open_archive(path)
-        except FMUError:  # the runs will say so
+        except FMUError:  # the runs will fail with this error
             continue
-        found.append(path)
-    return found
+        readable.append(path)
+    return readable
 
 
 __all__ = ["fmus_of", "paths_among"]

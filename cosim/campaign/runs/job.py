@@ -1,4 +1,4 @@
-"""The runs of a piece: what an executor has done, in this thread, in another process or on another machine."""
+"""Make the runs of a piece, in this thread, in another process or on another machine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bayesftc.cosim.campaign.runs.columns import OWN
 from bayesftc.cosim.campaign.runs.metrics import Metric, Runs, is_number
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import ModelError, brief
-from bayesftc.cosim.run.many import Aside, Block, ManyRuns, Wanted
+from bayesftc.cosim.run.many import Block, KeepGoing, ManyRuns, Overhead
 from bayesftc.cosim.run.raised import reason_of
 from bayesftc.cosim.run.recording import Selection, select_signals
 from bayesftc.cosim.run.result import Result
@@ -38,24 +38,24 @@ class Recorded:
 
 
 class Job:
-    """How the runs of a campaign are made; it pickles where the loop and the metrics do.
+    """The work of a campaign; it can be pickled if the loop and the metrics can.
 
     Parameters
     ----------
     loop : Diagram or callable
-        What is varied by paths, or called with the factors of a point.
+        A diagram, which is varied by paths, or a function of the factors of a point.
     plan : Plan
         Points and seeds.
     duration : Fraction
-        Of each run in seconds.
+        Duration of each run in seconds.
     record : sequence of str
         Names or patterns of the signals to keep.
     metrics : sequence of Metric
-        What is computed of each run.
+        The metrics of each run.
     decimation : int
-        Every how many steps are kept of the signals; metrics see all.
+        Every `decimation`-th step of the signals is kept. Metrics use all steps.
     time_limit : float, optional
-        Seconds of computing that a run may take.
+        Largest computing time of a run in seconds.
 
     Raises
     ------
@@ -82,31 +82,30 @@ class Job:
         first = self.diagram(0)
         kept = select_signals(first.schedule, self.record)
         self.signals = {name: Recorded(shape, kept.units.get(name)) for name, (_, shape) in kept.columns.items()}
-        select_signals(
-            first.schedule, [name for metric in self.metrics for name in metric.signals(first)]
-        )  # or it says so
+        # This raises if a signal of a metric is unknown.
+        select_signals(first.schedule, [name for metric in self.metrics for name in metric.signals(first)])
         for metric in self.metrics:
             metric.check(first)
         self.columns = tuple(name for metric in self.metrics for name in metric.columns(first))
         if len(set(self.columns)) < len(self.columns):
             twice = next(name for name in self.columns if self.columns.count(name) > 1)
             raise ModelError(
-                f"Two metrics are called {twice!r}; give one of them another name=..., a function as OfResult(f, name=...)."
+                f"Two metrics are called {twice!r}; give one of them another name=... (for a function, OfResult(f, name=...))."
             )
         for name in self.columns:
             if name in OWN or not name:
-                raise ModelError(f"A metric is called {name!r}, as no metric can be; give it another name=...")
+                raise ModelError(f"A metric is called {name!r}, which is not allowed; give it another name=...")
         self.step, self.steps = first.step, whole_steps(duration, first.step, "The duration")
         self._prepare()
 
     @property
     def time(self) -> Floats:
-        """Time in seconds of each row of the signals that are kept.
+        """Time in seconds of each row of the kept signals.
 
         Raises
         ------
         ModelError
-            If there are more than memory holds.
+            If there are more rows than fit into memory.
         """
         try:
             return _times(self.steps, self.decimation, self.step)
@@ -120,7 +119,7 @@ class Job:
         Raises
         ------
         BayesFTCError
-            If it cannot be built so.
+            If the loop cannot be built with these factors.
         """
         factors = self.plan.points[point]
         diagram = varied(self.loop, factors) if isinstance(self.loop, Diagram) else self.loop(**factors)
@@ -130,48 +129,48 @@ class Job:
             )
         return diagram.watching(self.record).build()
 
-    def run(self, piece: Piece, wanted: Wanted = lambda: True, aside: Aside = lambda: None) -> Outcome:
+    def run(self, piece: Piece, keep_going: KeepGoing = lambda: True, overhead: Overhead = lambda: None) -> Outcome:
         """Make the runs of a piece.
 
         Parameters
         ----------
         piece : Piece
-            Which.
-        wanted : callable
-            Asked now and then whether to go on.
-        aside : callable
-            Told before work of which no time limit is to count.
+            The runs.
+        keep_going : callable
+            Called about twenty times a second; returns whether to continue.
+        overhead : callable
+            Called before work that counts for no time limit.
 
         Raises
         ------
         StoppedFromOutside
-            If not.
+            If `keep_going` returns False.
         """
         began = time.perf_counter()
         collected = _Collected(self, piece)
         for point, seeds in self.plan.groups(piece):
-            aside()
+            overhead()
             try:
                 loop = self._prepared(point)
             except MemoryError:
                 raise
-            except Exception as error:  # noqa: BLE001 - whatever a user's function or block raises
+            except Exception as error:  # noqa: BLE001 - a user's function or block may raise anything
                 collected.fail(len(seeds), reason_of(error, "The loop of this point could not be built"))
                 continue
-            for block in loop.many.run(seeds, wanted, aside, len(self.plan.seeds[point])):
-                aside()
+            for block in loop.many.run(seeds, keep_going, overhead, len(self.plan.seeds[point])):
+                overhead()
                 collected.add(loop, block)
         return collected.outcome(time.perf_counter() - began)
 
     def failed(self, piece: Piece, what: str) -> Outcome:
-        """Return what the runs of a piece have come to whose process is gone: nothing, but for the reason.
+        """Return the outcome of runs whose process has died: failed, with the reason.
 
         Parameters
         ----------
         piece : Piece
-            Which.
+            The runs.
         what : str
-            What has become of the process, as "was killed by ...".
+            How the process ended, such as "was killed by ...".
         """
         collected = _Collected(self, piece)
         for point, seeds in self.plan.groups(piece):
@@ -182,37 +181,37 @@ class Job:
         return collected.outcome(0.0)
 
     def close(self) -> None:
-        """Free what all threads have prepared."""
+        """Free the loops of all threads."""
         with self._lock:
-            loops = list(self._everyones)
-            self._everyones.clear()
+            loops = list(self._loops)
+            self._loops.clear()
         for loop in loops:
             loop.many.close()
-        self._mine = threading.local()
+        self._local = threading.local()
 
     def _prepare(self) -> None:
-        self._mine = threading.local()
+        self._local = threading.local()
         self._lock: threading.Lock = threading.Lock()
-        self._everyones: list[_Loop] = []
+        self._loops: list[_Loop] = []
 
     def _prepared(self, point: int) -> _Loop:
-        """Return the loop of a point, ready to run in this thread, which keeps one at a time."""
-        known: _Loop | None = getattr(self._mine, "loop", None)
-        if known is not None and known.point == point:
-            return known
-        if known is not None:
-            self._mine.loop = None
+        """Return the loop of a point, ready to run in this thread, which keeps one loop at a time."""
+        kept: _Loop | None = getattr(self._local, "loop", None)
+        if kept is not None and kept.point == point:
+            return kept
+        if kept is not None:
+            self._local.loop = None
             with self._lock, suppress(ValueError):
-                self._everyones.remove(known)
-            known.many.close()
+                self._loops.remove(kept)
+            kept.many.close()
         loop = _Loop(self, point)
         with self._lock:
-            self._everyones.append(loop)
-        self._mine.loop = loop
+            self._loops.append(loop)
+        self._local.loop = loop
         return loop
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k not in {"_mine", "_lock", "_everyones"}}
+        return {k: v for k, v in self.__dict__.items() if k not in {"_local", "_lock", "_loops"}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -220,14 +219,16 @@ class Job:
 
 
 class _Loop:
-    """The loop of one point, with what is recorded: signals to keep, and those that metrics need, at every step."""
+    """The loop of one point, with the recorded signals: those to keep, and those of metrics, which need every step."""
 
     def __init__(self, job: Job, point: int):
         self.point, self.diagram = point, job.diagram(point)
         schedule = self.diagram.schedule
         kept = select_signals(schedule, job.record)
         if {n: shape for n, (_, shape) in kept.columns.items()} != {n: s.shape for n, s in job.signals.items()}:
-            raise ModelError("The signals of this point have other shapes than those of the first one: record others.")
+            raise ModelError(
+                "Recorded signals of this point have other shapes than at the first point; record other signals."
+            )
         needed = [name for metric in job.metrics for name in metric.signals(self.diagram)]
         self.decimation = 1 if job.metrics else job.decimation
         self.selection: Selection = select_signals(schedule, [*kept.columns, *needed])
@@ -253,7 +254,7 @@ class _Loop:
 
 
 class _Collected:
-    """What has come of a piece so far."""
+    """Collects the outcomes of a piece."""
 
     def __init__(self, job: Job, piece: Piece):
         self._job, self._piece, self._done = job, piece, 0
@@ -279,7 +280,7 @@ class _Collected:
                 self._measure(loop, whole, begin + np.flatnonzero(good))
 
     def _measure(self, loop: _Loop, recording: Floats, places: np.ndarray[Any, np.dtype[np.int64]]) -> None:
-        """Compute the metrics of runs; where one raises, run by run, so that only those have failed that it raises for."""
+        """Compute the metrics of runs; if one raises, run by run, so that only runs with an error count as failed."""
         runs = Runs(loop.diagram, loop.time, loop.views(recording), lambda: loop.results(recording), len(recording))
         for metric in self._job.metrics:
             try:
@@ -288,7 +289,7 @@ class _Collected:
                         self._metrics[name][places] = values
             except MemoryError:
                 raise
-            except Exception as error:  # noqa: BLE001 - whatever a user's metric raises
+            except Exception as error:  # noqa: BLE001 - a user's metric may raise anything
                 if len(places) > 1:
                     for i in range(len(places)):
                         self._measure(loop, recording[i : i + 1], places[i : i + 1])
@@ -301,7 +302,7 @@ class _Collected:
                 return
 
     def fail(self, runs: int, reason: str) -> None:
-        """Note runs that could not even begin."""
+        """Record runs that could not begin."""
         for array in self._signals.values():
             array[self._done : self._done + runs] = np.nan
         self._reasons += [reason] * runs

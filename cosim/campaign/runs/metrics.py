@@ -2,15 +2,15 @@
 
 To write a metric you must:
 
-1. derive from `Metric`, as a frozen dataclass; its fields are its settings, and what a campaign file may say;
+1. derive from `Metric`, as a frozen dataclass. Its fields are its settings, also in a campaign file;
 2. return from ``signals(diagram)`` the names of the signals that it needs, recorded at every step;
 3. return from ``columns(diagram)`` the names of its numbers, and refuse in ``check(diagram)`` settings that do not fit; both
-   are asked for the first point of a campaign, before anything runs;
-4. return from ``evaluate(runs)`` an array for each of these names, with a number for each run; NaN where it is not defined. It
-   sees runs that went to their end only, and may be called in several threads at once;
-5. name it in `METRICS`.
+   are called for the first point of a campaign, before anything runs;
+4. return from ``evaluate(runs)`` an array for each of these names, with a number for each run; NaN if it is not defined. It
+   gets only complete runs, and may be called in several threads at once;
+5. list it in `METRICS`.
 
-Any other function from a `Result` to a number is a metric as well, by the name of the function; it is called run by run.
+Any function from a `Result` to a number is a metric as well, named after the function. It is called run by run.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class Runs:
     Attributes
     ----------
     diagram : Diagram
-        What has run.
+        The diagram.
     time : ndarray of shape (rows,)
-        In seconds.
+        Time of each row in seconds.
     signals : mapping of str to ndarray of shape (runs, rows, ...)
-        By name.
+        The signals by name.
     """
 
     diagram: Diagram
@@ -70,7 +70,7 @@ class Runs:
 
 
 class Metric(ABC):
-    """A number, or several, of each run; see the module's text for how to write one."""
+    """A number, or several, of each run; the docstring of the module describes how to write one."""
 
     def signals(self, diagram: Diagram) -> tuple[str, ...]:
         """Return the names of the signals that it needs."""
@@ -80,7 +80,7 @@ class Metric(ABC):
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """Return the names of its numbers."""
 
-    def check(self, diagram: Diagram) -> None:  # noqa: B027 - few have something to refuse
+    def check(self, diagram: Diagram) -> None:  # noqa: B027 - most metrics have nothing to refuse
         """Refuse settings that do not fit the diagram, before anything runs."""
 
     @abstractmethod
@@ -90,27 +90,28 @@ class Metric(ABC):
 
 @dataclass(frozen=True)
 class _OfSignal(Metric):
-    """What is computed from a signal, or from its difference to another one; NaN where one of the values is.
+    """A number from a signal, or from its difference to another signal; NaN if one of the values is NaN.
 
     Parameters
     ----------
     signal : str
-        Its name, or that of one of its elements (``"controller.x_hat[0]"``). Of a vector or matrix all elements count alike.
+        Name of the signal, or of an element of it (``"controller.x_hat[0]"``). All elements of a vector or matrix have equal
+        weight.
     reference : str or float, optional
-        What it is compared with; by default 0.
+        A signal or a number to subtract; by default 0.
     shift : int
-        Steps by which the signal is later than the reference: 1 for a controller that aims at the goal of t_k with the state of
-        t_k+1.
+        Steps by which the signal is later than the reference: 1 for a controller that compares the goal at t_k with the state
+        at t_k+1.
     start, stop : float, optional
-        Only where start <= t < stop, in seconds, as of faults; t is the time of the signal, not of a reference that is earlier.
-        NaN if there is no such t.
+        Only times start <= t < stop count, in seconds, as for faults; t is the time of the signal, not that of an earlier
+        reference. NaN if there is no such t.
     name : str, optional
-        Of the number; by default the kind of the metric and the signal.
+        Name of the number; by default the kind of the metric and the signal.
 
     Raises
     ------
     ModelError
-        If a setting is none.
+        If a setting is wrong.
     """
 
     signal: str
@@ -139,8 +140,8 @@ class _OfSignal(Metric):
         shapes = [_shape(name, diagram) for name in (self.signal, self.reference) if isinstance(name, str)]
         if len(shapes) == 2 and shapes[0] != shapes[1]:
             raise ModelError(
-                f"{self.signal!r} has the shape {shapes[0]} and {self.reference!r} {shapes[1]}: their difference is none. Name "
-                "an element, as in 'controller.x_hat[0]'."
+                f"{self.signal!r} has the shape {shapes[0]} and {self.reference!r} {shapes[1]}, so that there is no difference; "
+                "name an element, such as 'controller.x_hat[0]'."
             )
 
     def signals(self, diagram: Diagram) -> tuple[str, ...]:
@@ -157,7 +158,7 @@ class _OfSignal(Metric):
         values = runs.columns(self.signal)
         rows = max(values.shape[1] - self.shift, 0)
         # The times are those of the signal, not of the reference.
-        slack = 1e-6 * (runs.time[1] if len(runs.time) > 1 else 0.0)  # 3 * 0.1 s is to begin with the step at 0.3 s
+        slack = 1e-6 * (runs.time[1] if len(runs.time) > 1 else 0.0)  # a start of 3 * 0.1 s means the step at 0.3 s
         first, last = np.searchsorted(runs.time, np.array([_or(self.start, -np.inf), _or(self.stop, np.inf)]) - slack)
         keep = slice(max(first - self.shift, 0), max(last + (self.stop is None) - self.shift, 0))
         values = values[:, self.shift :]
@@ -174,7 +175,7 @@ class _OfSignal(Metric):
 
 
 class RMSE(_OfSignal):
-    """Root mean square of a signal, or of its difference to another one."""
+    """Root mean square of a signal, or of its difference to another signal."""
 
     _kind = "rmse"
 
@@ -183,7 +184,7 @@ class RMSE(_OfSignal):
 
 
 class MeanAbsoluteError(_OfSignal):
-    """Mean of the absolute value of a signal, or of its difference to another one."""
+    """Mean of the absolute value of a signal, or of its difference to another signal."""
 
     _kind = "mean_absolute"
 
@@ -192,7 +193,7 @@ class MeanAbsoluteError(_OfSignal):
 
 
 class MaxAbsoluteError(_OfSignal):
-    """Largest absolute value of a signal, or of its difference to another one."""
+    """Largest absolute value of a signal, or of its difference to another signal."""
 
     _kind = "max_absolute"
 
@@ -201,7 +202,7 @@ class MaxAbsoluteError(_OfSignal):
 
 
 class Mean(_OfSignal):
-    """Mean of a signal, or of its difference to another one; of a flag the share of time in which it is set."""
+    """Mean of a signal, or of its difference to another signal; for a flag, the share of time in which it is set."""
 
     _kind = "mean"
 
@@ -210,7 +211,7 @@ class Mean(_OfSignal):
 
 
 class Final(_OfSignal):
-    """Last value of a signal, or of its difference to another one; of a vector, name an element."""
+    """Last value of a signal, or of its difference to another signal; for a vector, name an element."""
 
     _kind = "final"
 
@@ -219,7 +220,7 @@ class Final(_OfSignal):
         super().check(diagram)
         if _shape(self.signal, diagram):
             raise ModelError(
-                f"Final is of one number, and {self.signal!r} has several; name one, as in '{self.signal}[0]'."
+                f"Final needs one number, but {self.signal!r} has several; name an element, such as '{self.signal}[0]'."
             )
 
     def _reduced(self, values: Floats) -> Floats:
@@ -228,38 +229,39 @@ class Final(_OfSignal):
 
 @dataclass(frozen=True)
 class LoopFigures(Metric):
-    """The figures of a closed loop, as ``bayesftc run`` prints them: errors of tracking and belief, and how faults were detected.
+    """The figures of a closed loop, as ``bayesftc run`` prints them: errors of tracking and belief, and fault detection.
 
-    Of `bayesftc.cosim.judging.metrics.figures` all numbers, by names such as ``tracking.v.overall`` and ``sensors.0.delay``.
+    They are all numbers of `bayesftc.cosim.judging.metrics.figures`, with names such as ``tracking.v.overall`` and
+    ``sensors.0.delay``.
 
     Parameters
     ----------
     only : sequence of str, optional
-        Patterns of the names that are kept, as ``("tracking.*", "*.delay")``.
+        Patterns of the names to keep, such as ``("tracking.*", "*.delay")``.
 
     Notes
     -----
-    A campaign has the figures of its first point; where the loop of another point lacks one, there is NaN.
+    A campaign has the figures of its first point. If the loop of another point lacks a figure, it is NaN.
     """
 
     only: Sequence[str] | None = None
 
     def signals(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.signals`."""
-        asked = _Asked(diagram)
-        loop_signals(diagram, asked, drawn=False)
-        return tuple(dict.fromkeys(asked.names))
+        trial = _Trial(diagram)
+        loop_signals(diagram, trial, drawn=False)
+        return tuple(dict.fromkeys(trial.names))
 
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.columns`."""
-        return tuple(self._numbers(diagram, _Asked(diagram)))
+        return tuple(self._numbers(diagram, _Trial(diagram)))
 
     def check(self, diagram: Diagram) -> None:
         """See `Metric.check`."""
         if not self.columns(diagram):
-            known = LoopFigures().columns(diagram)
+            names = LoopFigures().columns(diagram)
             raise ModelError(
-                f"LoopFigures has only={self.only!r}, which no figure is called; there are {', '.join(known)}."
+                f"LoopFigures has only={self.only!r}, which matches no figure; the figures are {', '.join(names)}."
             )
 
     def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
@@ -274,8 +276,8 @@ class LoopFigures(Metric):
         return {name: n for name, n in numbers.items() if any(fnmatchcase(name, pattern) for pattern in self.only)}
 
 
-class _Asked(Result):
-    """The result of a run of one row, of any numbers, which notes the signals that it is asked for."""
+class _Trial(Result):
+    """A result of one row of zeros, which records the names of the signals that are read."""
 
     def __init__(self, diagram: Diagram):
         selection = select_signals(diagram.schedule, None)
@@ -297,13 +299,13 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
     for key, item in inner:
         if item is None or isinstance(item, str | int):
             continue
-        called = getattr(item, "name", key) if of_tuple else key
-        yield from _flat(item, f"{name}.{called}" if name else str(called))
+        part = getattr(item, "name", key) if of_tuple else key
+        yield from _flat(item, f"{name}.{part}" if name else str(part))
 
 
 @dataclass(frozen=True)
 class OfResult(Metric):
-    """A function from a `Result` to a number, as a metric by the name of the function.
+    """A function from a `Result` to a number as a metric, named after the function.
 
     Parameters
     ----------
@@ -312,7 +314,7 @@ class OfResult(Metric):
     needs : sequence of str, optional
         Names or patterns of the signals that it needs; by default all outputs.
     name : str, optional
-        Of the number.
+        Name of the number; by default that of the function.
     """
 
     function: Callable[[Result], float]
@@ -333,17 +335,19 @@ class OfResult(Metric):
 
 
 def _element(name: str) -> tuple[str, tuple[int, ...]]:
-    """Return the name of a signal and the place of the element that is named: ``"x_hat[0]"`` is ``"x_hat"``, (0,)."""
+    """Return the name of a signal and the index of a named element: ``"x_hat", (0,)`` for ``"x_hat[0]"``."""
     base, bracket, index = name.partition("[")
     if not bracket:
         return name, ()
     if not re.fullmatch(r"\d+(, ?\d+)*\]", index):
-        raise ModelError(f"{name!r} is no signal and no element of one; write it as in 'controller.x_hat[0]'.")
+        raise ModelError(
+            f"{name!r} is not a signal or an element of one; write an element as in 'controller.x_hat[0]'."
+        )
     return base, tuple(int(i) for i in index[:-1].split(","))
 
 
 def _resolved(name: str, diagram: Diagram) -> tuple[str, tuple[int, ...]]:
-    """Return signal and element as `_element` does, but for a signal of which brackets are part of the name."""
+    """Return signal and index as `_element` does; for a signal with brackets in its name, without an index."""
     with suppress(UnknownNameError):
         if name in select_signals(diagram.schedule, [name]).columns:
             return name, ()
@@ -351,7 +355,7 @@ def _resolved(name: str, diagram: Diagram) -> tuple[str, tuple[int, ...]]:
 
 
 def _shape(name: str, diagram: Diagram) -> tuple[int, ...]:
-    """Return the shape of a signal, or of the element of one that is named.
+    """Return the shape of a signal, or of a named element of it.
 
     Raises
     ------
@@ -363,15 +367,19 @@ def _shape(name: str, diagram: Diagram) -> tuple[int, ...]:
     base, index = _resolved(name, diagram)
     columns = select_signals(diagram.schedule, [base]).columns
     if base not in columns:
-        raise ModelError(f"{base!r} is a pattern; a metric is of one signal, such as {next(iter(columns))!r}.")
+        raise ModelError(
+            f"{base!r} is a pattern, but a metric needs one signal; use {next(iter(columns))!r}, for example."
+        )
     shape = columns[base][1]
     if index and (len(index) != len(shape) or any(i >= n for i, n in zip(index, shape, strict=True))):
-        raise ModelError(f"{base!r} has the shape {shape}, and so no element {name.removeprefix(base)}.")
+        raise ModelError(
+            f"{base!r} has the shape {shape}, and no element {name.removeprefix(base)}; name another element."
+        )
     return () if index else shape
 
 
 def is_number(value: object) -> bool:
-    """Return whether a setting is a number, and not NaN."""
+    """Return whether a setting is a number other than NaN."""
     return isinstance(value, int | float | np.number) and not isinstance(value, bool) and not np.isnan(value)
 
 
@@ -380,16 +388,16 @@ def _or(value: float | None, other: float) -> float:
 
 
 METRICS = (RMSE, MeanAbsoluteError, MaxAbsoluteError, Mean, Final, LoopFigures)
-"""All metrics that a campaign file may name."""
+"""All metrics for campaign files."""
 
 
 def as_metrics(given: object) -> tuple[Metric, ...]:
-    """Return metrics as such, functions wrapped.
+    """Return a tuple of metrics, with functions wrapped.
 
     Raises
     ------
     ModelError
-        If something else is among them.
+        If an item is neither a metric nor a function.
     """
     items = [given] if isinstance(given, Metric) or callable(given) else given
     if not isinstance(items, Iterable) or isinstance(items, str | Mapping):
@@ -400,8 +408,8 @@ def as_metrics(given: object) -> tuple[Metric, ...]:
     for item in items:
         if not isinstance(item, Metric) and not callable(item):
             raise ModelError(
-                f"{item!r} is no metric; give cosim.RMSE('plant.v', 'reference.y') or the like, or a function from a result to a "
-                "number."
+                f"{item!r} is no metric; give a metric such as cosim.RMSE('plant.v', 'reference.y'), or a function from a result "
+                "to a number."
             )
         metrics.append(item if isinstance(item, Metric) else OfResult(item))
     return tuple(metrics)

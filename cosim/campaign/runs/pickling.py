@@ -1,4 +1,4 @@
-"""A campaign as bytes, for other processes: with functions of scripts and notebooks where cloudpickle is installed."""
+"""Pickle a campaign for other processes; with cloudpickle, including functions of scripts and notebooks."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from bayesftc.cosim.errors import ModelError, brief
 
 Reduced = tuple[Callable[..., Any], tuple[Any, ...]]
 Substitute = Callable[[Any], Reduced | None]
-"""What is pickled in an object's place: a function and its arguments that make it, or None for the object itself."""
+"""Returns a function and its arguments that are pickled in place of an object, or None for the object itself."""
 
 
-def pickled(work: object, substitute: Substitute = lambda thing: None) -> bytes:
+def pickled(work: object, substitute: Substitute = lambda value: None) -> bytes:
     """Return an object as bytes that another process can read.
 
     Parameters
     ----------
     work : object
-        A job, say.
+        The object, such as a job.
     substitute : callable, optional
-        Asked for each object.
+        Called with each object in it.
 
     Raises
     ------
     ModelError
-        If it cannot be pickled; the sentence says what in it, and what to do.
+        If it cannot be pickled; the message names the part, with the remedy.
     """
     try:
         return _bytes(work, substitute)
     except _Unknown as error:
         reason = str(error)
-    except Exception as error:  # noqa: BLE001 - what users have in their objects raises what it likes
+    except Exception as error:  # noqa: BLE001 - a user's object may raise anything
         culprit = next(_culprits(work, substitute), "a part of it")
         reason = (
-            f"{culprit} cannot be pickled ({brief(str(error), 120)}); make it of plain settings, or make it in the "
+            f"{culprit} cannot be pickled ({brief(str(error), 120)}); use plain settings in it, or create it in the "
             "function that returns the loop"
         )
     raise ModelError(f"The campaign cannot run in other processes: {reason}; or use executor=Threads().") from None
@@ -56,19 +56,19 @@ def _pickler(file: io.BytesIO, substitute: Substitute) -> pickle.Pickler:
     base: Any = cloudpickle.Pickler if cloudpickle else pickle.Pickler
 
     class Pickler(base):  # type: ignore[misc, unused-ignore]
-        def reducer_override(self, thing: Any) -> Any:
-            other = substitute(thing)
+        def reducer_override(self, value: Any) -> Any:
+            other = substitute(value)
             if other is not None:
                 return other
-            if isinstance(thing, ModuleType) and sys.modules.get(thing.__name__) is thing:
-                return import_module, (thing.__name__,)  # of which kind ever: cloudpickle knows plain ones alone
+            if isinstance(value, ModuleType) and sys.modules.get(value.__name__) is value:
+                return import_module, (value.__name__,)  # modules of any kind; cloudpickle supports only plain ones
             if cloudpickle:
-                return super().reducer_override(thing)
-            _check_importable(thing)
+                return super().reducer_override(value)
+            _check_importable(value)
             return NotImplemented
 
-    made: pickle.Pickler = Pickler(file, protocol=pickle.HIGHEST_PROTOCOL)
-    return made
+    pickler: pickle.Pickler = Pickler(file, protocol=pickle.HIGHEST_PROTOCOL)
+    return pickler
 
 
 def _cloudpickle() -> ModuleType | None:
@@ -76,29 +76,29 @@ def _cloudpickle() -> ModuleType | None:
         import cloudpickle
     except ImportError:
         return None
-    found: ModuleType = cloudpickle
-    return found
+    module: ModuleType = cloudpickle
+    return module
 
 
 class _Unknown(Exception):
-    """Something that another process would not find."""
+    """A function or class that another process cannot import."""
 
 
-def _check_importable(thing: Any) -> None:
+def _check_importable(value: Any) -> None:
     """Refuse functions and classes that another process cannot import."""
-    if not isinstance(thing, FunctionType | type):
+    if not isinstance(value, FunctionType | type):
         return
-    name = thing.__qualname__
-    if thing.__module__ == "__main__" or "<" in name:
-        where = "this script or notebook" if thing.__module__ == "__main__" else "another function"
+    name = value.__qualname__
+    if value.__module__ == "__main__" or "<" in name:
+        where = "this script or notebook" if value.__module__ == "__main__" else "another function"
         raise _Unknown(
-            f"{name} is defined in {where}, where they do not find it: define it at the top of a module of its own, a file that "
-            "is imported, or install cloudpickle (pip install 'bayesftc[campaign]')"
+            f"{name} is defined in {where}, from where they cannot import it; define it at the top of a separate module, or "
+            "install cloudpickle (pip install 'bayesftc[campaign]')"
         )
 
 
 def _culprits(work: object, substitute: Substitute) -> Iterator[str]:
-    """Yield what of a job cannot be pickled, as narrowly as it is easily told."""
+    """Yield names of the parts of a job that cannot be pickled, as narrowly as is easily possible."""
     plan = getattr(work, "plan", None)
     parts = [
         *((f"the factor {name!r}", value) for point in getattr(plan, "points", ()) for name, value in point.items()),
@@ -112,7 +112,7 @@ def _culprits(work: object, substitute: Substitute) -> Iterator[str]:
     for name, part in parts:
         try:
             _bytes(part, substitute)
-        except Exception:  # noqa: BLE001 - this one it is
+        except Exception:  # noqa: BLE001 - any error means that this part cannot be pickled
             yield name
 
 

@@ -1,4 +1,4 @@
-"""FMUs of a campaign on machines that do not have their files: they go there by the hash of their content."""
+"""Send the FMUs of a campaign to machines without their files, identified by the hash of their content."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from bayesftc.cosim.fmi.reading.archive import open_archive, stand_in
 
 @dataclass(frozen=True)
 class Content:
-    """An FMU that travels: the hash of its content, and the name of its file, by which messages call it."""
+    """An FMU to send: the hash of its content, and the name of its file for messages."""
 
     digest: str
     name: str
 
     @property
     def path(self) -> Path:
-        """Where it lies on the machine that it has come to."""
+        """The path of its copy on the receiving machine."""
         return cache_directory("shipped") / self.digest / self.name
 
     def place(self, data: bytes) -> None:
-        """Write it there, whole, unless it is there already."""
+        """Write the copy, completely, unless it already exists."""
         if self._is_there():
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=self.path.parent, prefix=".")  # several may be at it
+        handle, temporary = tempfile.mkstemp(dir=self.path.parent, prefix=".")  # several processes may write at once
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
@@ -43,7 +43,7 @@ class Content:
         except OSError as error:
             Path(temporary).unlink(missing_ok=True)
             raise BayesFTCError(
-                f"The FMU {self.name} cannot be written to {self.path.parent} ({error.strerror})."
+                f"The FMU {self.name} cannot be written to {self.path.parent} ({error.strerror}); make space or change rights."
             ) from None
 
     def _is_there(self) -> bool:
@@ -60,10 +60,10 @@ class Parcel:
     Attributes
     ----------
     payload : bytes
-        The job; its FMU blocks are those that `Content.place` has written where it is unpickled.
+        The job. Where it is unpickled, its FMU blocks refer to the copies of `Content.place`.
     fmus : dict of Content to pathlib.Path
-        The FMUs, and where they lie here: those of its blocks and factors, and, where a function makes the loop, those of the
-        first point and of factors that are paths.
+        The FMUs and their paths here: those of its blocks and factors. If a function makes the loop, those of the first point
+        and of factors that are paths.
 
     Raises
     ------
@@ -79,11 +79,11 @@ class Parcel:
         table = dict(self._noted(path) for path in paths)
         self.payload = pickled(_Opened(table, job), self._substitute)
 
-    def _substitute(self, thing: Any) -> Reduced | None:
-        if not isinstance(thing, FMU):
+    def _substitute(self, value: Any) -> Reduced | None:
+        if not isinstance(value, FMU):
             return None
-        _, content = self._noted(Path(thing.path))
-        return _restored, (type(thing), content, {k: v for k, v in vars(thing).items() if k != "path"})
+        _, content = self._noted(Path(value.path))
+        return _restored, (type(value), content, {k: v for k, v in vars(value).items() if k != "path"})
 
     def _noted(self, path: Path) -> tuple[Path, Content]:
         content = Content(open_archive(path).digest, path.name)
@@ -92,7 +92,7 @@ class Parcel:
 
 
 class _Opened:
-    """A job; once unpickled it is the job itself."""
+    """A wrapper of a job; unpickling it gives the job itself."""
 
     def __init__(self, table: dict[Path, Content], job: object):
         self._parts = table, job

@@ -1,1 +1,1 @@
-"""A campaign in a folder, whole whatever happens to its writer."""
+"""A campaign in a folder that stays consistent if its writer is killed."""

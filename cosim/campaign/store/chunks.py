@@ -1,7 +1,7 @@
-"""The signals of a campaign as a zarr group that xarray reads: for each piece a chunk of each signal.
+"""The signals of a campaign as a zarr group that xarray can read: for each piece a chunk of each signal.
 
-The chunks are encoded here and written with `write_whole`: by way of zarr's own writing, which knows neither fsync nor when a
-chunk is valid, a chunk of 10 runs takes seven times as long. What zarr reads of them is what the tests compare.
+The chunks are encoded here and written with `write_whole`. zarr's own writing has no fsync and no mark of valid chunks, and
+takes seven times as long for a chunk of 10 runs. Tests compare the chunks with those that zarr reads.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from bayesftc.cosim.types import Floats
 FOLDER = "signals.zarr"
 TIMES = f"{FOLDER}/time/c/0"
 LARGEST = 1 << 27
-"""Bytes of a chunk from which on a piece's signal is cut over time as well."""
+"""Largest size of a chunk in bytes; a larger signal of a piece is also divided over time."""
 
 PURPOSE = "A stored campaign"
 
 
 class Chunks:
-    """Where each number of each signal is, and how it is written there.
+    """The layout and the encoding of the signals.
 
     Parameters
     ----------
     metadata : Metadata
-        Of the campaign.
+        Metadata of the campaign.
     """
 
     def __init__(self, metadata: Metadata):
@@ -48,7 +48,7 @@ class Chunks:
         return (self.size, max(1, min(self.rows, LARGEST // row)), *shape)
 
     def blocks(self, name: str) -> int:
-        """Return into how many chunks over time a piece's signal is cut."""
+        """Return the number of chunks over time of a piece's signal."""
         return -(-self.rows // self.shape(name)[1])
 
     def key(self, name: str, piece: int, block: int) -> str:
@@ -65,15 +65,15 @@ class Chunks:
         Parameters
         ----------
         name : str
-            Of the signal.
+            Name of the signal.
         values : ndarray of shape (runs, rows, ...)
-            What the runs of the piece have recorded.
+            The recorded signal of the runs of the piece.
         block : int
-            Which chunk over time.
+            Number of the chunk over time.
         """
         shape = self.shape(name)
         some = values[:, block * shape[1] : (block + 1) * shape[1]]
-        if some.shape != shape:  # chunks at the ends are filled up
+        if some.shape != shape:  # chunks at the ends are padded
             whole = np.full(shape, np.nan)
             whole[: some.shape[0], : some.shape[1]] = some
             some = whole
@@ -85,9 +85,9 @@ class Chunks:
         Parameters
         ----------
         name : str
-            Of the signal.
+            Name of the signal.
         piece : Piece
-            Which runs.
+            The runs.
         read : callable
             Returns the bytes of a file.
 
@@ -104,15 +104,15 @@ class Chunks:
         return signal
 
     def chunk(self, name: str, piece: Piece, block: int, read: Callable[[str], bytes]) -> Floats:
-        """Return what is in a chunk, filled up at the ends; the arguments are those of `decode`."""
+        """Return the content of a chunk, padded at the ends; the arguments are those of `decode`."""
         key, chunk = self.key(name, piece.index, block), np.empty(self.shape(name), dtype="<f8")
         try:
-            self._codec.decode(read(key), chunk)  # into an array, for a damaged chunk may say that it has any size
+            self._codec.decode(read(key), chunk)  # into an array, because a damaged chunk may state any size
         except (OSError, ValueError, RuntimeError) as error:
-            reason = getattr(error, "strerror", None) or "its bytes are others than were written"
+            reason = getattr(error, "strerror", None) or "its content has changed"
             raise StoreError(
                 f"The file {key} of the campaign, with {name!r} of runs {piece.begin} to {piece.end - 1}, is missing or "
-                f"damaged ({reason}); remove it and resume the campaign, which makes these runs again."
+                f"damaged ({reason}); remove it and resume the campaign to repeat these runs."
             ) from None
         return chunk
 
@@ -131,19 +131,19 @@ class Chunks:
         StoreError
             If they are missing or damaged.
         """
-        found = np.zeros(self.rows, dtype="<f8")
+        times = np.zeros(self.rows, dtype="<f8")
         try:
-            self._codec.decode(read(TIMES), found)
+            self._codec.decode(read(TIMES), times)
         except FileNotFoundError:
             pass  # zarr writes no chunk of zeros
         except (OSError, ValueError, RuntimeError):
-            found = np.empty(0)
-        if hash_of(found) != expected:
+            times = np.empty(0)
+        if hash_of(times) != expected:
             raise StoreError(
-                f"The file {TIMES} of the campaign, with the time of each row, is missing or damaged; take a copy of it, or run "
+                f"The file {TIMES} of the campaign, with the time of each row, is missing or damaged; use a backup of it, or run "
                 "the campaign again in another folder."
             )
-        return found
+        return times
 
 
 def create(folder: Path, metadata: Metadata, times: Floats, coordinates: Mapping[str, Array]) -> None:
@@ -152,13 +152,13 @@ def create(folder: Path, metadata: Metadata, times: Floats, coordinates: Mapping
     Parameters
     ----------
     folder : pathlib.Path
-        Of the campaign.
+        Folder of the campaign.
     metadata : Metadata
-        Of the campaign.
+        Metadata of the campaign.
     times : ndarray of shape (rows,)
         Time of each row in seconds.
     coordinates : mapping of str to ndarray of shape (runs,)
-        What each run is.
+        Columns that identify each run.
     """
     import warnings
 
@@ -183,7 +183,7 @@ def create(folder: Path, metadata: Metadata, times: Floats, coordinates: Mapping
         if unit:
             array.attrs["units"] = unit
     group.attrs["coordinates"] = " ".join(name for name in named if not set(name) & set(" \t\n") and name != "run")
-    with warnings.catch_warnings():  # xarray warns without it, zarr with it
+    with warnings.catch_warnings():  # xarray warns without consolidated metadata, zarr with it
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(group.store)
 
@@ -202,13 +202,13 @@ def _coordinate(group: Any, name: str, dimension: str, values: Array) -> Any:
 
 
 def escaped(name: str) -> str:
-    """Return the name of an array: zarr would make groups of slashes, and keeps what begins with two underscores to itself."""
-    found = name.replace("%", "%25").replace("/", "%2F")
-    return f"%5F{found[1:]}" if found.startswith("__") else found
+    """Return the name of an array: zarr turns slashes into groups, and reserves names that begin with two underscores."""
+    result = name.replace("%", "%25").replace("/", "%2F")
+    return f"%5F{result[1:]}" if result.startswith("__") else result
 
 
 def stray(folder: Path, chunks: Chunks, done: set[int]) -> Iterator[Path]:
-    """Yield files of signals that belong to no piece that is done: what a writer had begun when it was killed."""
+    """Yield files of signals that belong to no finished piece: a killed writer had begun them."""
     for name in chunks.signals:
         for path in (folder / FOLDER / escaped(name)).iterdir():
             parts = path.name.split(".")

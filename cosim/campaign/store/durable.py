@@ -1,4 +1,4 @@
-"""Files that are under their names whole or not at all, whenever the process is killed, the disk full or the power cut."""
+"""Write files that appear complete or not at all, even if the process is killed, the disk is full or the power fails."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from typing import Any
 from bayesftc.cosim.errors import StoreError
 
 TEMPORARY = ".tmp"
-"""How the names of files end that are being written; a writer that was killed may leave one, and the next one writes over it."""
+"""Suffix of files that are being written. A killed writer may leave such a file, and the next writer overwrites it."""
 
 
 def write_whole(path: Path, data: Any) -> int:
-    """Write a file under another name, have it on the disk, and only then give it its own; return its size in bytes.
+    """Write a file under a temporary name, flush it to the disk, and then rename it; return its size in bytes.
 
     Parameters
     ----------
     path : pathlib.Path
-        Its name; a file that is there is replaced. Only one process may write it at a time.
+        The file; an existing one is replaced. Only one process may write it at a time.
     data : buffer
-        What is in it.
+        Its content.
 
     Raises
     ------
     OSError
-        If it cannot be written; nothing stays behind.
+        If it cannot be written; the temporary file is removed.
     """
     temporary = path.with_name(path.name + TEMPORARY)
     try:
         with open(temporary, "wb", buffering=0) as file:
             view = memoryview(data).cast("B")
             written = 0
-            while written < len(view):  # a full disk takes a part first, and refuses then
+            while written < len(view):  # a full disk accepts a part first, and then refuses
                 written += file.write(view[written:]) or 0
             os.fsync(file.fileno())
         os.replace(temporary, path)
@@ -47,45 +47,45 @@ def write_whole(path: Path, data: Any) -> int:
 
 
 def sync_folder(path: Path) -> None:
-    """Have the names of a folder's files on the disk: until then a power cut may take back the last that were given."""
-    if os.name == "nt":  # which opens no folders, and needs none
+    """Flush the names of a folder's files to the disk; without this, a power failure may undo the last renamings."""
+    if os.name == "nt":  # Windows cannot open folders, and need not
         return
     folder = os.open(path, os.O_RDONLY)
     try:
         os.fsync(folder)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some file systems of other machines know no such thing
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some network file systems do not support it
             raise
     finally:
         os.close(folder)
 
 
 def sync_all(path: Path) -> None:
-    """Have all that is in a folder on the disk."""
-    for found in path.rglob("*"):
-        if found.is_dir():
-            sync_folder(found)
+    """Flush everything in a folder to the disk."""
+    for entry in path.rglob("*"):
+        if entry.is_dir():
+            sync_folder(entry)
         else:
-            with open(found, "rb") as file:
+            with open(entry, "rb") as file:
                 os.fsync(file.fileno())
     sync_folder(path)
 
 
 @contextmanager
 def written_to(root: Path) -> Iterator[None]:
-    """Turn an `OSError` inside into the sentence about a campaign that nothing more can be written to.
+    """Convert an `OSError` in the body into a `StoreError` about a campaign that cannot be written.
 
     Raises
     ------
     StoreError
-        In its place.
+        In place of the `OSError`.
     """
     try:
         yield
     except OSError as error:
         raise StoreError(
-            f"Nothing more can be written to the campaign {root} ({error.strerror or error}); see to that and resume it: "
-            "what is done is kept."
+            f"Nothing more can be written to the campaign {root} ({error.strerror or error}); remove the cause and resume it. "
+            "Finished runs are kept."
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""What a campaign's numbers depend on besides its own settings: versions, the C library, what the processor can do."""
+"""The environment on which a campaign's numbers depend: versions, the C library, features of the processor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PACKAGES = ("bayesftc", "numpy", "numba", "fmpy")
 
 
 def environment() -> dict[str, Any]:
-    """Return the versions, the C library, and the processor's kind and features; nothing that names the machine itself."""
+    """Return the versions, the C library, and the processor's kind and features, but no name of the machine."""
     import llvmlite.binding as llvm
 
     return {
@@ -25,23 +25,23 @@ def environment() -> dict[str, Any]:
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return in words what differs between two environments, of all that may change the last place of a number.
+    """Return the differences of two environments that may change the last digit of a number, as texts.
 
-    The name of the processor alone does not: compiled code depends on its features.
+    The name of the processor is left out, because compiled code depends only on its features.
     """
-    found = [
+    texts = [
         f"{name} {before['versions'].get(name)} before, {number} now"
         for name, number in now["versions"].items()
         if before["versions"].get(name) != number
     ]
     for key, words in (("system", "system"), ("machine", "machine"), ("libc", "C library")):
         if before.get(key) != now[key]:
-            found.append(f"{words} {before.get(key) or 'unknown'} before, {now[key] or 'unknown'} now")
+            texts.append(f"{words} {before.get(key) or 'unknown'} before, {now[key] or 'unknown'} now")
     lost, gained = (set(a) - set(b) for a, b in _both_ways(before.get("features", ()), now["features"]))
     if lost or gained:
         parts = [f"{word} {_some(names)}" for word, names in (("without", lost), ("with", gained)) if names]
-        found.append(f"processor ({now['processor']}) {', '.join(parts)}")
-    return found
+        texts.append(f"processor ({now['processor']}) {', '.join(parts)}")
+    return texts
 
 
 def _both_ways(a: Any, b: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:

@@ -1,8 +1,8 @@
-"""A campaign in a folder: each piece is in it whole or not at all, whatever happens to the process that writes it.
+"""A campaign in a folder: each piece is stored completely or not at all, even if the writing process is killed.
 
-``campaign.json`` says what the campaign is, ``signals.zarr`` has what was recorded, ``runs`` a part of the table for each
-piece that is done (``runs.parquet`` in the end), ``fmus`` the FMUs. Of a piece the signals are written first and the part last;
-the part is what makes it done. One process writes at a time, any number may read.
+``campaign.json`` describes the campaign, ``signals.zarr`` contains the recorded signals, ``runs`` a part of the table for each
+finished piece (``runs.parquet`` in the end), ``fmus`` the FMUs. Of each piece the signals are written first and the part last.
+A piece is finished when its part exists. One process writes at a time, any number may read.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from bayesftc.cosim.errors import StoreError
 from bayesftc.cosim.types import Floats
 
 WRITERS, UNSYNCED = 8, 1.0
-"""Files that are on their way to the disk at a time; seconds after which the names of new ones have to be there."""
+"""Number of files that are written at a time; seconds after which the names of new files are flushed to the disk."""
 
 
 class CampaignStore(StoredCampaign):
@@ -55,31 +55,31 @@ class CampaignStore(StoredCampaign):
         fmus: Mapping[str, str | os.PathLike[str]] | None = None,
         labels: Iterable[Mapping[str, Any]] | None = None,
     ) -> CampaignStore:
-        """Make a store with nothing in it, open for writing.
+        """Make an empty store, open for writing.
 
         Parameters
         ----------
         path : path
-            Its folder, which must not be there yet, or be empty.
+            Its folder, which must not exist yet, or be empty.
         description : mapping
-            What the campaign is: texts, numbers, lists and mappings.
+            Description of the campaign: texts, numbers, lists and mappings.
         plan : Plan
             Points, seeds and pieces.
         signals : mapping of str to (shape, unit)
-            What is recorded of each run.
+            The recorded signals of each run.
         time : ndarray of shape (rows,)
-            Of each row of the signals, in seconds.
+            Time of each row of the signals, in seconds.
         metrics : iterable of str
-            Their names.
+            Names of the metrics.
         fmus : mapping of str to path, optional
             The FMUs, by their SHA-256; they are copied.
         labels : iterable of mapping, optional
-            For each point what stands for each factor's value in tables; the values themselves by default.
+            The label of each factor in tables, for each point; by default the values.
 
         Raises
         ------
         StoreError
-            If the folder cannot be written, has something in it, or an FMU is not what its hash says.
+            If the folder cannot be written, is not empty, or an FMU has another hash.
         """
         path = Path(path).resolve()
         make(path, metadata_of(description, plan, signals, time, metrics, fmus, labels), time, fmus or {})
@@ -87,12 +87,12 @@ class CampaignStore(StoredCampaign):
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> CampaignStore:
-        """Open a store for reading; someone may be writing it at the same time.
+        """Open a store for reading; another process may write to it at the same time.
 
         Raises
         ------
         StoreError
-            If there is none, or it is damaged or that of a later version.
+            If there is none, or it is damaged or of a later version.
         """
         return cls(Path(path).absolute())
 
@@ -108,51 +108,51 @@ class CampaignStore(StoredCampaign):
         fmus: Mapping[str, str | os.PathLike[str]] | None = None,
         labels: Iterable[Mapping[str, Any]] | None = None,
     ) -> CampaignStore:
-        """Open a store for writing, to do what is not done yet; what a killed writer had begun is removed.
+        """Open a store for writing, to make the missing runs; unfinished files of a killed writer are removed.
 
-        The pieces are those of the store: `plan` of what is returned, not the one given here, says how the runs are cut.
+        The pieces are those of the store: use `plan` of the returned store, whose pieces may have another size.
 
         Parameters
         ----------
         path : path
             Its folder.
         description, plan, signals, time, metrics, fmus, labels
-            As for `create`: what the campaign is that is to go on.
+            The campaign to resume, as for `create`.
 
         Raises
         ------
         StoreError
-            If there is none, it is damaged, another process writes it, or it is another campaign.
+            If there is none, it is damaged, another process writes to it, or it is another campaign.
 
         Warns
         -----
         UserWarning
-            If versions, the C library or the processor's features are others than before, or pieces are damaged.
+            If versions, the C library or the processor's features have changed, or pieces are damaged.
         """
         path = Path(path).absolute()
-        wanted = metadata_of(description, plan, signals, time, metrics, fmus, labels)
+        given = metadata_of(description, plan, signals, time, metrics, fmus, labels)
         stored = Metadata.read(path)
-        unlike = differences(stored.identity(), wanted.identity())
+        unlike = differences(stored.identity(), given.identity())
         if unlike:
             more = f" (and {len(unlike) - 3} more)" if len(unlike) > 3 else ""
             raise StoreError(
-                f"The campaign in {path} is another one: {'; '.join(unlike[:3])}{more}. Choose another folder, or give the "
-                "settings that it was made with."
+                f"The campaign in {path} is another one: {'; '.join(unlike[:3])}{more}. Choose another folder, or use the "
+                "settings of the stored campaign."
             )
         store = cls(path, locked(path))
         try:
             with written_to(path):
                 store._recover()
-                store._note_environment(wanted.environment)
+                store._note_environment(given.environment)
         except BaseException:
             store.close()
             raise
         return store
 
     def close(self) -> None:
-        """Let others write."""
+        """Close the store, so that other processes can write."""
         if self._pool is not None:
-            with suppress(OSError):  # what was written is there, if not after a power cut
+            with suppress(OSError):  # without the flush, only a power failure can lose written files
                 self._sync()
             self._pool.shutdown()
             self._pool = None
@@ -169,48 +169,48 @@ class CampaignStore(StoredCampaign):
         self.close()
 
     def write(self, outcome: Outcome) -> None:
-        """Add a piece; one that is done already stays as it is.
+        """Add a piece; a finished piece is not changed.
 
         Parameters
         ----------
         outcome : Outcome
-            What its runs have come to.
+            The outcome of its runs.
 
         Raises
         ------
         StoreError
-            If it cannot be written, is no piece of this campaign, or the store is open for reading only.
+            If it cannot be written, is not a piece of this campaign, or the store is open for reading only.
         """
         piece = outcome.piece
         if not 0 <= piece.index < len(self._pieces) or self._pieces[piece.index] != piece:
-            raise StoreError(f"{piece} is no piece of the campaign in {self.path}.")
+            raise StoreError(f"{piece} is not a piece of the campaign in {self.path}.")
         self._check(outcome)
         name = self._parts.name(piece.index)
         if (self.path / name).exists() or (self.path / run_parts.WHOLE).exists():
             return
         with written_to(self.path):
             sizes = self._write_signals(piece.index, outcome.signals, self.path.joinpath)
-            own = str(piece.index)
-            part = Part(self._parts.rows(outcome), {own: outcome.seconds}, {own: sizes})
+            key = str(piece.index)
+            part = Part(self._parts.rows(outcome), {key: outcome.seconds}, {key: sizes})
             write_whole(self.path / name, self._parts.encode(part))
             if clock.monotonic() - self._synced > UNSYNCED:
                 self._sync()
 
     def replace(self, outcomes: Outcome | Iterable[Outcome]) -> None:
-        """Replace runs that are done by the same runs, made again.
+        """Replace finished runs by the same runs, made again.
 
-        Each piece changes as a whole: rows and signals are the old ones, or the new ones.
+        Each piece changes as a whole: all its rows and signals are old, or all are new.
 
         Parameters
         ----------
         outcomes : Outcome or iterable of Outcome
-            What the runs have come to; their pieces may be any runs in a row. Those of one piece of the campaign are best
-            given together.
+            The new outcomes. Their pieces may be any consecutive runs. Outcomes of one piece of the campaign are best given
+            together.
 
         Raises
         ------
         StoreError
-            If a run is not done yet, or nothing can be written.
+            If a run is not finished yet, or the store cannot be written.
         """
         given = [outcomes] if isinstance(outcomes, Outcome) else list(outcomes)
         for outcome in given:
@@ -218,7 +218,7 @@ class CampaignStore(StoredCampaign):
         done = self.done()
         touched = sorted({run // self.plan.size for o in given for run in range(o.piece.begin, o.piece.end)})
         if not set(touched) <= done:
-            raise StoreError("Only runs that are done can be replaced; resume the campaign for the others.")
+            raise StoreError("Only finished runs can be replaced; resume the campaign for the others.")
         with written_to(self.path):
             self._redo.recover()
             try:
@@ -228,33 +228,31 @@ class CampaignStore(StoredCampaign):
                 self._redo.discard()
 
     def finish(self) -> None:
-        """Put the parts of the table together into one file; where that has been done already, nothing happens.
+        """Join the parts of the table into one file, unless this is already done.
 
         Raises
         ------
         StoreError
-            If not all runs are done, or nothing can be written.
+            If not all runs are finished, or the store cannot be written.
         """
         self._writable()
         if not self.whole:
             raise StoreError(
-                f"The campaign in {self.path} is not whole: {len(self.done())} of {len(self._pieces)} pieces are done; "
+                f"The campaign in {self.path} is not complete: {len(self.done())} of {len(self._pieces)} pieces are done; "
                 "resume it."
             )
         with written_to(self.path):
             self._redo.recover()
-            found = self._found()
-            if found or not (self.path / run_parts.WHOLE).exists():
+            indices = self._part_indices()
+            if indices or not (self.path / run_parts.WHOLE).exists():
                 self._sync()
                 write_whole(self.path / run_parts.WHOLE, self._parts.encode(self._read()))
                 sync_folder(self.path)
-                for index in found:  # each of which has what the file has
+                for index in indices:  # the whole file now has their rows
                     (self.path / self._parts.name(index)).unlink()
 
-    # How
-
     def _write_signals(self, piece: int, signals: Mapping[str, Floats], place: Callable[[str], Path]) -> list[int]:
-        """Write the chunks of a piece to where `place` says for their names, several at a time; return their sizes."""
+        """Write the chunks of a piece, several at a time, to the paths that `place` returns; return their sizes."""
         chunks, pool = self._chunks, self._pool
         if chunks is None or pool is None:
             return []
@@ -264,28 +262,28 @@ class CampaignStore(StoredCampaign):
 
         names = [name for name in self.metadata.signals if name in signals]
         tasks = [pool.submit(write, name, block) for name in names for block in range(chunks.blocks(name))]
-        wait(tasks)  # for all, also where one has failed: none may write on when the next piece comes
+        wait(tasks)  # for all, even if one has failed, so that none is still writing during the next piece
         return [task.result() for task in tasks]
 
     def _replace(self, piece: Piece, outcomes: list[Outcome]) -> None:
-        """Write the files of a piece again, with other rows for some runs, and let them be valid all at once."""
-        own, name = str(piece.index), self._parts.name(piece.index)
-        old = self._part(piece) if piece.index in self._found() else self._parts.of_piece(self._whole(), piece)
-        rows, seconds, sizes = old.rows, old.seconds[own], list[int]()
-        mine = [(outcome, _overlap(outcome.piece, piece)) for outcome in outcomes if _overlap(outcome.piece, piece)]
-        for signal in self.metadata.signals:  # one at a time: a piece may have as much as fits into memory
+        """Write the files of a piece again, with new rows for some runs, and make them valid all at once."""
+        key, name = str(piece.index), self._parts.name(piece.index)
+        old = self._part(piece) if piece.index in self._part_indices() else self._parts.of_piece(self._whole(), piece)
+        rows, seconds, sizes = old.rows, old.seconds[key], list[int]()
+        new = [(outcome, _overlap(outcome.piece, piece)) for outcome in outcomes if _overlap(outcome.piece, piece)]
+        for signal in self.metadata.signals:  # one at a time, because a piece may fill the memory
             values = self._signal(signal, piece)
-            for outcome, runs in mine:
+            for outcome, runs in new:
                 values[_rows(runs, piece)] = outcome.signals[signal][_rows(runs, outcome.piece)]
             sizes += self._write_signals(piece.index, {signal: values}, self._redo.stage)
-        for outcome, runs in mine:
+        for outcome, runs in new:
             rows = self._parts.put(rows, self._parts.rows(outcome)[_rows(runs, outcome.piece)])
             seconds += outcome.seconds * len(runs) / len(outcome.piece)
-        write_whole(self._redo.stage(name), self._parts.encode(Part(rows, {own: seconds}, {own: sizes})))
+        write_whole(self._redo.stage(name), self._parts.encode(Part(rows, {key: seconds}, {key: sizes})))
         self._redo.commit()
 
     def _sync(self) -> None:
-        """Have the names of all files on the disk."""
+        """Flush the names of all files to the disk."""
         folders = [self.path / run_parts.FOLDER]
         folders += [self.path / signal_chunks.FOLDER / escaped(name) for name in self.metadata.signals]
         assert self._pool is not None
@@ -293,10 +291,10 @@ class CampaignStore(StoredCampaign):
         self._synced = clock.monotonic()
 
     def _recover(self) -> None:
-        """Complete what was declared valid, and remove what is of no piece that is done, or damaged."""
+        """Complete a valid replacement, and remove damaged files and those of unfinished pieces."""
         self._redo.recover()
         damaged = set()
-        for index in self._found():
+        for index in self._part_indices():
             try:
                 if not self._torn(self._part(self._pieces[index])):
                     continue
@@ -308,8 +306,8 @@ class CampaignStore(StoredCampaign):
             damaged |= self._recover_whole(damaged)
         if damaged:
             warnings.warn(
-                f"{len(damaged)} of {len(self._pieces)} pieces of the campaign in {self.path} were damaged, as by a power "
-                "cut; they are made again.",
+                f"{len(damaged)} of {len(self._pieces)} pieces of the campaign in {self.path} were damaged, perhaps by a power "
+                "failure; they are made again.",
                 UserWarning,
                 stacklevel=3,
             )
@@ -320,28 +318,28 @@ class CampaignStore(StoredCampaign):
             path.unlink()
 
     def _recover_whole(self, damaged: set[int]) -> set[int]:
-        """Check the file of all rows; where it is not in order, leave parts in its place and return what these lack.
+        """Check the whole file; if it has damaged pieces, replace it by parts, and return the pieces without a part.
 
-        Of pieces whose newer parts are `damaged` it has rows that are not valid any more.
+        Its rows of the pieces `damaged`, whose newer parts are damaged, are no longer valid.
         """
-        found = set(self._found())
+        indices = set(self._part_indices())
         try:
             whole = self._whole()
         except StoreError:
-            damaged = {piece.index for piece in self._pieces} - found
+            damaged = {piece.index for piece in self._pieces} - indices
         else:
-            damaged = (self._torn(whole) | damaged) - found
+            damaged = (self._torn(whole) | damaged) - indices
             if not damaged:
                 return damaged
             for piece in self._pieces:
-                if piece.index not in found | damaged:
+                if piece.index not in indices | damaged:
                     part = self._parts.of_piece(whole, piece)
                     write_whole(self.path / self._parts.name(piece.index), self._parts.encode(part))
         (self.path / run_parts.WHOLE).unlink()
         return damaged
 
     def _torn(self, part: Part) -> set[int]:
-        """Return the pieces of a part whose signals are not as long as they were when they were written."""
+        """Return the pieces of a part whose signal files have another size than when they were written."""
         return {
             int(piece)
             for piece, sizes in part.sizes.items()
@@ -349,14 +347,14 @@ class CampaignStore(StoredCampaign):
         }
 
     def _note_environment(self, now: Mapping[str, Any]) -> None:
-        other = environment.changes(self.metadata.latest, now)
-        if not other:
+        changes = environment.changes(self.metadata.latest, now)
+        if not changes:
             return
         self.metadata = self.metadata.again(now, len(self.done()))
         self.metadata.write(self.path)
         warnings.warn(
-            f"The campaign in {self.path} goes on in another environment ({'; '.join(other)}): the last places of its "
-            "numbers may differ from what the first one would have given.",
+            f"The campaign in {self.path} continues in another environment ({'; '.join(changes)}); the last digits of its "
+            "numbers may differ from those of the first environment.",
             UserWarning,
             stacklevel=3,
         )
@@ -366,15 +364,15 @@ class CampaignStore(StoredCampaign):
             raise StoreError(f"The campaign in {self.path} is open for reading only; resume it to write.")
 
     def _check(self, outcome: Outcome) -> None:
-        """Check that an outcome is one of this campaign."""
+        """Check that an outcome belongs to this campaign."""
         self._writable()
         n, of = len(outcome.piece), self.metadata
         shapes = {name: np.shape(values) for name, values in outcome.signals.items()}
-        wanted = {name: (n, of.rows, *shape) for name, (shape, _) in of.signals.items()}
+        expected = {name: (n, of.rows, *shape) for name, (shape, _) in of.signals.items()}
         lengths = {len(outcome.steps), len(outcome.status), len(outcome.reasons), *map(len, outcome.metrics.values())}
-        known = set(outcome.status) <= {OK, FAILED} and set(outcome.metrics) == set(of.metrics)
-        if shapes != wanted or lengths != {n} or not known or outcome.piece.end > self.plan.runs:
-            raise StoreError(f"What {outcome.piece} has come to does not fit the campaign in {self.path}.")
+        valid = set(outcome.status) <= {OK, FAILED} and set(outcome.metrics) == set(of.metrics)
+        if shapes != expected or lengths != {n} or not valid or outcome.piece.end > self.plan.runs:
+            raise StoreError(f"The outcome of {outcome.piece} does not fit the campaign in {self.path}.")
 
 
 def _overlap(a: Piece, b: Piece) -> range:
@@ -382,7 +380,7 @@ def _overlap(a: Piece, b: Piece) -> range:
 
 
 def _rows(runs: range, of: Piece) -> slice:
-    """Return where runs stand in the arrays of a piece."""
+    """Return the places of runs in the arrays of a piece."""
     return slice(runs.start - of.begin, runs.stop - of.begin)
 
 

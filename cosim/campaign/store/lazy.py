@@ -1,4 +1,4 @@
-"""Signals of a stored campaign as xarray sees them: read when they are used, by chunk; NaN for pieces that are not done."""
+"""Signals of a stored campaign for xarray: read when they are used, chunk by chunk; NaN for pieces that are not done."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from bayesftc.cosim.types import Floats
 
 
 class StoredSignal(BackendArray):
-    """A signal over run, time and its own axes.
+    """A signal over run, time and the axes of the signal.
 
-    What is read is what `Chunks` knows of the files, not what the group says of itself to other programs: that may be damaged.
+    Files are read with the layout in `Chunks`, not with the metadata of the zarr group, which may be damaged.
 
     Parameters
     ----------
     chunks : Chunks
-        Where its numbers are.
+        The layout of the chunks.
     name : str
-        Of the signal.
+        Name of the signal.
     pieces : iterable of Piece
-        Those that can be seen.
+        The finished pieces.
     runs : int
-        Of the campaign.
+        Number of runs of the campaign.
     read : callable
         Returns the bytes of a file, by its name in the campaign's folder.
     """
@@ -43,19 +43,19 @@ class StoredSignal(BackendArray):
         return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.OUTER, self._read_out)
 
     def _read_out(self, key: tuple[Any, ...]) -> Floats:
-        """Return the product of an index for each axis: a number, a slice or an array."""
+        """Return the elements of an outer index: for each axis a number, a slice or an array."""
         places = [np.atleast_1d(np.arange(size)[index]) for size, index in zip(self.shape, key, strict=True)]
-        found = np.full((len(places[0]), len(places[1]), *self.shape[2:]), np.nan)
+        values = np.full((len(places[0]), len(places[1]), *self.shape[2:]), np.nan)
         sizes = self._chunks.shape(self._name)
         pieces, blocks = places[0] // sizes[0], places[1] // sizes[1]
         for piece in (self._pieces[i] for i in np.unique(pieces) if i in self._pieces):
             for block in np.unique(blocks):
                 chunk = self._chunks.chunk(self._name, piece, int(block), self._read)
                 runs, rows = pieces == piece.index, blocks == block
-                found[np.ix_(runs, rows)] = chunk[np.ix_(places[0][runs] % sizes[0], places[1][rows] % sizes[1])]
+                values[np.ix_(runs, rows)] = chunk[np.ix_(places[0][runs] % sizes[0], places[1][rows] % sizes[1])]
         for axis, place in enumerate(places[2:], start=2):
-            found = found.take(place, axis)
-        return found.squeeze(
+            values = values.take(place, axis)
+        return values.squeeze(
             tuple(axis for axis, index in enumerate(key) if np.ndim(index) == 0 and not isinstance(index, slice))
         )
 

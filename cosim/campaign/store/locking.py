@@ -1,4 +1,4 @@
-"""The lock of a campaign's only writer."""
+"""The lock of a campaign's single writer."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bayesftc.cosim.errors import StoreError
 
 
 def locked(path: Path) -> Any:
-    """Return the lock of the campaign's writer, taken; the system frees it when the process ends, however that does."""
+    """Take and return the lock of the campaign's writer; the system releases it when the process ends in any way."""
     from filelock import FileLock, Timeout
 
     lock = FileLock(path / ".lock", timeout=0, thread_local=False)
@@ -17,7 +17,7 @@ def locked(path: Path) -> Any:
         lock.acquire()
     except Timeout:
         raise StoreError(
-            f"Another process is writing the campaign in {path}; wait until it has ended, or end it."
+            f"Another process is writing the campaign in {path}; wait until it has ended, or stop it."
         ) from None
     except OSError as error:
         raise StoreError(f"The campaign in {path} cannot be written: {error.strerror or error}.") from None

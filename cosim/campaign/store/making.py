@@ -1,4 +1,4 @@
-"""How the folder of a new campaign comes to be: beside its place, and moved there when it is whole."""
+"""Make the folder of a new campaign: beside its final place, and move it there when it is complete."""
 
 from __future__ import annotations
 
@@ -31,43 +31,43 @@ def metadata_of(
     fmus: Mapping[str, str | os.PathLike[str]] | None,
     labels: Iterable[Mapping[str, Any]] | None,
 ) -> Metadata:
-    """Return what a campaign says of itself; the parameters are those of `CampaignStore.create`."""
+    """Return the metadata of a campaign; the parameters are those of `CampaignStore.create`."""
     shown = Plan(tuple(plan.points if labels is None else labels), plan.seeds, plan.size)
     rows = len(time) if signals else 0
     names = {digest: Path(path).name for digest, path in (fmus or {}).items()}
     times = hash_of(time) if signals else ""
     metrics = tuple(metrics)
-    for what, known in (("metric", metrics), ("signal", signals)):
-        own = next((name for name in known if name in parts.OWN), None)
-        if own is not None:
+    for what, names_of in (("metric", metrics), ("signal", signals)):
+        reserved = next((name for name in names_of if name in parts.OWN), None)
+        if reserved is not None:
             raise StoreError(
-                f"A {what} cannot be called {own!r}, as each campaign has a column of that name; name it otherwise."
+                f"A {what} cannot be called {reserved!r}, because each campaign has a column of that name; use another name."
             )
     return Metadata(description, shown, dict(signals), rows, times, metrics, names)
 
 
 def make(path: Path, metadata: Metadata, time: Floats, fmus: Mapping[str, str | os.PathLike[str]]) -> None:
-    """Make the folder of a campaign with nothing done.
+    """Make the folder of a campaign without any runs.
 
     Parameters
     ----------
     path : pathlib.Path
-        Where.
+        The folder.
     metadata : Metadata
-        What it is.
+        Its metadata.
     time : ndarray of shape (rows,)
-        Of each row of the signals, in seconds.
+        Time of each row of the signals, in seconds.
     fmus : mapping of str to path
         The FMUs, by their SHA-256.
 
     Raises
     ------
     StoreError
-        If the folder cannot be written, has something in it, or an FMU is not what its hash says.
+        If the folder cannot be written, is not empty, or an FMU has another hash.
     """
     runs = parts.Parts(metadata).runs
     if (path / NAME).exists():
-        raise StoreError(f"There is a campaign in {path} already; resume it, or choose another folder.")
+        raise StoreError(f"There is already a campaign in {path}; resume it, or choose another folder.")
     try:
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             what = "is not empty" if path.is_dir() else "is a file"
@@ -81,7 +81,7 @@ def make(path: Path, metadata: Metadata, time: Floats, fmus: Mapping[str, str | 
                 chunks.create(made, metadata, np.asarray(time, dtype=np.float64), runs)
             metadata.write(made)
             sync_all(made)
-            os.replace(made, path)  # over an empty folder too: whoever sees the folder sees all of it
+            os.replace(made, path)  # also over an empty folder; so the folder is complete as soon as it is visible
         sync_folder(path.parent)
     except OSError as error:
         raise StoreError(

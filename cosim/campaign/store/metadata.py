@@ -1,4 +1,4 @@
-"""What a stored campaign says of itself: ``campaign.json``, by which a result is traced, resumed and repeated."""
+"""The metadata of a stored campaign: ``campaign.json``, by which a result is traced, resumed and repeated."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from bayesftc.cosim.types import Floats
 
 NAME, FORMAT, VERSION = "campaign.json", "bayesftc-campaign", 1
 CHECK = "sha256"
-"""Of all else that the file says: a bit that flips makes another campaign of it."""
+"""Hash of the rest of the file. Without it, a flipped bit could turn the file into that of another campaign."""
 FILES = "files"
-"""Of a description: texts of the files that say what the campaign is."""
+"""Part of a description: texts of the files that define the campaign."""
 
 Signal = tuple[tuple[int, ...], str | None]
 """Shape and unit."""
@@ -30,29 +30,29 @@ Signal = tuple[tuple[int, ...], str | None]
 
 @dataclass(frozen=True)
 class Metadata:
-    """All that stands in ``campaign.json``.
+    """The content of ``campaign.json``.
 
     Attributes
     ----------
     description : mapping
-        What the campaign is, in its author's words: whatever JSON can hold. Its ``files``, texts by their names, are for readers:
-        comments may change.
+        Description of the campaign by its author: any JSON data. Its ``files``, texts by their names, are for readers, so that
+        comments in them may change.
     plan : Plan
-        With labels as the values of the points.
+        The plan, with labels as the values of the points.
     signals : mapping of str to (shape, unit)
-        What is recorded of each run.
+        The recorded signals of each run.
     rows : int
-        Of each signal.
+        Number of rows of each signal.
     times : str
         Hash of the time of each row.
     metrics : tuple of str
-        Their names.
+        Names of the metrics.
     fmus : mapping of str to str
-        By the SHA-256 of each FMU the name of its file.
+        The name of the file of each FMU, by its SHA-256.
     environment : mapping
-        Versions and machine when it was made.
+        Versions and machine at the beginning.
     resumed : tuple of mapping
-        Of each resumption in another environment: the environment, and how many pieces were done.
+        For each resumption in another environment: the environment, and the number of finished pieces.
     """
 
     description: Mapping[str, Any]
@@ -67,42 +67,42 @@ class Metadata:
 
     @property
     def latest(self) -> Mapping[str, Any]:
-        """The environment in which it was worked on last."""
-        found: Mapping[str, Any] = self.resumed[-1]["environment"] if self.resumed else self.environment
-        return found
+        """The environment of the last runs."""
+        last: Mapping[str, Any] = self.resumed[-1]["environment"] if self.resumed else self.environment
+        return last
 
     def again(self, environment: Mapping[str, Any], done: int) -> Metadata:
-        """Return these, with a resumption in another environment."""
+        """Return the metadata with a further resumption in another environment."""
         return replace(self, resumed=(*self.resumed, {"environment": environment, "done": done}))
 
     def identity(self) -> dict[str, Any]:
-        """Return what makes it this campaign and no other, as JSON has it.
+        """Return the JSON data that distinguish this campaign from others.
 
-        The size of the pieces is not among it, nor are the texts of files.
+        The size of the pieces and the texts of files are left out.
         """
-        said = self._content()
-        said["description"] = {name: part for name, part in said["description"].items() if name != FILES}
-        return said
+        content = self._content()
+        content["description"] = {name: part for name, part in content["description"].items() if name != FILES}
+        return content
 
     def _content(self) -> dict[str, Any]:
-        seeds = list(dict.fromkeys(self.plan.seeds))  # most campaigns have the same ones at each point
-        place = {own: i for i, own in enumerate(seeds)}
-        found = {
+        seeds = list(dict.fromkeys(self.plan.seeds))  # most campaigns have the same seeds at each point
+        place = {seeds_of_point: i for i, seeds_of_point in enumerate(seeds)}
+        content = {
             "description": self.description,
             "points": [dict(point) for point in self.plan.points],
             "seeds": seeds,
-            "seeds_of_point": [place[own] for own in self.plan.seeds],
+            "seeds_of_point": [place[seeds_of_point] for seeds_of_point in self.plan.seeds],
             "signals": {name: {"shape": list(shape), "unit": unit} for name, (shape, unit) in self.signals.items()},
             "rows": self.rows,
             "times": self.times,
             "metrics": list(self.metrics),
             "fmus": dict(self.fmus),
         }
-        plain: dict[str, Any] = json.loads(json.dumps(found, default=_plain))
+        plain: dict[str, Any] = json.loads(json.dumps(content, default=_plain))
         return plain
 
     def write(self, folder: Path) -> None:
-        """Write the file, whole."""
+        """Write the file, completely or not at all."""
         text = {
             "format": FORMAT,
             "version": VERSION,
@@ -111,7 +111,7 @@ class Metadata:
             "environment": self.environment,
             "resumed": self.resumed,
         }
-        text = json.loads(json.dumps(text, default=_plain))  # as it will be read, by which the check is made
+        text = json.loads(json.dumps(text, default=_plain))  # as it will be read, because the hash is of the read data
         text[CHECK] = _check(text)
         write_whole(folder / NAME, json.dumps(text, indent=1, ensure_ascii=False).encode())
 
@@ -122,13 +122,13 @@ class Metadata:
         Raises
         ------
         StoreError
-            If there is none, or it is damaged or that of a later version.
+            If there is none, or it is damaged or of a later version.
         """
         if not exists(folder):
             raise StoreError(f"There is no campaign {folder}; check the path.")
         path = folder / NAME
         if not is_file(path):
-            raise StoreError(f"{folder} is no stored campaign: it has no {NAME}; check the path.")
+            raise StoreError(f"{folder} is not a stored campaign, because it has no {NAME}; check the path.")
         try:
             text = json.loads(path.read_bytes())
             if text["format"] != FORMAT:
@@ -138,9 +138,9 @@ class Metadata:
                     f"The campaign {folder} was written by a later version of bayesftc "
                     f"({text['environment']['versions']['bayesftc']}); update bayesftc to read it."
                 )
-            if CHECK in text and text.pop(CHECK) != _check(text):  # stores of before this check have none
+            if CHECK in text and text.pop(CHECK) != _check(text):  # stores of early versions have no hash
                 raise ValueError(CHECK)
-            seeds = [tuple(map(int, own)) for own in text["seeds"]]
+            seeds = [tuple(map(int, group)) for group in text["seeds"]]
             plan = Plan(
                 tuple(map(dict, text["points"])), tuple(seeds[i] for i in text["seeds_of_point"]), text["piece"]
             )
@@ -161,8 +161,8 @@ class Metadata:
             raise StoreError(f"The campaign {folder} cannot be read: {error.strerror or error}.") from None
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
             raise StoreError(
-                f"{path} is damaged, or that of another program; without it the campaign cannot be read: take a copy of it, "
-                "or run the campaign again."
+                f"{path} is damaged, or of another program, and the campaign cannot be read without it; use a backup of the "
+                "file, or run the campaign again."
             ) from None
 
 
@@ -176,16 +176,18 @@ def hash_of(times: Floats) -> str:
 
 
 def differences(stored: Any, given: Any, place: str = "") -> list[str]:
-    """Return in words where two JSON values differ: of which setting, what it was and what it is now."""
+    """Return the differences of two JSON values as texts: the setting, its stored value and its new value."""
     if isinstance(stored, dict) and isinstance(given, dict):
         names = dict.fromkeys([*stored, *given])
         within = [(f"{place}.{n}" if place else str(n), stored.get(n, _ABSENT), given.get(n, _ABSENT)) for n in names]
-        return [found for name, a, b in within for found in differences(a, b, name)]
+        return [text for name, a, b in within for text in differences(a, b, name)]
     if isinstance(stored, list) and isinstance(given, list) and len(stored) == len(given):
-        return [found for i, (a, b) in enumerate(zip(stored, given)) for found in differences(a, b, f"{place}[{i}]")]
-    if json.dumps(stored, default=repr) == json.dumps(given, default=repr):  # in which NaN equals NaN, and 1 is not 1.0
+        return [text for i, (a, b) in enumerate(zip(stored, given)) for text in differences(a, b, f"{place}[{i}]")]
+    if json.dumps(stored, default=repr) == json.dumps(
+        given, default=repr
+    ):  # as texts, NaN equals NaN, and 1 is not 1.0
         return []
-    return [f"{place} is {_said(stored)} in the store and {_said(given)} now"]
+    return [f"{place} is {_text_of(stored)} in the store and {_text_of(given)} now"]
 
 
 class _Absent:
@@ -196,20 +198,20 @@ class _Absent:
 _ABSENT = _Absent()
 
 
-def _said(value: Any) -> str:
+def _text_of(value: Any) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 4:
         return f"a list of {len(value)}"
     return brief(value)
 
 
 def _plain(value: Any) -> Any:
-    """Return what stands in JSON for a value that it does not know."""
+    """Return the JSON form of a value of another type."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
         return dict(value)
     raise StoreError(
-        f"The description of a campaign has {brief(value)} in it, which cannot be stored: numbers, texts, lists and dicts can."
+        f"The description of a campaign contains {brief(value)}, which cannot be stored; use numbers, texts, lists and dicts."
     )
 
 

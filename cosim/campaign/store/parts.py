@@ -1,6 +1,6 @@
-"""The table of a campaign's runs, in parquet: a part for each piece that is done, and one file for all in the end.
+"""The table of a campaign's runs, in parquet: a part for each finished piece, and one file for all in the end.
 
-A part is what makes a piece done. It is written last, whole, and says how long the files of the piece's signals are.
+A piece is finished when its part exists. The part is written last, completely, and contains the sizes of the signal files.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Part:
     Attributes
     ----------
     rows : pyarrow.Table
-        A row a run.
+        A row for each run.
     seconds : mapping of str to float
-        Of computing, by the number of the piece.
+        Computing time in seconds, by the number of the piece.
     sizes : mapping of str to list of int
         Bytes of each file of the signals, by the number of the piece; in the order of `Chunks.keys`.
     """
@@ -43,12 +43,12 @@ class Part:
 
 
 class Parts:
-    """How rows are made, written and read.
+    """Makes, writes and reads rows of the table.
 
     Parameters
     ----------
     metadata : Metadata
-        Of the campaign.
+        Metadata of the campaign.
     """
 
     def __init__(self, metadata: Metadata):
@@ -67,7 +67,7 @@ class Parts:
         return f"{FOLDER}/part-{piece:06d}.parquet"
 
     def piece(self, name: str) -> int | None:
-        """Return which piece a file of this name, in the folder of the parts, is of; None if it is no part."""
+        """Return the number of the piece of a file in the folder of the parts; None if the file is not a part."""
         number = name.removeprefix("part-").removesuffix(".parquet")
         return int(number) if name == f"part-{number}.parquet" and number.isdigit() else None
 
@@ -77,9 +77,8 @@ class Parts:
         columns: dict[str, Any] = {name: column[piece.begin : piece.end] for name, column in self.runs.items()}
         columns |= {
             "status": list(outcome.status),
-            "reason": [
-                reason.encode(errors="replace").decode() for reason in outcome.reasons
-            ],  # an FMU may say anything
+            # The messages of an FMU may contain invalid text.
+            "reason": [reason.encode(errors="replace").decode() for reason in outcome.reasons],
             "steps": np.asarray(outcome.steps, dtype=np.int64),
             **{name: np.asarray(values, dtype=np.float64) for name, values in outcome.metrics.items()},
         }
@@ -91,13 +90,13 @@ class Parts:
 
     def encode(self, part: Part) -> Any:
         """Return the bytes of a file."""
-        said = {_KEY: json.dumps({"seconds": dict(part.seconds), "sizes": dict(part.sizes)}).encode()}
+        extra_data = {_KEY: json.dumps({"seconds": dict(part.seconds), "sizes": dict(part.sizes)}).encode()}
         sink = self._arrow.BufferOutputStream()
-        self._parquet.write_table(part.rows.replace_schema_metadata(said), sink, write_page_checksum=True)
+        self._parquet.write_table(part.rows.replace_schema_metadata(extra_data), sink, write_page_checksum=True)
         return sink.getvalue()
 
     def decode(self, data: bytes, name: str, piece: Piece | None = None) -> Part:
-        """Return what is in a file.
+        """Return the content of a file.
 
         Parameters
         ----------
@@ -106,7 +105,7 @@ class Parts:
         name : str
             Its name, for messages.
         piece : Piece, optional
-            Whose rows it must have; those of all runs by default.
+            The piece whose rows it must contain; by default the rows of all runs.
 
         Raises
         ------
@@ -117,14 +116,14 @@ class Parts:
         begin, end = (piece.begin, piece.end) if piece else (0, len(self.runs["run"]))
         try:
             rows = self._parquet.ParquetFile(source, page_checksum_verification=True).read(use_threads=False)
-            said = json.loads(rows.schema.metadata[_KEY])
+            extra_data = json.loads(rows.schema.metadata[_KEY])
             rows = rows.select(self._schema.names).cast(self._schema)
             if not np.array_equal(rows["run"].to_numpy(), np.arange(begin, end)):
                 raise ValueError(rows.num_rows)
-            return Part(rows, dict(said["seconds"]), dict(said["sizes"]))
+            return Part(rows, dict(extra_data["seconds"]), dict(extra_data["sizes"]))
         except (OSError, ValueError, LookupError, TypeError, self._arrow.ArrowException):
             raise StoreError(
-                f"The file {name} of the campaign is damaged; resume the campaign, which makes its runs again."
+                f"The file {name} of the campaign is damaged; resume the campaign to repeat its runs."
             ) from None
 
     def joined(self, parts: Iterable[Any]) -> Any:
@@ -137,18 +136,18 @@ class Parts:
         """Return rows without those of some pieces."""
         keep = np.ones(rows.num_rows, dtype=bool)
         for piece in pieces:
-            keep[piece.begin : piece.end] = False  # of all runs, so that the number of a row is that of its run
+            keep[piece.begin : piece.end] = False  # the rows are those of all runs, so that row numbers are run numbers
         return rows.filter(self._arrow.array(keep))
 
     def of_piece(self, whole: Part, piece: Piece) -> Part:
-        """Return the part of a piece, of the part of all."""
-        own = str(piece.index)
-        return Part(whole.rows.slice(piece.begin, len(piece)), {own: whole.seconds[own]}, {own: whole.sizes[own]})
+        """Return the part of a piece, taken from the part of all pieces."""
+        key = str(piece.index)
+        return Part(whole.rows.slice(piece.begin, len(piece)), {key: whole.seconds[key]}, {key: whole.sizes[key]})
 
     def put(self, rows: Any, others: Any) -> Any:
-        """Return rows in which those of the same runs are others."""
-        mine = ~np.isin(rows["run"].to_numpy(), others["run"].to_numpy())
-        return self.joined([rows.filter(self._arrow.array(mine)), others])
+        """Return rows in which the rows of `others` replace those of the same runs."""
+        keep = ~np.isin(rows["run"].to_numpy(), others["run"].to_numpy())
+        return self.joined([rows.filter(self._arrow.array(keep)), others])
 
 
 __all__ = ["FOLDER", "OWN", "WHOLE", "Part", "Parts"]

@@ -1,4 +1,4 @@
-"""What can be read of a stored campaign, while it is written or after."""
+"""Read a stored campaign, while it is written or after."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 PENDING = "pending"
-"""What a dataset says of the status of runs that are not done."""
+"""Status of unfinished runs in a dataset."""
 
 
 class StoredCampaign:
@@ -41,14 +41,14 @@ class StoredCampaign:
     path : pathlib.Path
         Its folder.
     metadata : Metadata
-        What it says of itself.
+        Its metadata.
     plan : Plan
         Its points (with labels as values), seeds and pieces.
 
     Raises
     ------
     StoreError
-        If there is none, or it is damaged or that of a later version.
+        If there is none, or it is damaged or of a later version.
     """
 
     def __init__(self, path: Path):
@@ -60,10 +60,10 @@ class StoredCampaign:
 
     def done(self) -> set[int]:
         """Return the numbers of the pieces that are done."""
-        found = self._found()  # first: parts are removed when the file of all is there
+        indices = self._part_indices()  # before the check for the whole file, because its writer then removes the parts
         if (self.path / run_parts.WHOLE).exists():
             return {piece.index for piece in self._pieces}
-        return set(found)
+        return set(indices)
 
     @property
     def whole(self) -> bool:
@@ -79,11 +79,11 @@ class StoredCampaign:
 
     @property
     def seconds(self) -> float:
-        """Seconds of computing that the runs took."""
+        """Computing time of the runs in seconds."""
         return sum(self._read().seconds.values())
 
     def table(self) -> pd.DataFrame:
-        """Return a table with a row for each run that is done: run, point, seed, factors, status, reason, steps, metrics.
+        """Return a table with a row for each finished run: run, point, seed, factors, status, reason, steps, metrics.
 
         Raises
         ------
@@ -100,10 +100,10 @@ class StoredCampaign:
         return [int(run) for run in rows["run"].to_numpy()[status == FAILED]]
 
     def dataset(self) -> xr.Dataset:
-        """Return the signals over run and time, read from the disk each time they are used; NaN for runs that are not done.
+        """Return the signals over run and time, read from the disk at each use; NaN for unfinished runs.
 
-        Coordinates are run, time (s), point, seed, each factor, and status: ``"ok"``, ``"failed"`` or ``"pending"``. What is
-        done later is not seen: ask again.
+        Coordinates are run, time (s), point, seed, each factor, and status: ``"ok"``, ``"failed"`` or ``"pending"``. For runs
+        that finish later, call this method again.
 
         Raises
         ------
@@ -131,21 +131,21 @@ class StoredCampaign:
             axes = ("run", "time", *(f"{name}_{axis}" for axis in range(len(shape))))
             signals[name] = xr.Variable(axes, CopyOnWriteArray(lazy), {"units": unit} if unit else None)
         coordinates["time"] = ("time", self.time, {"units": "s"})
-        said = {"description": json.dumps(self.metadata.description, ensure_ascii=False)}
-        return xr.Dataset(signals, coordinates, said)
+        attributes = {"description": json.dumps(self.metadata.description, ensure_ascii=False)}
+        return xr.Dataset(signals, coordinates, attributes)
 
     def pieces_of_signals(self, names: Iterable[str] | None = None) -> Iterator[tuple[Piece, dict[str, Floats]]]:
-        """Yield each piece that is done with some signals of its runs, of shape (runs, rows, ...).
+        """Yield each finished piece with some signals of its runs, of shape (runs, rows, ...).
 
         Parameters
         ----------
         names : iterable of str, optional
-            Which signals; all by default.
+            Names of the signals; all by default.
 
         Raises
         ------
         UnknownNameError
-            If one was not recorded.
+            If a signal was not recorded.
         StoreError
             If a file is damaged.
         """
@@ -165,7 +165,7 @@ class StoredCampaign:
         Raises
         ------
         StoreError
-            If there is none, or it is not the one any more.
+            If it is missing or damaged.
         """
         if digest not in self.metadata.fmus:
             raise StoreError(f"The campaign {self.path} has no FMU {digest}.")
@@ -176,11 +176,11 @@ class StoredCampaign:
         except OSError:
             pass
         raise StoreError(
-            f"{path}, the copy of {self.metadata.fmus[digest]}, is missing or damaged; put the FMU there that the campaign was "
-            "made with."
+            f"{path}, the copy of {self.metadata.fmus[digest]}, is missing or damaged; copy the original FMU of the campaign "
+            "to this path."
         )
 
-    def _found(self) -> list[int]:
+    def _part_indices(self) -> list[int]:
         """Return the numbers of the pieces that have a part, in order."""
         try:
             numbers = map(self._parts.piece, self._redo.names(run_parts.FOLDER))
@@ -192,14 +192,14 @@ class StoredCampaign:
         return sorted(i for i in numbers if i is not None and i < len(self._pieces))
 
     def _read(self) -> Part:
-        """Return all rows as one part; parts are newer than the file of all."""
-        for _ in range(20):  # a writer may be putting the parts together, and removes them after that
+        """Return all rows as one part; parts are newer than the whole file."""
+        for _ in range(20):  # a writer may be joining the parts, and then removes them
             try:
-                found = self._found()
-                parts = [self._part(self._pieces[i]) for i in found]
+                indices = self._part_indices()
+                parts = [self._part(self._pieces[i]) for i in indices]
                 if (self.path / run_parts.WHOLE).exists():
                     whole = self._whole()
-                    older = self._parts.without(whole.rows, (self._pieces[i] for i in found))
+                    older = self._parts.without(whole.rows, (self._pieces[i] for i in indices))
                     parts.insert(0, replace(whole, rows=older))
                 rows = self._parts.joined(part.rows for part in parts)
                 seconds = {piece: taken for part in parts for piece, taken in part.seconds.items()}
@@ -208,7 +208,10 @@ class StoredCampaign:
                 continue
             except OSError as error:
                 raise StoreError(f"The campaign {self.path} cannot be read: {error.strerror or error}.") from None
-        raise StoreError(f"The campaign {self.path} cannot be read: its files come and go; is someone removing it?")
+        raise StoreError(
+            f"The campaign {self.path} cannot be read, because its files appear and disappear; check whether another process "
+            "removes it."
+        )
 
     def _part(self, piece: Piece) -> Part:
         name = self._parts.name(piece.index)

@@ -1,6 +1,6 @@
-"""Several files that change together: the new ones are collected, declared valid by one rename, and then put in their places.
+"""Replace several files together: the new files are collected, declared valid by one rename, and then moved to their places.
 
-Whoever reads meanwhile, or after a writer was killed in the middle, asks `Redo.current` where the valid file is.
+`Redo.read` finds the valid file during a replacement, and after a writer was killed in the middle of one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ COLLECTED, VALID = "redo.tmp", "redo"
 
 
 class Redo:
-    """Files of a folder that are about to replace those of the same names.
+    """Files of a folder that will replace those of the same names.
 
     Parameters
     ----------
@@ -27,13 +27,13 @@ class Redo:
         self._root, self._collected, self._valid = root, root / COLLECTED, root / VALID
 
     def stage(self, name: PurePosixPath | str) -> Path:
-        """Return where the new file of that name is to be written; its folder is there."""
+        """Return the path for writing the new file of that name, and make its folder."""
         path = self._collected / name
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
     def commit(self) -> None:
-        """Declare the collected files valid, all at once, and put them in their places."""
+        """Declare the collected files valid, all at once, and move them to their places."""
         for folder in {path.parent for path in self._collected.rglob("*") if path.is_file()}:
             sync_folder(folder)
         os.replace(self._collected, self._valid)
@@ -41,7 +41,7 @@ class Redo:
         self.recover()
 
     def recover(self) -> None:
-        """Put files that are valid in their places, and drop those that were never declared so."""
+        """Move valid files to their places, and remove files that were never declared valid."""
         self.discard()
         if not self._valid.is_dir():
             return
@@ -56,19 +56,22 @@ class Redo:
         shutil.rmtree(self._valid)
 
     def discard(self) -> None:
-        """Drop what was collected and not declared valid."""
+        """Remove collected files that were not declared valid."""
         shutil.rmtree(self._collected, ignore_errors=True)
 
     def names(self, folder: str) -> set[str]:
         """Return the names of all valid files in a folder of the root."""
         try:
-            found = os.listdir(self._valid / folder)
+            new = os.listdir(self._valid / folder)
         except (FileNotFoundError, NotADirectoryError):
-            found = []
-        return {*found, *os.listdir(self._root / folder)}  # in this order: files move from the one to the other
+            new = []
+        return {
+            *new,
+            *os.listdir(self._root / folder),
+        }  # in this order, because files move from the first to the second
 
     def read(self, name: PurePosixPath | str) -> bytes:
-        """Return what is in the valid file of that name.
+        """Return the content of the valid file of that name.
 
         Raises
         ------
@@ -77,7 +80,7 @@ class Redo:
         """
         try:
             return (self._valid / name).read_bytes()
-        except (FileNotFoundError, NotADirectoryError):  # as almost always; or it was just put in its place
+        except (FileNotFoundError, NotADirectoryError):  # the usual case, or the file was just moved to its place
             return (self._root / name).read_bytes()
 
 

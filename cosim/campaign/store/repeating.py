@@ -1,4 +1,4 @@
-"""The job of a stored campaign: kept beside its results, so that any run can be made again from the store alone."""
+"""The job of a stored campaign, kept beside its results so that any run can be repeated from the store alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FILE = "job.pickle"
 
 
 def keep_job(folder: Path, job: Job) -> None:
-    """Write a job into the folder of its store, unless it is there; one that cannot be pickled is not kept.
+    """Write a job into the folder of its store if it is not there; a job that cannot be pickled is not kept.
 
     Raises
     ------
@@ -32,14 +32,14 @@ def keep_job(folder: Path, job: Job) -> None:
 
 
 def kept_job(store: StoredCampaign) -> Job:
-    """Return the job of a stored campaign, whose FMUs are the copies in the store.
+    """Return the job of a stored campaign; its FMUs are the copies in the store.
 
-    The file is a pickle, which can make Python do anything: read stores of people whose programs you would run.
+    The file is a pickle, which can execute any Python code. Read only stores from people whose programs you would run.
 
     Raises
     ------
     StoreError
-        If the store has none, or it cannot be read here.
+        If the store has no job, or the job cannot be read here.
     """
     try:
         names, payload = pickle.loads((store.path / FILE).read_bytes())
@@ -48,8 +48,8 @@ def kept_job(store: StoredCampaign) -> Job:
         job = pickle.loads(payload)
     except FileNotFoundError:
         raise StoreError(
-            f"The campaign in {store.path} cannot be repeated from its store, since its loop could not be pickled; make it "
-            "anew in Python, and call its method replay."
+            f"The campaign in {store.path} cannot be repeated from its store, because its loop could not be pickled; create "
+            "the campaign in Python, and call its method replay."
         ) from None
     except StoreError:
         raise
@@ -64,7 +64,7 @@ def kept_job(store: StoredCampaign) -> Job:
             "needs the modules and versions that it was made with; campaign.json names them."
         ) from error
     if not isinstance(job, Job) or job.plan.seeds != store.plan.seeds:
-        raise StoreError(f"{store.path / FILE} does not hold the loop of this campaign; take a copy of the store.")
+        raise StoreError(f"{store.path / FILE} does not contain the loop of this campaign; use a backup of the store.")
     return job
 
 

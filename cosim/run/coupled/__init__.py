@@ -1,1 +1,1 @@
-"""Groups of coupled blocks in a run: iterated, and with steps of their own."""
+"""Groups of coupled blocks in a run: iteration and substeps."""

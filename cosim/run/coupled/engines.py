@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 _ACCELERATION = {None: steps.PLAIN, "aitken": steps.AITKEN, "anderson": steps.ANDERSON}
 _MARGIN = 0.5
-"""Part of the growth of the error with the step size that is allowed for, lest every other step be too long."""
+"""Safety factor for a larger step size; without it every other step would be too long."""
 
 
 class GroupRun(ABC):
-    """A group in a run, in either engine: its tables, and what it says when it fails."""
+    """A group in a run, in either engine: its tables and its error messages."""
 
     def __init__(self, run: Run, group: Group):
         self.run, self.group = run, group
@@ -49,52 +49,52 @@ class GroupRun(ABC):
         self.method = _ACCELERATION[coupling.acceleration]
 
     def culprit(self) -> tuple[Part | None, int]:
-        """Return the part that has failed, None if the group has as a whole, and the status."""
+        """Return the part that has failed (None for the group as a whole) and the status."""
         part, status = int(self.record[steps.PART]), int(self.record[steps.STATUS])
         return (self.group.parts[part] if part >= 0 else None), status
 
     def explain(self, status: int) -> str:
-        """Return what a status of the whole group means, with the remedy."""
+        """Return the meaning of a status of the whole group, with the remedy."""
         schedule, group = self.run.schedule, self.group
         names = " and ".join(repr(schedule.nodes[i].name) for i in group.nodes)
         gap, where = self.numbers[steps.GAP], int(self.record[steps.WHERE])
-        # What depends on itself at one instant does so in steps of any size.
+        # A smaller step does not help against an algebraic loop.
         remedies = [] if group.is_loop else [f"a smaller step than {show(schedule.step * group.every)} s"]
         if status == steps.NOT_CONVERGED:
             remedies += ["more iterations", "another acceleration", "a UnitDelay between them"]
             return (
                 f"the coupling of {names} did not converge in {self.limit} iterations: {group.names[where]} still changes by "
-                f"{gap:.3g} (1 + its size is the measure), the tolerance is {self.tolerance:g}. Take {', or '.join(remedies)}."
+                f"{gap:.3g} (relative to 1 + its size), the tolerance is {self.tolerance:g}. Use {', or '.join(remedies)}."
             )
         if status == steps.DIVERGED:
             remedies += [] if self.method == steps.ANDERSON else ["acceleration='anderson'"]
             remedies += ["a UnitDelay between them"]
             largest = group.names[int(np.nanargmax(np.abs(self.work[steps.VALUE])))]
-            return f"the iteration of {names} diverges: {largest} has grown beyond {steps.HUGE:g}. Take {', or '.join(remedies)}."
+            return f"the iteration of {names} diverges: {largest} has grown beyond {steps.HUGE:g}. Use {', or '.join(remedies)}."
         if status == steps.NO_STEP:
             places = {begin: i for i in group.nodes for begin in [schedule.slots[i].start["outputs"]]}
             begin = max(b for b in places if b <= group.doubling[where][0])
             name = schedule.output_name(places[begin], group.doubling[where][0] - begin)
             return (
                 f"no step of {names} is small enough for step_error={self.error:g}: in one of {self.numbers[steps.STEP]:.3g} s "
-                f"the error of {name} is still {gap:.3g} (1 + its size is the measure). An output may jump there; allow a larger "
-                "error."
+                f"the error of {name} is still {gap:.3g} (relative to 1 + its size). An output may jump there; use a larger "
+                "step_error."
             )
         error = self._raised()
         if error is not None and not isinstance(error, FMUError):
-            raise error  # Ctrl-C, say, which could not pass compiled code
+            raise error  # such as Ctrl-C, which could not pass compiled code
         if isinstance(error, FMUCrashed):
-            return str(error)  # whatever was asked of it
-        why = str(error) if error is not None else f"it returned the status {status - steps.SAVING} of FMI."
-        return f"a state of {names} could not be saved or restored: {why}"
+            return str(error)  # the crash matters, not the function that was called
+        reason = str(error) if error is not None else f"it returned the status {status - steps.SAVING} of FMI."
+        return f"a state of {names} could not be saved or restored: {reason}"
 
     @abstractmethod
     def _raised(self) -> BaseException | None:
-        """Return what the FMUs' Python methods raised while states were saved or restored."""
+        """Return the exception of the FMUs' Python methods while states were saved or restored."""
 
 
 def step_function(run: Run, i: int, kind: str, begin: int) -> Callable[[float, int], int]:
-    """Return one of the step functions of node `i`, in Python; its outputs `begin` at a place in memory."""
+    """Return a step function of node `i`, in Python, that writes its outputs from place `begin` on."""
     schedule, memory = run.schedule, run.memory
     slots, block, instance = schedule.slots[i], schedule.nodes[i].block, run.instances.get(i)
     if instance is not None:
@@ -112,7 +112,7 @@ def step_function(run: Run, i: int, kind: str, begin: int) -> Callable[[float, i
 
 
 def address_of(run: Run, i: int, kind: str) -> int:
-    """Return the address of one of the step functions of node `i`, compiled."""
+    """Return the address of a compiled step function of node `i`."""
     instance = run.instances.get(i)
     if instance is not None:
         return instance.update_address if kind == "update" else instance.output_address
@@ -141,10 +141,10 @@ class InterpretedGroup(GroupRun):
 
     def __call__(self, t: float, k: int) -> int:
         """Compute the group; return a status."""
-        guessed = self.torn, self.guesses, self.work, self.numbers, self.tolerance, self.limit, self.method
+        iteration = self.torn, self.guesses, self.work, self.numbers, self.tolerance, self.limit, self.method
         doubling = steps.Doubling(self.doubling, self.group.size, self.error, self.divisor, self.growth)
         status: int = self._compute(
-            self, self.run.memory, steps.Iteration(*guessed), doubling, t, self.length, k, self.record
+            self, self.run.memory, steps.Iteration(*iteration), doubling, t, self.length, k, self.record
         )
         return status
 
@@ -176,20 +176,20 @@ class InterpretedGroup(GroupRun):
         return self._tried(lambda i, _: self._saved[slot].append(self.run.instances[i].save()), slot)
 
     def restore(self, slot: int) -> int:
-        """Go back to what was saved."""
+        """Restore the saved states."""
         kept = self._saved[slot]
         for (begin, end), values in zip(self.group.states, kept, strict=False):
             self.run.memory[begin:end] = values
         return self._tried(lambda i, saved: self.run.instances[i].restore(saved), slot)
 
     def forget(self, slot: int) -> int:
-        """Free what was saved."""
+        """Free the saved states."""
         status = self._tried(lambda i, saved: self.run.instances[i].forget(saved), slot)
         self._saved[slot] = []
         return status
 
     def _tried(self, action: Callable[[int, Any], None], slot: int) -> int:
-        """Do something with each FMU and its saved state, None where there is none yet; return a status."""
+        """Call `action` with each FMU and its saved state (None if there is none yet); return a status."""
         saved = self._saved[slot][len(self.group.states) :]
         try:
             for j, i in enumerate(self.group.externals):
@@ -203,7 +203,7 @@ class InterpretedGroup(GroupRun):
         return self._error
 
     def resize(self, h: float) -> None:
-        """Let FMUs make steps of `h` seconds."""
+        """Set the step size of the FMUs to `h` seconds."""
         for i in self.group.externals:
             cast("VariableStep", self.run.instances[i]).resize(h)
 
@@ -276,7 +276,7 @@ class CompiledGroup(GroupRun):
 
     @property
     def parameters(self) -> int:
-        """Where its table lies, counted in numbers from the beginning of memory."""
+        """Offset of its table from the beginning of memory, in numbers."""
         return (self._words.ctypes.data - self.run.memory.ctypes.data) // 8
 
     def _raised(self) -> BaseException | None:
@@ -295,12 +295,12 @@ def _compiled() -> Any:
 
 
 def step_word(instance: External) -> int:
-    """Return which word of an instance's table holds its step size; 0 where none does."""
+    """Return the index of the step size in an instance's table; 0 if it has none."""
     return int(getattr(instance, "step_word", 0))
 
 
 def place_words(run: Run) -> None:
-    """Write into memory what the groups of a run need to know of the instances of their FMUs."""
+    """Write into memory the addresses of the FMUs' instances and functions for the groups of a run."""
     for group in run.schedule.groups:
         for j, i in enumerate(group.externals if group.restores else ()):
             instance = run.instances[i]
@@ -315,12 +315,12 @@ def place_words(run: Run) -> None:
 
 
 def check_groups(run: Run) -> None:
-    """Refuse FMUs that cannot do what their group needs.
+    """Refuse FMUs without the capabilities that their group needs.
 
     Raises
     ------
     FMUError
-        If one cannot go back, or cannot vary its step size; the sentence names it.
+        If an FMU cannot restore its state, or cannot vary its step size; the message names it.
     """
     schedule, coupling = run.schedule, run.schedule.coupling
     for group in schedule.groups:
@@ -332,8 +332,8 @@ def check_groups(run: Run) -> None:
                 what = "step_error" if group.doubling else f"{coupling.method} coupling"
                 raise FMUError(
                     f"The FMU {node.name!r} cannot save and restore its state (canGetAndSetFMUState), which {what} of {names} "
-                    f"needs: put a UnitDelay into a connection of {node.name!r} with the others, so that a delay of one step "
-                    "stands where one can see it, or export the FMU as FMI 2.0 or 3.0 with that capability."
+                    f"needs; put a UnitDelay into a connection of {node.name!r} with the others (a visible delay of one step), "
+                    "or export the FMU as FMI 2.0 or 3.0 with that capability."
                 )
             if group.doubling and not (step_word(instance) and cast("VariableStep", instance).can_resize):
                 raise FMUError(

@@ -1,6 +1,6 @@
-"""A group as a compiled function with the engine's signature; it walks tables as the loop does."""
+"""A group as a compiled function with the engine's signature; like the loop, it reads tables."""
 
-# The checker sees the intrinsics with the typing context that numba passes by itself.
+# mypy checks the intrinsics with the typing context as an argument, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated"
 
 from llvmlite import ir
@@ -27,18 +27,18 @@ from bayesftc.cosim.stepping.by_address import call_block, put_back as call_stat
 from bayesftc.cosim.stepping.compiler import as_floats
 from bayesftc.cosim.stepping.numba_called import callee
 
-# The table of parts has the columns of the loop's table of calls, and whether the time is that of the end of the step.
+# The table of parts has the columns of the loop's table of calls, and one more: whether time is that at the end of the step.
 LATE = LOOP_COLUMNS
 COLUMNS = LOOP_COLUMNS + 1
 
-# Words of the table that the function finds at its parameters' address.
+# Words of the table at the address of the function's parameters.
 (
     BASE, MEMORY, PARTS, PART_COUNT, GATHERS, GATHER_COUNT, FMUS, FMU_COUNT, STATES, STATE_COUNT, KEPT, KEPT_SIZE, TORN,
     TORN_COUNT, GUESSES, DOUBLING, DOUBLING_COUNT, SIZE_AT, WORK, NUMBERS, NUMBER_COUNT, RECORD, LIMIT, METHOD, TOLERANCE, ERROR,
     DIVISOR, GROWTH, LENGTH,
 ) = range(29)  # fmt: skip
 
-# Words of memory for each FMU that is put back.
+# Words of memory for each FMU that is restored.
 COMPONENT, SAVE, RESTORE, FREE, SAVED = range(5)
 
 
@@ -87,7 +87,7 @@ def _each_fmu(machine, role, slot):
         function, component = word(place, role), word(place, COMPONENT)
         status = call_state(function, component, word(state, 0) if role == RESTORE else state)
         if role == FREE:
-            put_word(state, 0, 0)  # no state, whatever the FMU has left there
+            put_word(state, 0, 0)  # no state, even if the FMU has left a pointer there
         if status > 1 or status < 0:
             return SAVING + status
     return 0

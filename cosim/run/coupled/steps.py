@@ -1,7 +1,7 @@
-"""How a group is computed: sweeps until guesses and results agree, and steps as small as the error allows.
+"""Compute a group: sweeps until guesses and results agree, and substeps as small as the error requires.
 
-One text for both engines: `build` takes the few things that they do differently (to go through the calls of a sweep, to save
-and restore a state) and returns the function that computes a group, whose arithmetic is then the same to the last bit.
+One text for both engines: `build` takes the few functions that differ (the calls of a sweep, saving and restoring a state) and
+returns the function that computes a group. So the arithmetic of both is the same to the last bit.
 """
 
 from typing import Any, NamedTuple
@@ -9,37 +9,37 @@ from typing import Any, NamedTuple
 from bayesftc.cosim.ops import sqrt
 
 NOT_CONVERGED, NO_STEP, DIVERGED = 701, 702, 703
-"""Status of a group that failed as a whole; a failed call has its own."""
+"""Status of a group that failed as a whole; a failed call has its own status."""
 
 SAVING = 800
-"""Status of a group, plus FMI's own, whose FMUs could not be saved or restored."""
+"""Status of a group whose FMUs could not be saved or restored; FMI's status is added."""
 
 INNER, OUTER = 0, 1
 """The two saved states: of the beginning of an iterated step, and of a step that may be too long."""
 
 PLAIN, AITKEN, ANDERSON = 0, 1, 2
 DEPTH = 20
-"""How many differences Anderson's method keeps: with fewer than there are values, a linear loop that diverges by itself is not
-solved (of five, none of eight values with a spectral radius of 20 was)."""
+"""Number of differences that Anderson's method keeps. With fewer differences than values, a linear loop that diverges by itself
+is not solved (measured with five differences, eight values and a spectral radius of 20)."""
 
 # Rows of the working memory, each as long as there are guessed values.
 GUESS, VALUE, NEXT, SCALE, RESIDUAL, RESIDUAL_BEFORE, VALUE_BEFORE, LEFT = range(8)
 RESIDUALS, VALUES, BASIS = 8, 8 + DEPTH, 8 + 2 * DEPTH
 WORK_ROWS = 8 + 3 * DEPTH
 
-# Words of the record of what went wrong.
+# Words of the record of a failure.
 PART, STATUS, WHERE = range(3)
 RECORD_WORDS = 3
 
-# Numbers that the engines leave for messages, and that Aitken's method keeps.
+# Numbers for messages, and numbers that the accelerations keep.
 GAP, FACTOR, STEP = range(3)
 NUMBERS = 3 + DEPTH * (DEPTH + 2)
 
 FINEST = 1 << 16
-"""Parts of a step from t_k to t_k+1 below which a group's own step is not cut."""
+"""Number of the smallest substeps in a step from t_k to t_k+1."""
 
 HUGE = 1e100
-"""No value of a loop that has a solution; what is near the end of the numbers would soon come out NaN, which agrees with NaN."""
+"""A larger value means divergence. Otherwise values would grow until they are NaN, and NaN agrees with NaN."""
 
 NOT_FINITE = 1_000_000  # as in bayesftc.cosim.diagram.schedule
 FATAL = 4
@@ -47,10 +47,10 @@ CRASHED, INTERRUPTED = 901, 902  # as in bayesftc.cosim.isolation.protocol
 
 
 class Iteration(NamedTuple):
-    """What is guessed until it agrees: the places of the values, where their first guesses stand, and how.
+    """The settings of an iteration: places of the guessed values (``torn``) and of their first guesses (``guesses``).
 
-    ``work`` and ``numbers`` are scratch space, and what the engines leave for messages; ``tolerance`` and ``limit`` end it;
-    ``method`` is the acceleration.
+    ``work`` and ``numbers`` are scratch, and numbers for messages. ``tolerance`` and ``limit`` end the iteration. ``method`` is
+    the acceleration.
     """
 
     torn: Any
@@ -63,7 +63,7 @@ class Iteration(NamedTuple):
 
 
 class Doubling(NamedTuple):
-    """Steps of a group's own: five ``places`` of each output (`Group.doubling`), that of the step size, and what is borne."""
+    """The settings of substeps: five ``places`` of each output (`Group.doubling`), that of the step size, and error limits."""
 
     places: Any
     size_at: int
@@ -82,16 +82,16 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
     save, restore, forget : callable
         ``save(machine, memory, slot)`` and so on, for the states of all members; 0, or a status.
     resize : callable
-        ``resize(machine, memory, h)`` tells the FMUs the size of their next steps in seconds.
+        ``resize(machine, memory, h)`` sets the size of the FMUs' next steps in seconds.
     compiled : callable
         Registers a function for compiling.
     """
 
     @compiled
     def accelerate(work, numbers, count, n, method):
-        """Set the next guess from the guesses and results so far, of which these are number `n`."""
+        """Compute the next guess from the guesses and results of the iterations up to number `n`."""
         for i in range(count):
-            # A missing sample, or one that was missing in the guess, follows as it came out, and the others from each other.
+            # A sample that is missing in the guess or the result has no part in the acceleration: its next guess is the result.
             residual = (work[VALUE, i] - work[GUESS, i]) * work[SCALE, i]
             work[RESIDUAL, i] = residual if residual == residual else 0.0
             work[NEXT, i] = work[VALUE, i]
@@ -121,7 +121,7 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 work[VALUES + newest, i] = change if change == change else 0.0
                 work[LEFT, i] = work[RESIDUAL, i]
             used = min(n, depth)
-            # Gram and Schmidt's method, modified, from the newest difference to the oldest; one that adds nothing is left out.
+            # Modified Gram-Schmidt, from the newest difference to the oldest; linearly dependent differences are left out.
             triangle, right = 3, 3 + DEPTH * DEPTH
             for j in range(used):
                 column = (newest + depth - j) % depth
@@ -171,19 +171,19 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
 
     @compiled
     def is_fatal(status):
-        """Return whether an FMU has said that no function of it may be called any more, or has been stopped from outside."""
+        """Return whether a status is FMI's ``fatal``, after which no function may be called, or a crash or interruption."""
         return status < NOT_FINITE and (status % 100 == FATAL or status in (CRASHED, INTERRUPTED))
 
     @compiled
     def agree(machine, memory, iteration, t, h, k, record):
-        """Sweep from the same state until the values that were guessed come out; 0, or a status."""
+        """Sweep from the same state until the results agree with the guesses; return 0, or a status."""
         torn, guesses, work, numbers, tolerance, limit, method = iteration
         count = torn.size
         if count == 0:
             return sweep(machine, memory, t, h, k, record)
         for i in range(count):
             first = memory[guesses[i]]
-            memory[torn[i]] = first if first == first else 0.0  # before the first step there is no value yet
+            memory[torn[i]] = first if first == first else 0.0  # NaN before the first step
         status = save(machine, memory, INNER)
         if status != 0:
             return status
@@ -230,7 +230,7 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
 
     @compiled
     def double(machine, memory, iteration, doubling, t, h, k, record):
-        """Go from `t` to ``t + h`` in steps of the group's own, whose error two of half the size show."""
+        """Advance from `t` to ``t + h`` in substeps, with an error estimate from two steps of half the size."""
         places, size_at, error, divisor, growth = doubling
         count = places.shape[0]
         for i in range(count):
@@ -257,10 +257,10 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 if part == 2:
                     for i in range(count):
                         memory[places[i, 1]] = memory[places[i, 2]]
-                own = length if part == 0 else 0.5 * length
-                at = start + own if part == 2 else start
-                resize(machine, memory, own)
-                status = agree(machine, memory, iteration, at, own, k, record)
+                size_now = length if part == 0 else 0.5 * length
+                at = start + size_now if part == 2 else start
+                resize(machine, memory, size_now)
+                status = agree(machine, memory, iteration, at, size_now, k, record)
                 if status != 0:
                     break
             if status == 0:
@@ -292,7 +292,7 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
                 forget(machine, memory, OUTER)
                 return status
             else:
-                # Too long, or too long for the iteration or for an FMU.
+                # The step is too long for the error limit, for the iteration or for an FMU.
                 record[PART], record[STATUS] = -1, 0
                 status = restore(machine, memory, OUTER)
                 if status == 0:
@@ -307,7 +307,7 @@ def build(sweep, save, restore, forget, resize, compiled=lambda function: functi
 
     @compiled
     def compute(machine, memory, iteration, doubling, t, h, k, record):
-        """Compute a group: 0, or a status, with more in `record`."""
+        """Compute a group; return 0, or a status, with details in `record`."""
         record[PART], record[STATUS], record[WHERE] = -1, 0, 0
         if doubling.places.shape[0] > 0:
             status = double(machine, memory, iteration, doubling, t, h, k, record)

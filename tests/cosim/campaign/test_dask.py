@@ -176,7 +176,7 @@ def test_the_connection_to_the_scheduler(cluster, car, monkeypatch):
         campaign.run(executor=DaskCluster(cluster.address), progress=lambda done, *_: done and cluster.scheduler.kill())
     with pytest.raises(BayesFTCError, match=r"There is no Dask scheduler at '.*start one with: dask scheduler"):
         campaign.run(executor=DaskCluster(cluster.address))
-    with pytest.raises(ModelError, match="workers= is of a cluster on this machine"):
+    with pytest.raises(ModelError, match="workers= is for a cluster on this machine"):
         DaskCluster(cluster.address, workers=2)
 
 

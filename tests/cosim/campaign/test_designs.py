@@ -100,7 +100,7 @@ def test_saltelli_design_is_salibs(second):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Grid({}), "takes a mapping"),
+        (lambda: Grid({}), "give a mapping"),
         (lambda: Grid({"a": 3}), "'a' has the values 3; give a list"),
         (lambda: Grid({"a": "text"}), "give a list"),
         (lambda: Grid({"a": []}), "'a' has no value"),
@@ -110,9 +110,9 @@ def test_saltelli_design_is_salibs(second):
         (lambda: Points([{"a": 1}, {"b": 1}]), "Point 1 sets 'b' and point 0 'a'"),
         (lambda: LatinHypercube({"a": (2, 1)}, 5), r"'a' has the range \(2, 1\); low must be below high"),
         (lambda: LatinHypercube({"a": (0, np.inf)}, 5), "both finite"),
-        (lambda: LatinHypercube({"a": 3}, 5), "range 3; it takes"),
+        (lambda: LatinHypercube({"a": 3}, 5), "range 3; give"),
         (lambda: LatinHypercube({"a": range(3, 3)}, 5), "is empty"),
-        (lambda: LatinHypercube({}, 5), "takes a mapping"),
+        (lambda: LatinHypercube({}, 5), "give a mapping"),
         (lambda: LatinHypercube({"a": (0, 1)}, 0), "count=0"),
         (lambda: LatinHypercube({"a": (0, 1)}, 2.5), "count=2.5"),
         (lambda: SobolSequence({"a": (0, 1)}, 5, -1), "seed=-1"),

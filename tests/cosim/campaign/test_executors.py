@@ -148,7 +148,7 @@ def test_a_step_that_does_not_end_reaches_the_time_limit(car, lying, living):
     campaign = cosim.Campaign(car(path), duration=0.6, grid=points, record=["plant.v"], time_limit=0.5)
     table = campaign.run(executor=Processes(1)).table
     assert table["status"].tolist() == ["failed", "ok"]
-    assert "was ended, for it reached its time limit of 0.5 s of computing within a step." in table["reason"][0]
+    assert "was ended, because it reached its time limit of 0.5 s of computing within a step." in table["reason"][0]
     assert living() <= before
 
 
@@ -258,7 +258,9 @@ def test_without_cloudpickle_it_is_said_what_is_not_found(monkeypatch, car):
         return car()
 
     campaign = cosim.Campaign(loop, duration=0.1, grid={"start": [1.0]})
-    with pytest.raises(ModelError, match=r"loop is defined in another function, .*: define it at the top of a module"):
+    with pytest.raises(
+        ModelError, match=r"loop is defined in another function, .*; define it at the top of a separate module"
+    ):
         campaign.run(executor=Processes(1))
     assert "run" in cosim.Campaign(car(), duration=0.1, record=["plant.v"]).run(executor=Processes(1)).table
 
@@ -334,7 +336,7 @@ def test_the_default_is_threads_where_they_use_all_cores(monkeypatch, car, make_
     def chosen(diagram, **options):
         return choose_executor(cosim.Campaign(diagram, duration=0.1, **options).job)
 
-    assert chosen(car()) == (Threads(), "Threads: all blocks are compiled, and no FMU needs a process of its own.")
+    assert chosen(car()) == (Threads(), "Threads: all blocks are compiled, and no FMU needs a separate process.")
     assert chosen(car(isolate=True))[0] == Threads()
     once = car()
     monkeypatch.setitem(once["plant"].block.description.capabilities, "canBeInstantiatedOnlyOncePerProcess", True)

@@ -163,7 +163,7 @@ def test_a_store_whose_loop_is_damaged_is_refused_in_a_sentence(bayesftc_, tmp_p
     message = re.sub(r"\s+", " ", done.stderr)
     reasons = {
         "gone": "cannot be repeated from its store",
-        **dict.fromkeys(("other", "another"), "does not hold the loop"),
+        **dict.fromkeys(("other", "another"), "does not contain the loop"),
     }
     reasons["module"] = "needs the module 'bayesftx', which is not found"
     assert reasons.get(damage, "is damaged, or needs the modules") in message

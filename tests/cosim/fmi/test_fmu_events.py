@@ -185,7 +185,7 @@ def test_discrete_inputs_are_compared_before_any_input_is_set(clocked, run_both)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_fmu_that_asks_to_end_is_told_that_it_has_ended(clocked, caplog, engine):
     diagram = alone(FMU(clocked(), parameters={"last": 0.5, "first": 0.1, "every": 0.1}), 0.1)
-    with pytest.warns(UserWarning, match=r"The run has ended at t = 0.4 s .*, as 'b' wanted") as caught:
+    with pytest.warns(UserWarning, match=r"The run has ended at t = 0.4 s .*, as 'b' requested") as caught:
         result = diagram.simulate(1, engine=engine)
     assert result.stopped == str(caught[0].message)
     assert len(result.time) == 5

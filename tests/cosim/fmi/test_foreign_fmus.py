@@ -198,7 +198,7 @@ def test_a_step_that_fails_ends_in_a_sentence(lag, tool, mode, isolate):
     diagram = cosim.Diagram(dt=H)
     diagram.add(FMU(lag(tool), parameters={"mode": mode}, isolate=isolate), "p")
     if (tool, mode) == ("pythonfmu", "refuse"):
-        with pytest.warns(UserWarning, match=r"The run has ended at t = 1 s \(step 10\), as 'p' wanted"):
+        with pytest.warns(UserWarning, match=r"The run has ended at t = 1 s \(step 10\), as 'p' requested"):
             assert len(diagram.simulate(3, engine="interpreted")["p.y"]) == 11
         return
     with pytest.raises(cosim.SimulationError, match=r"The run stopped at t = 1 s \(step 10\)") as caught:

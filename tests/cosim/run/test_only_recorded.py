@@ -116,7 +116,7 @@ def test_a_state_of_other_blocks_is_refused_all_the_same(lag):
     other = cosim.Diagram(0.1)
     for name in "ab":
         other.add(cosim.FMU(lag, outputs=["y", "odd"]), name)
-    with other.start() as session, pytest.raises(cosim.ModelError, match="is no saved state of this diagram"):
+    with other.start() as session, pytest.raises(cosim.ModelError, match="is not a saved state of this diagram"):
         session.restore(state)
 
 

@@ -58,7 +58,9 @@ def test_signals(result):
     assert result.stopped is None
     with pytest.raises(cosim.UnknownNameError, match=r"The result has no signal 'block.d'; did you mean"):
         result["block.d"]
-    with pytest.raises(cosim.UnknownNameError, match=r"An input of a block is kept .* record=\['\*', 'block.u'\]"):
+    with pytest.raises(
+        cosim.UnknownNameError, match=r"To record an input of a block, name it: .* record=\['\*', 'block.u'\]"
+    ):
         result["block.u"]
     with pytest.raises(cosim.UnknownNameError, match="no signal 0"):
         result[0]
@@ -204,7 +206,7 @@ def test_files_that_are_no_results(tmp_path, result):
         if path.name == "fine.npz":
             assert Result.load(path)["a"].tolist() == [0, 0, 0]
             continue
-        with pytest.raises(cosim.ResultFileError, match=r"is no result file of bayesftc, or it is damaged"):
+        with pytest.raises(cosim.ResultFileError, match=r"is not a result file of bayesftc, or it is damaged"):
             Result.load(path)
 
 

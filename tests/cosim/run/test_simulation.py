@@ -128,7 +128,7 @@ def test_seeds(noisy, same_bits):
 
 def test_a_recording_that_does_not_fit(noisy):
     with pytest.raises(
-        cosim.ModelError, match=r"^Recording 4 numbers at .* GB, more than this machine has; name fewer signals"
+        cosim.ModelError, match=r"^Recording 4 numbers at .* GB, more than this machine has; record fewer signals"
     ):
         noisy.simulate(10**13)
 

@@ -14,7 +14,7 @@ from bayesftc.cosim.campaign.designs.seeds import hashed_seeds
 from bayesftc.cosim.campaign.executors.base import Threads, check_jobs as check_workers
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.random import check_seed
-from bayesftc.cosim.run.many import Wanted
+from bayesftc.cosim.run.many import KeepGoing
 
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram.diagram import Diagram
@@ -39,7 +39,7 @@ class _Tasks(Generic[R]):
 
     tasks: Sequence[Callable[[], R]]
 
-    def run(self, piece: Piece, wanted: Wanted = lambda: True) -> tuple[int, R]:
+    def run(self, piece: Piece, keep_going: KeepGoing = lambda: True) -> tuple[int, R]:
         """Do a task; return its number and its result."""
         return piece.index, self.tasks[piece.index]()
 

@@ -198,7 +198,7 @@ def test_folders_that_are_no_store_say_so(tmp_path):
     with pytest.raises(StoreError, match=r"is no stored campaign: it has no campaign.json"):
         CampaignStore.open(tmp_path)
     create(tmp_path / "s").close()
-    with pytest.raises(StoreError, match=r"There is a campaign in .* already; resume it"):
+    with pytest.raises(StoreError, match=r"There is already a campaign in .*; resume it"):
         create(tmp_path / "s")
     with pytest.raises(StoreError, match="is not empty; choose another folder"):
         create(tmp_path)
@@ -219,7 +219,7 @@ def test_folders_that_are_no_store_say_so(tmp_path):
 def test_damaged_metadata_is_said(tmp_path, text):
     create(tmp_path / "s").close()
     (tmp_path / "s" / "campaign.json").write_text(text)
-    with pytest.raises(StoreError, match="is damaged, or that of another program"):
+    with pytest.raises(StoreError, match="is damaged, or of another program"):
         CampaignStore.open(tmp_path / "s")
 
 
@@ -318,15 +318,15 @@ def test_fmus_are_copied_by_their_hash(tmp_path):
 def test_outcomes_that_do_not_fit_are_refused(tmp_path):
     piece = PLAN.pieces[0]
     with create(tmp_path / "s") as store:
-        with pytest.raises(StoreError, match="is no piece of the campaign"):
+        with pytest.raises(StoreError, match="is not a piece of the campaign"):
             store.write(outcome(Piece(0, 0, 2)))
         with pytest.raises(StoreError, match="does not fit"):
             store.write(outcome(piece, rows=6))
         with pytest.raises(StoreError, match="does not fit"):
             store.write(outcome(piece, metrics=("m.1",)))
-        with pytest.raises(StoreError, match="not whole: 0 of 3 pieces"):
+        with pytest.raises(StoreError, match="not complete: 0 of 3 pieces"):
             store.finish()
-        with pytest.raises(StoreError, match="Only runs that are done"):
+        with pytest.raises(StoreError, match="Only finished runs"):
             store.replace(outcome(piece))
         assert not store.done()
         store.write(outcome(piece))
@@ -354,5 +354,5 @@ def test_only_what_is_asked_for_is_read(tmp_path):
         data["plant.v"].to_numpy()
     with pytest.raises(StoreError, match=r"with 'plant.v' of runs 3 to 5, is missing or damaged"):
         list(store.pieces_of_signals(["plant.v"]))
-    with pytest.raises(StoreError, match="its bytes are others"):
+    with pytest.raises(StoreError, match="its content has changed"):
         data["filter.P"].to_numpy()

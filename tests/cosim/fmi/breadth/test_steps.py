@@ -158,10 +158,10 @@ def test_discarded_steps_that_cannot_go_on_end_in_a_sentence(breadth, alone, eng
 def test_an_fmu_may_end_the_run(breadth, alone, isolate, engine):
     """By fmi2Discard with terminated, say: what it has come to is the result, and the session goes on from its beginning only."""
     diagram = ramp(alone, breadth("2", VARIABLE), end=0.3, isolate=isolate)
-    with pytest.warns(UserWarning, match=r"The run has ended .* as 'b' wanted. The FMU asks to end the simulation"):
+    with pytest.warns(UserWarning, match=r"The run has ended .* as 'b' requested. The FMU asks to end the simulation"):
         result = diagram.simulate(1, engine=engine)
     assert 0 < len(result.time) < 1 / diagram.step
-    assert "wanted" in result.stopped
+    assert "requested" in result.stopped
     with diagram.start(engine=engine) as session:
         with pytest.warns(UserWarning, match="has ended"):
             session.advance(1)

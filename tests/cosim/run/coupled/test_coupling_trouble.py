@@ -57,7 +57,7 @@ def test_an_iteration_that_diverges_says_so(engine):
     diagram.build("iterated", acceleration=None, iterations=10_000)
     with pytest.raises(
         cosim.SimulationError,
-        match=r"of 'two' and 'gain' diverges: gain.y has grown beyond 1e\+100\. Take acceleration='anderson', or a U",
+        match=r"of 'two' and 'gain' diverges: gain.y has grown beyond 1e\+100\. Use acceleration='anderson', or a U",
     ):
         diagram.simulate(1, engine=engine)
 
