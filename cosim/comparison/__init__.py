@@ -1,1 +1,1 @@
-"""Loops compared with each other over many seeds."""
+"""Compare loops with each other over many seeds."""

@@ -1,4 +1,4 @@
-"""Loops compared run by run: the same seeds, and so the same noise and faults, for each of them."""
+"""Compare loops run by run: with the same seeds, and so the same noise and faults, for each loop."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ if TYPE_CHECKING:
     from bayesftc.cosim.campaign.working import Progress
 
 ROWS = 2000
-"""At most about so many instants of each run are kept for the figure."""
+"""Approximate largest number of instants of each run that are kept for the figure."""
 
 FIGURES = ("tracking.*.overall", "tracking.*.during", "sensors.*.false_alarm_rate")
 PHASES = {"overall": "", "during": "_in_faults"}
-"""The phases of a run that are compared, and what their columns end in."""
+"""The compared phases of a run, and the endings of their columns."""
 
 
 @dataclass(frozen=True)
 class _Chosen:
-    """Returns one of several loops by its name; it pickles."""
+    """A picklable function that returns one of several loops by its name."""
 
     loops: Mapping[str, Diagram]
 
@@ -62,22 +62,29 @@ class _Run(dict[str, Floats]):
 
 @dataclass(frozen=True)
 class Comparison:
-    """How several loops do with the same noise and faults; what `compare` returns.
+    """The comparison of several loops with the same noise and faults; the result of `compare`.
 
     Attributes
     ----------
     table : pandas.DataFrame
-        A row for each loop and tracked signal: ``loop``, ``signal``, ``unit``; ``runs`` and ``failed``; ``error``, the mean over
-        the runs of the root-mean-square difference between signal and reference, and ``error_in_faults``, the same while a fault
-        is present; ``false_alarms``, the mean share of fault-free samples with an alarm, over all sensors; ``difference`` of the
-        error to the first loop's in the same runs, with its paired interval ``low``, ``high``; ``wins``, the number of runs with
-        a smaller error than the first loop's, and ``pairs``, that of all pairs; then the same with the ending ``_in_faults``.
-        NaN is what there is not: differences of the first loop to itself, errors in faults without a fault, false alarms of a
+        A row for each loop and tracked signal, with the columns
+
+        - ``loop``, ``signal``, ``unit``, ``runs`` and ``failed``;
+        - ``error``: mean over the runs of the root-mean-square difference between signal and reference, and
+          ``error_in_faults``: the same while a fault is present;
+        - ``false_alarms``: mean share of fault-free samples with an alarm, over all sensors;
+        - ``difference``: difference of the error to that of the first loop in the same runs, with its paired interval ``low``,
+          ``high``;
+        - ``wins``: number of runs with a smaller error than the first loop, and ``pairs``: number of all pairs;
+        - the same differences with the ending ``_in_faults``.
+
+        NaN means undefined: differences of the first loop to itself, errors in faults without a fault, false alarms of a
         controller without fault probabilities.
     runs : pandas.DataFrame
-        A row for each run, as of `CampaignResult.table`, with the loop's name in the column ``loop``.
+        A row for each run, as in `CampaignResult.table`, with the loop's name in the column ``loop``.
     loops, result, level
-        The loops by name, the campaign's result with the recorded signals, and the probability that an interval covers.
+        The loops by name, the campaign's result with the recorded signals, and the probability that an interval contains the
+        true value.
     """
 
     loops: Mapping[str, Diagram]
@@ -98,35 +105,40 @@ class Comparison:
         alarms = [name for name in map(str, runs) if name.startswith("sensors.")]
         rows = []
         for signal in units:
-            found = {phase: self._differences(f"tracking.{signal}.{phase}") for phase in PHASES}
+            differences = {phase: self._differences(f"tracking.{signal}.{phase}") for phase in PHASES}
             for name in self.loops:
-                own = runs[runs["loop"] == name]
-                row: dict[str, Any] = {"loop": name, "signal": signal, "unit": units[signal] or "", "runs": len(own)}
-                row["failed"] = int((own["status"] != "ok").sum())
+                of_loop = runs[runs["loop"] == name]
+                row: dict[str, Any] = {
+                    "loop": name,
+                    "signal": signal,
+                    "unit": units[signal] or "",
+                    "runs": len(of_loop),
+                }
+                row["failed"] = int((of_loop["status"] != "ok").sum())
                 for phase, ending in PHASES.items():
-                    row[f"error{ending}"] = own[f"tracking.{signal}.{phase}"].mean()
-                row["false_alarms"] = own[alarms].mean(axis=None) if alarms else np.nan
+                    row[f"error{ending}"] = of_loop[f"tracking.{signal}.{phase}"].mean()
+                row["false_alarms"] = of_loop[alarms].mean(axis=None) if alarms else np.nan
                 for phase, ending in PHASES.items():
-                    row |= {f"{key}{ending}": value for key, value in found[phase].get(name, _NOTHING).items()}
+                    row |= {f"{key}{ending}": value for key, value in differences[phase].get(name, _NOTHING).items()}
                 rows.append(row)
         counts = [f"{name}{ending}" for name in ("wins", "pairs") for ending in PHASES.values()]
         return pd.DataFrame(rows).astype(dict.fromkeys(counts, "Int64"))
 
     def signals(self, loop: str) -> list[LoopSignals]:
-        """Return the signals of each run of a loop that went to its end, by their part in it.
+        """Return the signals of each complete run of a loop, by their role in it.
 
         Parameters
         ----------
         loop : str
-            Its name.
+            Name of the loop.
         """
         if loop not in self.loops:
-            raise UnknownNameError(f"No loop {loop!r} was compared; {did_you_mean(loop, self.loops)}")
+            raise UnknownNameError(f"The comparison has no loop {loop!r}; {did_you_mean(loop, self.loops)}")
         dataset = self.result.dataset
         kept = np.flatnonzero((dataset["loop"].values == loop) & (dataset["status"].values == "ok"))
         time, arrays = dataset["time"].values, {str(name): dataset[name].values for name in dataset.data_vars}
-        made: list[Any] = [_Run(time, {name: values[i] for name, values in arrays.items()}) for i in kept]
-        return [loop_signals(self.loops[loop], run, drawn=False) for run in made]
+        runs: list[Any] = [_Run(time, {name: values[i] for name, values in arrays.items()}) for i in kept]
+        return [loop_signals(self.loops[loop], run, drawn=False) for run in runs]
 
     def plot(self) -> Figure:
         """Return a figure of each tracked signal: the median over the runs of each loop, a band, the reference, faults shaded.
@@ -148,7 +160,7 @@ class Comparison:
         return {q.name: q.unit for q in roles.quantities if q.goal is not None}
 
     def _differences(self, metric: str) -> dict[str, dict[str, float]]:
-        """Return for each loop but the first how its runs differ from those of the first."""
+        """Return for each loop except the first the differences of its runs from those of the first."""
         first = next(iter(self.loops))
         table = compare_levels(self.runs, metric, "loop", against=first, level=self.level).set_index("first")
         by_loop = self.runs.pivot(index="seed", columns="loop", values=metric)
@@ -182,10 +194,10 @@ def compare(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Run several loops with the same seeds on all cores, and return how their errors differ, run by run.
+    """Run several loops with the same seeds on all cores, and compare their errors run by run.
 
-    Runs of the same seed have the same noise and the same faults in each loop. So the difference of two loops is known much more
-    exactly than the error of either.
+    Runs of the same seed have the same noise and the same faults in each loop. So the difference of two loops is much more
+    certain than the error of either.
 
     Parameters
     ----------
@@ -197,24 +209,24 @@ def compare(
     seeds : int or sequence of int
         Number of runs of each loop, or their seeds.
     seed : int
-        From which the seeds are hashed.
+        The seed from which the seeds of the runs are computed.
     level : float
-        Probability that an interval covers the difference.
+        Probability that an interval contains the difference.
     time_limit : float, optional
-        Seconds of computing that a run may take; one that takes longer has failed.
+        Largest computing time of a run in seconds. A run that takes longer counts as failed.
     executor, progress : optional
-        As of `Campaign.run`.
+        See `Campaign.run`.
 
     Returns
     -------
     Comparison
-        With ``table`` and ``plot()``.
+        It has ``table`` and ``plot()``.
 
     Raises
     ------
     ModelError
-        If there are fewer than two loops, one is no closed loop, they differ in what draws noise, in faults or references, or
-        no measured signal has a goal.
+        If there are fewer than two loops, one is not a closed loop, their noise, faults or references differ, or no measured
+        signal has a goal.
 
     Examples
     --------
@@ -236,11 +248,11 @@ def compare(
     """
     if not isinstance(loops, Mapping) or len(loops) < 2:
         raise ModelError(
-            "compare takes at least two loops by name: compare({'fixed': loop_a, 'switching': loop_b}, duration=20.0)."
+            "compare needs at least two loops by name: compare({'fixed': loop_a, 'switching': loop_b}, duration=20.0)."
         )
     for name, loop in loops.items():
         if not isinstance(name, str) or not isinstance(loop, Diagram):
-            raise ModelError(f"compare has {name!r}: {loop!r}; give each loop as a diagram under a name, a text.")
+            raise ModelError(f"compare has {name!r}: {loop!r}; give a mapping from names (texts) to diagrams.")
     check_pairs(loops)
     first = next(iter(loops.values()))
     record = _recorded(first)
@@ -251,7 +263,9 @@ def compare(
                 f"({', '.join(record)}). Compare loops that track the same signals of plants of the same name."
             )
     if not any(name.startswith("tracking.") for name in LoopFigures().columns(first)):
-        raise ModelError("No measured signal is known in these loops, so that there is no tracking error to compare.")
+        raise ModelError(
+            "No measured signal of these loops has a goal, so that there is no tracking error; track a measured signal."
+        )
     campaign = Campaign(
         _Chosen(dict(loops)),
         duration=duration,
@@ -267,10 +281,10 @@ def compare(
 
 
 def _recorded(loop: Diagram) -> list[str]:
-    """Return the names of the signals that the figure shows: what sensors read, goals, and when faults are present."""
-    seen, controller = find_sensors(loop), find_controller(loop)
+    """Return the names of the signals in the figure: sources of the sensors, sources of the goals, and activity of faults."""
+    sensors, controller = find_sensors(loop), find_controller(loop)
     faults = [f"{node.name}.active" for node in loop.nodes if isinstance(node.block, Fault)]
-    return list(dict.fromkeys([*_sources(loop, seen, "u"), *_sources(loop, controller, "goal"), *faults]))
+    return list(dict.fromkeys([*_sources(loop, sensors, "u"), *_sources(loop, controller, "goal"), *faults]))
 
 
 def _sources(loop: Diagram, node: Node, port: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""The figure of a comparison: tracked signals of several loops over each other."""
+"""The figure of a comparison: the tracked signals of several loops in the same panels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 COLOURS = (BLUE, *SENSOR_COLOURS)
 BAND = (5.0, 95.0)
-"""Percentiles between which the band lies."""
+"""Percentiles at the edges of the band."""
 
 
 def plot_comparison(
@@ -33,22 +33,22 @@ def plot_comparison(
     names : sequence of str
         The tracked signals.
     figure : Figure, optional
-        An empty one to draw on; by default one for a file.
+        An empty figure to draw on; by default a new one for a file.
     """
-    known = [run for own in runs.values() for run in own]
+    all_runs = [run for of_loop in runs.values() for run in of_loop]
     figure, axes = make_panels([PANEL] * max(len(names), 1), figure)
     for axis, name in zip(axes, names, strict=False):
-        for i, (loop, own) in enumerate(runs.items()):
-            if own:
-                _draw_loop(axis, loop, [_quantity(run, name).truth for run in own], own[0].time, i)
-        _draw_reference(axis, known, name)
-        _shade(axis, known)
+        for i, (loop, of_loop) in enumerate(runs.items()):
+            if of_loop:
+                _draw_loop(axis, loop, [_quantity(run, name).truth for run in of_loop], of_loop[0].time, i)
+        _draw_reference(axis, all_runs, name)
+        _shade(axis, all_runs)
         legend(axis)
-        if known:
-            axis.set_ylabel(with_unit(name, _quantity(known[0], name).unit))
-    finish(axes, known[0].time if known else np.zeros(0))
+        if all_runs:
+            axis.set_ylabel(with_unit(name, _quantity(all_runs[0], name).unit))
+    finish(axes, all_runs[0].time if all_runs else np.zeros(0))
     figure.suptitle(
-        f"Median of {max(map(len, runs.values()), default=0)} runs and the band of 90 % of them; shaded: a fault is present",
+        f"Median of {max(map(len, runs.values()), default=0)} runs and band of 90 % of them; shaded: a fault is present",
         fontsize=10, x=0.01, ha="left",
     )  # fmt: skip
     return figure
@@ -69,14 +69,14 @@ def _draw_reference(axis: Axes, runs: Sequence[LoopSignals], name: str) -> None:
 
 
 def _shade(axis: Axes, runs: Sequence[LoopSignals]) -> None:
-    """Shade where faults are present, the darker the more runs have one."""
+    """Shade times with faults, darker if more runs have one."""
     faulty = [run.faulty for run in runs]
     if not faulty or any(flags is None for flags in faulty):
         return
     share = np.mean(np.array(faulty, dtype=np.float64), axis=0)
     if share.any():
         time, limits = runs[0].time, axis.get_ylim()
-        end = 2.0 * float(time[-1]) - float(time[-2])  # a row counts until the next one
+        end = 2.0 * float(time[-1]) - float(time[-2])  # a row lasts until the next one
         axis.imshow(
             share[None, :], cmap="Greys", vmin=0.0, vmax=5.0, aspect="auto", interpolation="nearest", zorder=0,
             extent=(float(time[0]), end, 0.0, 1.0), transform=axis.get_xaxis_transform(),

@@ -1,4 +1,4 @@
-"""Whether runs of several loops are paired: the same seed gives all of them the same noise, faults and reference."""
+"""Check that runs of several loops are paired: the same seed gives all loops the same noise, faults and reference."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bayesftc.cosim.errors import ModelError
 
 
 def check_pairs(loops: Mapping[str, Diagram]) -> None:
-    """Refuse loops of which runs with the same seed are no pair.
+    """Refuse loops whose runs with the same seed are not paired.
 
     Random streams belong to the names of blocks. So sensors, sources, faults and all other blocks with random inputs must be the
     same in each loop. Plant and controller may differ.
@@ -38,24 +38,24 @@ def check_pairs(loops: Mapping[str, Diagram]) -> None:
         if loop.step != one.step:
             raise ModelError(
                 f"The loops {first!r} and {name!r} run at {float(one.step):g} s and {float(loop.step):g} s, so that their noise "
-                "is not the same. Give both the same dt."
+                "differs. Give both the same dt."
             )
-        found = dict(_surroundings(loop))
-        for block in (*expected, *found):
-            if block not in expected or block not in found:
+        actual = dict(_surroundings(loop))
+        for block in (*expected, *actual):
+            if block not in expected or block not in actual:
                 owner, other = (first, name) if block in expected else (name, first)
                 raise ModelError(
                     f"{block!r} of the loop {owner!r} draws noise, or is a fault, a sensor or a source, and the loop "
-                    f"{other!r} has no such block, so that runs are no pairs. Give it to both, under the same name."
+                    f"{other!r} has no such block, so that runs are not paired. Add it to both, with the same name."
                 )
-            if not alike(expected[block].block, found[block].block):
+            if not alike(expected[block].block, actual[block].block):
                 raise ModelError(
                     f"The block {block!r} has other settings in the loop {name!r} than in {first!r}, so that noise, faults or "
-                    "reference are not the same. Give both the same settings."
+                    "reference differ. Give both the same settings."
                 )
-            if expected[block].every != found[block].every:
+            if expected[block].every != actual[block].every:
                 raise ModelError(
-                    f"The block {block!r} runs every {found[block].every} steps in the loop {name!r}, and every "
+                    f"The block {block!r} runs every {actual[block].every} steps in the loop {name!r}, and every "
                     f"{expected[block].every} in {first!r}. Give both the same every=."
                 )
 
@@ -69,7 +69,7 @@ def _surroundings(loop: Diagram) -> Iterator[tuple[str, Node]]:
 
 
 def alike(one: Any, other: Any) -> bool:
-    """Return whether two blocks, or settings of them, are the same, arrays and all."""
+    """Return whether two blocks, or settings of them, are equal, including arrays."""
     if one is other:
         return True
     if is_dataclass(one) or isinstance(one, Block):

@@ -1,4 +1,4 @@
-"""The public names of `bayesftc.cosim.statistics`, and where they stand; loaded on first use."""
+"""The public names of `bayesftc.cosim.statistics` and their modules; each is loaded on first use."""
 
 from ._calibration import Calibration as Calibration, calibration as calibration, mean_reliability as mean_reliability
 from ._compare import compare as compare

@@ -1,4 +1,4 @@
-"""What `judge_alarms` finds, at many thresholds at a time: each run is looked at once, and sorted."""
+"""Count alarms as `judge_alarms` does, but at many thresholds at a time: each run is read once, and sorted."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from bayesftc.cosim.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class AlarmCounts:
-    """The alarms of many runs at several thresholds; as of `Alarms`, see there for the definitions.
+    """The alarms of many runs at several thresholds; `Alarms` has the definitions.
 
     Attributes
     ----------
     delays : ndarray of shape (thresholds, faults)
-        Of the faults of all runs, in samples, infinite if missed.
+        Delays of the faults of all runs, in samples, infinite for a missed fault.
     runs : ndarray of int, of shape (faults,)
         The run of each fault.
     false_alarms : ndarray of shape (runs, thresholds)
-        Their number.
+        Numbers of false alarms.
     hours : ndarray of shape (runs,)
         Fault-free time of all sensors.
     false_hours : ndarray of shape (runs, thresholds)
-        How much of it had an alarm.
+        Fault-free time with an alarm.
     step : float
         Sample time in seconds.
     """
@@ -57,9 +57,9 @@ def count_alarms(runs: Sequence[tuple[Floats, Any]], thresholds: Floats, step: f
     Parameters
     ----------
     runs : sequence of (score, faulty)
-        Of each run two ndarrays of shape (steps, sensors), as `judge_alarms` takes them.
+        Two ndarrays of shape (steps, sensors) for each run, as for `judge_alarms`.
     thresholds : ndarray of shape (thresholds,)
-        In any order.
+        The thresholds, in any order.
     step : float
         Sample time in seconds.
     """
@@ -67,18 +67,19 @@ def count_alarms(runs: Sequence[tuple[Floats, Any]], thresholds: Floats, step: f
     owners: list[int] = []
     counts: list[tuple[Floats, Floats, int]] = []
     for score, faulty in runs:
-        known = ~np.isnan(score)
-        if not known.any():
+        valid = ~np.isnan(score)
+        if not valid.any():
             continue
         alarms, samples, healthy_samples = np.zeros(len(thresholds)), np.zeros(len(thresholds)), 0
-        for values, truth, there in zip(score.T, faulty.T, known.T, strict=True):
+        for values, truth, scored in zip(score.T, faulty.T, valid.T, strict=True):
             for begin, end in periods(truth):
-                if len(seen := begin + np.flatnonzero(there[begin:end])):
-                    delays.append(_delays(values, seen, thresholds)[:, None])
+                if len(places := begin + np.flatnonzero(scored[begin:end])):
+                    delays.append(_delays(values, places, thresholds)[:, None])
                     owners.append(len(counts))
-            scores, healthy = values[there], ~truth[there]
+            scores, healthy = values[scored], ~truth[scored]
             on = _at_least(scores[healthy], thresholds)
-            # An alarm begins where this sample has one and the one before has none: those that have one, minus those in both.
+            # An alarm begins at a sample with an alarm if the sample before has none. Their number is that of samples with an
+            # alarm, minus that of samples with an alarm after another one.
             both = np.minimum(scores, np.concatenate([[-np.inf], scores[:-1]]))
             alarms += on - _at_least(both[healthy], thresholds)
             samples += on
@@ -95,14 +96,14 @@ def count_alarms(runs: Sequence[tuple[Floats, Any]], thresholds: Floats, step: f
     )
 
 
-def _delays(score: Floats, there: Any, thresholds: Floats) -> Floats:
-    """Return the delay of a fault at each threshold, given its samples that have a score."""
-    first = np.searchsorted(np.maximum.accumulate(score[there]), thresholds, side="left")
-    return np.append(there - there[0], np.inf)[first]
+def _delays(score: Floats, places: Any, thresholds: Floats) -> Floats:
+    """Return the delay of a fault at each threshold, given the places of its samples with a score."""
+    first = np.searchsorted(np.maximum.accumulate(score[places]), thresholds, side="left")
+    return np.append(places - places[0], np.inf)[first]
 
 
 def _at_least(values: Floats, thresholds: Floats) -> Floats:
-    """Return for each threshold how many values are at least that."""
+    """Return for each threshold the number of values that reach it."""
     return np.asarray(len(values) - np.searchsorted(np.sort(values), thresholds, side="left"), dtype=np.float64)
 
 

@@ -18,7 +18,7 @@ from bayesftc.cosim.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """How well the fault probabilities of many runs agree with what happened; made by `calibration`.
+    """The agreement of the fault probabilities of many runs with the truth; made by `calibration`.
 
     Attributes
     ----------
@@ -27,12 +27,12 @@ class Calibration:
     brier_interval, calibration_error_interval : tuple of float
         Confidence intervals of `pooled.brier` and `pooled.calibration_error`; NaN with less than two runs.
     observed_low, observed_high : ndarray of shape (bins,)
-        Confidence interval of `pooled.observed`, the share of faulty samples in each bin; NaN where less than two runs have a
+        Confidence interval of `pooled.observed`, the share of faulty samples in each bin; NaN if less than two runs have a
         sample in it.
     level : float
-        Probability that an interval covers.
+        Probability that an interval contains the true value.
     runs, left_out : int
-        Number of runs with a probability, and of those without one.
+        Number of runs with a probability, and of runs without one.
     """
 
     pooled: Reliability
@@ -46,8 +46,8 @@ class Calibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file; NaN becomes None."""
-        own = {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in vars(self).items() if n != "pooled"}
-        plain: dict[str, Any] = without_nan({**self.pooled.to_dict(), **own})
+        others = {n: v.tolist() if isinstance(v, np.ndarray) else v for n, v in vars(self).items() if n != "pooled"}
+        plain: dict[str, Any] = without_nan({**self.pooled.to_dict(), **others})
         return plain
 
 
@@ -59,17 +59,17 @@ def calibration(
     equal: Literal["counts", "widths"] = "counts",
     level: float = 0.95,
 ) -> Calibration:
-    """Return how well the fault probabilities of many runs agree with the truth, with error bars over runs.
+    """Return the agreement of the fault probabilities of many runs with the truth, with intervals over runs.
 
-    Samples of a run depend on each other, since faults last: an interval that counts samples would be too narrow by far. Here
-    shares are ratios of sums over runs (delta method), and the calibration error, which is none, has the interval of the
-    jackknife (leaving out one run after the other), both with Student's t. In a bin without a faulty sample, or with no other,
-    runs do not scatter: there it is the exact interval of a share (Clopper and Pearson 1934), each run counting as one sample.
+    Samples of a run depend on each other, because faults last. An interval that counts samples would be much too narrow.
+    Therefore shares are ratios of sums over runs (delta method). The calibration error is not a share, and has the interval of
+    the jackknife (leaving out one run after the other). Both use Student's t. In a bin in which no sample is faulty, or all are,
+    runs do not scatter. There the interval is the exact one of a share (Clopper and Pearson 1934), with a run as one sample.
 
     Parameters
     ----------
     probability : array_like of shape (runs, steps) or (runs, steps, sensors), or a sequence with a smaller array for each run
-        Fault probabilities; samples without one (NaN), such as those after a run has failed, are left out.
+        Fault probabilities; samples without one (NaN), such as those after the failure of a run, are left out.
     faulty : array_like of bool, or a sequence of such
         The truth, of the same shapes.
     bins : int
@@ -77,12 +77,12 @@ def calibration(
     equal : str
         ``"counts"``: all bins have equally many samples; ``"widths"``: all have the same width. See `bayesftc.cosim.reliability`.
     level : float
-        Probability that an interval covers.
+        Probability that an interval contains the true value.
 
     Raises
     ------
     ModelError
-        What `bayesftc.cosim.reliability` raises.
+        As in `bayesftc.cosim.reliability`.
     """
     check_level(level)
     runs = by_run("probability", probability, faulty)
@@ -92,9 +92,9 @@ def calibration(
         np.bincount(run * bins + place, weights, len(runs) * bins).reshape(len(runs), bins)
         for weights in (None, p, happened)
     )
-    known = count.sum(axis=1) > 0
-    count, predicted, observed = count[known], predicted[known], observed[known]
-    squares = np.bincount(run, (p - happened) ** 2, len(runs))[known]
+    scored = count.sum(axis=1) > 0
+    count, predicted, observed = count[scored], predicted[scored], observed[scored]
+    squares = np.bincount(run, (p - happened) ** 2, len(runs))[scored]
     low, high = np.transpose([_share(o, n, level) for o, n in zip(observed.T, count.T, strict=True)])
     return Calibration(
         pooled=of_bins(p, happened, place, bins),
@@ -109,7 +109,7 @@ def calibration(
 
 
 def _share(part: Floats, whole: Floats, level: float) -> tuple[float, float]:
-    """Return the interval of a share, of sums over runs."""
+    """Return the interval of a share from sums over runs."""
     runs = int((whole > 0).sum())
     if runs < 2:
         return NAN, NAN
@@ -135,23 +135,23 @@ def _jackknifed(predicted: Floats, observed: Floats, count: Floats, level: float
 
 
 def mean_reliability(runs: Sequence[Reliability], level: float = 0.95) -> dict[str, Any]:
-    """Return the mean over runs of what `bayesftc.cosim.reliability` finds in each one, with intervals by Student's t.
+    """Return the mean over runs of the results of `bayesftc.cosim.reliability`, with intervals by Student's t.
 
-    For few long runs, each of which has bins of its own; `calibration` has the same bins for all, and takes short runs.
+    It suits a few long runs, each with separate bins. `calibration` has the same bins for all runs, and suits short runs.
 
     Parameters
     ----------
     runs : sequence of Reliability
-        At least two, with equally many bins.
+        At least two, with equal numbers of bins.
     level : float
-        Probability that an interval covers.
+        Probability that an interval contains the true value.
 
     Returns
     -------
     dict
         ``brier``, ``brier_of_constant`` and ``ece`` (calibration error), each with ``mean`` and ``ci``; ``diagram``: for each bin
         its ``share`` of the samples, mean probability ``predicted``, and share of faulty samples ``observed`` with its ``ci``.
-        None stands where no run has a sample in the bin (``ci``: less than two).
+        It is None if no run has a sample in the bin (``ci``: less than two runs).
     """
     names = {"brier": "brier", "brier_of_constant": "brier_of_constant", "ece": "calibration_error"}
     numbers = {name: np.array([getattr(r, attribute) for r in runs]) for name, attribute in names.items()}
@@ -169,13 +169,13 @@ def _diagram(runs: Sequence[Reliability], level: float) -> list[dict[str, Any]]:
     bins = []
     for i in range(samples.shape[1]):
         predicted, observed = (np.array([getattr(r, name)[i] for r in runs]) for name in ("predicted", "observed"))
-        known = ~np.isnan(observed)
+        valid = ~np.isnan(observed)
         bins.append(
             {
                 "share": float(samples[:, i].sum() / samples.sum()),
-                "predicted": float(predicted[known].mean()) if known.any() else None,
-                "observed": float(observed[known].mean()) if known.any() else None,
-                "ci": interval(observed[known], level) if known.sum() > 1 else None,
+                "predicted": float(predicted[valid].mean()) if valid.any() else None,
+                "observed": float(observed[valid].mean()) if valid.any() else None,
+                "ci": interval(observed[valid], level) if valid.sum() > 1 else None,
             }
         )
     return bins

@@ -1,4 +1,4 @@
-"""Do the levels of a factor differ? Tests between each two of them, in each cell of the other factors."""
+"""Compare the levels of a factor: tests between each two of them, in each cell of the other factors."""
 
 from __future__ import annotations
 
@@ -43,50 +43,53 @@ def compare(
     against: Any = None,
     level: float = 0.95,
 ) -> pd.DataFrame:
-    """Return the difference of a metric's means between each two levels of a factor, with its test, in each cell of others.
+    """Return the difference of a metric's means between each two levels of a factor, with a test.
 
     Parameters
     ----------
     table : DataFrame
         A row for each run, with a column ``seed`` if runs are paired.
     metric : str
-        Column of which the means are compared.
+        Column whose means are compared.
     factor : str
         Column whose levels are compared.
     by : str or sequence of str, optional
-        Other factors: the levels are compared in each combination of their values. Paired runs want all that vary.
+        Other factors: the levels are compared in each combination of their values (a cell). For paired runs, name all factors
+        that vary.
     paired : bool
-        True: runs of the same seed belong together, and their differences are tested. They have the same noise, so that small
-        differences are found with few runs. False: the samples are independent.
+        True: runs of the same seed belong together, and their differences are tested. They have the same noise, so that a few
+        runs show small differences. False: the samples are independent.
     test : str
-        ``"t"``: the paired t-test, or Welch's (1947) of means with unequal variances. ``"wilcoxon"``: the signed-rank test, or
-        the rank-sum test (Mann and Whitney's U), which ask for no normal distribution; difference and interval are those of
-        the means all the same.
+        ``"t"``: the paired t-test, or Welch's test (1947) of means with unequal variances. ``"wilcoxon"``: the signed-rank test,
+        or the rank-sum test (Mann and Whitney's U), which do not assume normal distributions; difference and interval are still
+        those of the means.
     correction : str, optional
-        ``"bonferroni"``, ``"holm"`` or ``"benjamini-hochberg"``: for the number of all tests in what is returned.
+        ``"bonferroni"``, ``"holm"`` or ``"benjamini-hochberg"``: correction for the number of all tests in the result.
     against : object, optional
-        A level: only pairs with it are compared, it being the second.
+        A level: only pairs with it are compared, as the second level.
     level : float
-        Probability that an interval covers the difference (each one by itself, without correction).
+        Probability that an interval contains the difference (each interval by itself, without correction).
 
     Returns
     -------
     DataFrame
-        A row for each cell and pair: the columns of `by`; ``first``, ``second`` (levels); ``n_first``, ``n_second`` (runs);
-        ``left_out`` (runs, or pairs of runs, of which a metric is not finite, such as failed ones); ``mean_first``,
-        ``mean_second``; ``difference`` (first minus second) with its interval ``low``, ``high``; ``effect``: Cohen's d, the
-        difference over the standard deviation (paired: of the differences, d_z; else the root of the mean of both variances), or
-        of "wilcoxon" the rank-biserial correlation, positive where the first is larger; ``statistic``: t, the smaller sum of
-        signed ranks, or U; ``freedom``, degrees of freedom of t; ``p``, two-sided, and ``p_corrected``, the same without
-        correction. NaN where there are too few runs, or nothing scatters.
+        A row for each cell and pair, with NaN if there are too few runs, or no scatter. Its columns are
+
+        - the columns of `by`; ``first``, ``second`` (levels); ``n_first``, ``n_second`` (runs);
+        - ``left_out``: runs, or pairs of runs, with a metric that is not finite, such as failed runs;
+        - ``mean_first``, ``mean_second``; ``difference`` (first minus second) with its interval ``low``, ``high``;
+        - ``effect``: Cohen's d, the difference over the standard deviation (paired: of the differences, d_z; else the root of
+          the mean of both variances); for "wilcoxon" the rank-biserial correlation, positive if the first is larger;
+        - ``statistic``: t, the smaller sum of signed ranks, or U; ``freedom``: degrees of freedom of t;
+        - ``p``, two-sided, and ``p_corrected``, the same as ``p`` without correction.
 
     Raises
     ------
     UnknownNameError
         If the table has no such column, or the factor no such level.
     ModelError
-        If the factor has one level only, a choice is unknown, or runs cannot be paired: with other seeds, or with several runs
-        of a seed.
+        If the factor has only one level, a choice is unknown, or runs cannot be paired because of different seeds, or several
+        runs of a seed.
 
     Examples
     --------
@@ -102,9 +105,11 @@ def compare(
     check_columns(table, (metric, factor, *others, *(["seed"] if paired else [])))
     check_level(level)
     if test not in ("t", "wilcoxon"):
-        raise ModelError(f"compare has test={test!r}; it takes 't' or 'wilcoxon'.")
+        raise ModelError(f"compare has test={test!r}; it must be 't' or 'wilcoxon'.")
     if correction is not None and correction not in CORRECTIONS:
-        raise ModelError(f"compare has correction={correction!r}; it takes None, {', '.join(map(repr, CORRECTIONS))}.")
+        raise ModelError(
+            f"compare has correction={correction!r}; it must be None, {', '.join(map(repr, CORRECTIONS))}."
+        )
     rows = []
     for cell, of in cells(table, others):
         levels = {each[factor]: rows for each, rows in cells(of, [factor])}
@@ -113,16 +118,15 @@ def compare(
             a, b = levels[first], levels[second]
             x, y = _by_seed(a, b, metric, place) if paired else (numbers(a, metric), numbers(b, metric))
             rows.append({**cell, "first": first, "second": second, **_row(x, y, paired, test, level)})
-    found = pd.DataFrame(rows, columns=[*others, *COLUMNS])
-    found["p_corrected"] = corrected(found["p"].to_numpy(dtype=np.float64), correction)
-    return found
+    tests = pd.DataFrame(rows, columns=[*others, *COLUMNS])
+    tests["p_corrected"] = corrected(tests["p"].to_numpy(dtype=np.float64), correction)
+    return tests
 
 
 def _pairs(levels: dict[Any, Any], factor: str, against: Any, cell: dict[str, Any]) -> list[tuple[Any, Any]]:
     if len(levels) < 2:
         raise ModelError(
-            f"The factor {factor!r} has only {', '.join(map(repr, levels)) or 'no level'}{where(cell)}; there is nothing to "
-            "compare."
+            f"The factor {factor!r} has only {', '.join(map(repr, levels)) or 'no level'}{where(cell)}; compare needs two levels."
         )
     if against is None:
         return list(combinations(levels, 2))
@@ -134,19 +138,19 @@ def _pairs(levels: dict[Any, Any], factor: str, against: Any, cell: dict[str, An
 
 
 def _by_seed(a: pd.DataFrame, b: pd.DataFrame, metric: str, place: str) -> tuple[Floats, Floats]:
-    """Return the metric of the runs of two levels, so that runs of the same seed stand at the same place."""
+    """Return the metric of the runs of two levels, ordered so that runs of the same seed have the same place."""
     for rows in (a, b):
         twice = rows["seed"][rows["seed"].duplicated()]
         if len(twice):
             raise ModelError(
-                f"Runs of {place} cannot be paired: there are several with the seed {twice.iloc[0]}. Name the other factors that "
-                "vary in by=, or set paired=False."
+                f"Runs of {place} cannot be paired: several have the seed {twice.iloc[0]}. Name the other factors that vary in "
+                "by=, or set paired=False."
             )
     a, b = a.sort_values("seed"), b.sort_values("seed")
     if not np.array_equal(a["seed"], b["seed"]):
         only = sorted(set(a["seed"]) ^ set(b["seed"]))
         raise ModelError(
-            f"Runs of {place} cannot be paired: {len(only)} seeds have a run of one of them only ({only[0]} is the first). Run "
+            f"Runs of {place} cannot be paired: {len(only)} seeds have a run of only one of them (the first is {only[0]}). Run "
             "the campaign with the same seeds for both (the default, without independent=), or set paired=False."
         )
     return numbers(a, metric), numbers(b, metric)
@@ -155,8 +159,8 @@ def _by_seed(a: pd.DataFrame, b: pd.DataFrame, metric: str, place: str) -> tuple
 def _row(x: Floats, y: Floats, paired: bool, test: str, level: float) -> dict[str, Any]:
     every = len(x) if paired else len(x) + len(y)
     if paired:
-        known = ~np.isnan(x) & ~np.isnan(y)
-        x, y = x[known], y[known]
+        valid = ~np.isnan(x) & ~np.isnan(y)
+        x, y = x[valid], y[valid]
     else:
         x, y = x[~np.isnan(x)], y[~np.isnan(y)]
     row: dict[str, Any] = {
@@ -168,19 +172,19 @@ def _row(x: Floats, y: Floats, paired: bool, test: str, level: float) -> dict[st
     }
     if min(len(x), len(y)) < 2:
         return {**row, **dict.fromkeys(COLUMNS[7:], NAN)}
-    found = paired_difference(x, y) if paired else welch(x, y)
-    low, high = found.interval(level)
-    row |= {"difference": float(found.mean), "low": low, "high": high, "p_corrected": NAN}
+    difference = paired_difference(x, y) if paired else welch(x, y)
+    low, high = difference.interval(level)
+    row |= {"difference": float(difference.mean), "low": low, "high": high, "p_corrected": NAN}
     if test == "wilcoxon":
         ranks = signed_ranks(x, y) if paired else rank_sum(x, y)
         return row | {"effect": ranks.effect, "statistic": ranks.statistic, "freedom": NAN, "p": ranks.p}
     scatter = (x - y).std(ddof=1) if paired else np.sqrt((x.var(ddof=1) + y.var(ddof=1)) / 2)
-    still = scatter <= 0.0
+    constant = scatter <= 0.0
     return row | {
-        "effect": NAN if still else float(found.mean / scatter),
-        "statistic": NAN if still else float(found.mean / found.error),
-        "freedom": float(found.freedom),
-        "p": float(found.p),
+        "effect": NAN if constant else float(difference.mean / scatter),
+        "statistic": NAN if constant else float(difference.mean / difference.error),
+        "freedom": float(difference.freedom),
+        "p": float(difference.p),
     }
 
 

@@ -1,8 +1,7 @@
-"""What a detector finds, misses and gets wrong as its threshold rises: detection delay against false alarms, over many runs.
+"""Detection delay, missed faults and false alarms of a detector at rising thresholds, over many runs.
 
-Alarms, faults and delays are those of `bayesftc.cosim.judging.alarms`. Intervals count runs: the faults and alarms
-of one run may depend
-on each other in whichever way, its sensors too.
+Alarms, faults and delays are those of `bayesftc.cosim.judging.alarms`. Intervals count runs, because the faults, alarms and
+sensors of one run may depend on each other in any way.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COUNT = 50
-"""Thresholds of a curve, unless they are given."""
+"""Default number of thresholds of a curve."""
 
 
 def delay_curve(
@@ -42,33 +41,38 @@ def delay_curve(
     Parameters
     ----------
     score : array_like of shape (runs, steps) or (runs, steps, sensors), or a sequence with a smaller array for each run
-        What is the higher the more a sample looks faulty. Samples without one (NaN), such as those after a run has failed, are
-        left out.
+        A higher score means that a fault is more likely. Samples without a score (NaN), such as those after the failure of a
+        run, are left out.
     faulty : array_like of bool, or a sequence of such
         The truth, of the same shapes.
     step : float
         Sample time in seconds.
     thresholds : array_like or int
-        Levels from which on a sample has an alarm; or how many, chosen so that the share of fault-free samples above them falls
-        by the same factor from each to the next.
+        The lowest scores of an alarm; or their number. A number of thresholds is chosen so that the share of fault-free samples
+        above them falls by the same factor from each to the next.
     level : float
-        Probability that an interval covers. By Student's t over runs, of the ratio of two sums (delta method); that of the
-        median by Woodruff's (1952) way from that of the share of faults that are found sooner. Where no run has a false alarm, or
-        none or all faults are missed, runs do not scatter: there it is the exact one of `Alarms`.
+        Probability that an interval contains the true value. Intervals are by Student's t over runs, for the ratio of two sums
+        (delta method). The interval of the median follows, by Woodruff's method (1952), from that of the share of faults that
+        are found sooner. If no run has a false alarm, or no fault or all faults are missed, runs do not scatter. Then it is the
+        exact interval of `Alarms`.
 
     Returns
     -------
     DataFrame
-        A row for each threshold, in rising order: ``threshold``; ``false_alarms_per_hour`` of one sensor; ``false_share`` of the
-        fault-free time with an alarm; ``missed_share`` of the faults; ``median_delay`` in seconds, of all faults, a missed one's
-        being infinite (NaN where more than half are missed); ``mean_delay`` in seconds, of those that are found, which is the
-        kinder the more are missed. Each but ``false_share`` has an interval in columns ending in ``_low`` and ``_high``. Also
-        ``faults`` and ``runs``: how many there were.
+        A row for each threshold, in rising order, with the columns
+
+        - ``threshold``; ``false_alarms_per_hour`` of one sensor; ``false_share``: share of the fault-free time with an alarm;
+        - ``missed_share``: share of missed faults;
+        - ``median_delay`` in seconds of all faults; the delay of a missed fault is infinite (NaN if more than half are missed);
+        - ``mean_delay`` in seconds of the faults that are found, which is too favourable if many are missed;
+        - ``faults`` and ``runs``: their numbers.
+
+        All but ``false_share`` and the numbers have an interval in columns that end in ``_low`` and ``_high``.
 
     Raises
     ------
     ModelError
-        If shapes do not agree, a threshold or the sample time cannot be one, or there is no fault-free sample with a score.
+        If shapes do not agree, a threshold or the sample time is wrong, or there is no fault-free sample with a score.
 
     Examples
     --------
@@ -98,30 +102,30 @@ def _levels(given: ArrayLike | int, runs: Sequence[tuple[Floats, Flags]]) -> Flo
     scores, truth, _ = pooled(runs)
     healthy = scores[~truth]
     if not len(healthy):
-        raise ModelError("delay_curve has no fault-free sample with a score; give runs that begin before their fault.")
+        raise ModelError("delay_curve has no fault-free sample with a score; give runs that begin before their faults.")
     if isinstance(given, int | np.integer) and not isinstance(given, bool):
         if given < 2:
-            raise ModelError(f"delay_curve has thresholds={given}; it takes at least 2, or the levels themselves.")
+            raise ModelError(f"delay_curve has thresholds={given}; give at least 2, or a list of thresholds.")
         shares = np.geomspace(1.0, 1.0 / len(healthy), int(given))
         return np.unique(np.quantile(healthy, 1.0 - shares, method="higher"))
     levels = np.sort(np.atleast_1d(np.asarray(given, dtype=np.float64)).ravel())
     if not len(levels) or np.isnan(levels).any():
-        raise ModelError("delay_curve has no threshold, or one that is NaN; give the least scores of an alarm.")
+        raise ModelError("delay_curve has no threshold, or one that is NaN; give the lowest scores of an alarm.")
     return levels
 
 
 def _row(counts: AlarmCounts, index: int, level: float) -> dict[str, Any]:
     """Return the figures at one threshold."""
     total, owners = counts.at(index), counts.runs
-    found, median = np.isfinite(total.delays), total.delay()
+    is_found, median = np.isfinite(total.delays), total.delay()
 
     def of_runs(which: Any, weights: Floats | None = None) -> Any:
         return np.bincount(owners[which], weights, len(counts.hours))
 
-    faults, detected = of_runs(slice(None)), of_runs(found)
-    seconds = of_runs(found, total.delays[found] * total.step)
-    # Where more than half are missed, those that are not tell how sure that is.
-    sooner = of_runs(found if np.isnan(median) else total.delays <= median)
+    faults, detected = of_runs(slice(None)), of_runs(is_found)
+    seconds = of_runs(is_found, total.delays[is_found] * total.step)
+    # If more than half are missed, the interval of the median follows from the faults that are found.
+    sooner = of_runs(is_found if np.isnan(median) else total.delays <= median)
     rate = _rate(total, counts.false_alarms[:, index], counts.hours, level)
     return {
         **_named("false_alarms_per_hour", total.false_alarms_per_hour, rate),
@@ -138,7 +142,7 @@ def _named(name: str, value: float, bounds: Sequence[float]) -> dict[str, float]
 
 
 def _ratio(ours: Floats, theirs: Floats, level: float) -> tuple[float, list[float]]:
-    """Return the ratio of two sums over runs, with its interval; NaN where runs tell nothing."""
+    """Return the ratio of two sums over runs, with its interval; NaN if it is not defined."""
     if not theirs.sum():
         return NAN, [NAN, NAN]
     if len(theirs) < 2:
@@ -160,13 +164,13 @@ def _missed(total: Alarms, missed: Floats, faults: Floats, level: float) -> Sequ
     return max(low, 0.0), min(high, 1.0)
 
 
-def _mean(found: Floats, detected: Floats, level: float) -> tuple[float, list[float]]:
-    value, (low, high) = _ratio(found, detected, level)
+def _mean(seconds: Floats, detected: Floats, level: float) -> tuple[float, list[float]]:
+    value, (low, high) = _ratio(seconds, detected, level)
     return value, [max(low, 0.0) if low == low else low, high]
 
 
 def _median(total: Alarms, sooner: Floats, faults: Floats, level: float) -> Sequence[float]:
-    """Return the interval of the median delay in seconds, given how many faults of each run are found by then."""
+    """Return the interval of the median delay in seconds, given the number of faults in each run that are found by then."""
     low, high = _ratio(sooner, faults, level)[1]
     if np.isnan(low):
         return NAN, NAN

@@ -1,7 +1,7 @@
-"""Do two means differ? Welch's and the paired t-test, the rank tests, and what becomes of p where many tests are made.
+"""Tests for the difference of two means: Welch's and the paired t-test, rank tests, corrections for many tests.
 
-The t-tests take many pairs of samples at a time. Means that differ by no more than rounding are equal, however little the
-samples scatter: their p is 1.
+The t-tests take many pairs of samples at a time. Means that differ by no more than rounding count as equal (p is 1), even if the
+samples scatter very little.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
 ROUNDING = 16 * float(np.finfo(np.float64).eps)
-"""Relative difference of two means that rounding alone may make."""
+"""Largest relative difference of two means that rounding may cause."""
 
 Correction = Literal["bonferroni", "holm", "benjamini-hochberg"]
 CORRECTIONS = ("bonferroni", "holm", "benjamini-hochberg")
@@ -27,13 +27,13 @@ class Difference(NamedTuple):
     Attributes
     ----------
     mean : float
-        Of ours minus that of theirs.
+        Mean of `ours` minus mean of `theirs`.
     error : float
         Its standard error.
     freedom : float
         Degrees of freedom of Student's t.
     p : float
-        Probability, if the means are equal, of a difference that is as large or larger in either direction.
+        Probability, if the means are equal, of a difference at least as large, in either direction.
     """
 
     mean: Any
@@ -47,7 +47,7 @@ class Difference(NamedTuple):
         Parameters
         ----------
         level : float
-            Probability that the interval covers the difference.
+            Probability that the interval contains the difference.
         """
         from scipy.special import stdtrit
 
@@ -66,17 +66,17 @@ def welch(ours: ArrayLike, theirs: ArrayLike) -> Difference:
     samples = [np.asarray(sample, dtype=np.float64) for sample in (ours, theirs)]
     means = [sample.mean(axis=-1) for sample in samples]
     runs = [sample.shape[-1] for sample in samples]
-    # Of each mean; none is taken for zero, so that samples without any scatter have a (huge) statistic as well.
+    # Variances of the means. They are never zero, so that samples without scatter also have a (huge) statistic.
     tiny = np.finfo(np.float64).tiny
     variances = [np.maximum(sample.var(axis=-1, ddof=1) / n, tiny) for sample, n in zip(samples, runs, strict=True)]
     variance = variances[0] + variances[1]
-    # Shares instead of squares, which would vanish where the variances are small.
+    # Shares instead of squares, which would underflow for small variances.
     freedom = 1.0 / sum((v / variance) ** 2 / (n - 1) for v, n in zip(variances, runs, strict=True))
-    return _judged(means[0], means[1], np.sqrt(variance), freedom)
+    return _tested(means[0], means[1], np.sqrt(variance), freedom)
 
 
 def paired(ours: ArrayLike, theirs: ArrayLike) -> Difference:
-    """Return the difference of the means of samples that belong together run by run, by the paired t-test.
+    """Return the difference of the means of paired samples, by the paired t-test.
 
     Parameters
     ----------
@@ -87,10 +87,10 @@ def paired(ours: ArrayLike, theirs: ArrayLike) -> Difference:
     n = samples[0].shape[-1]
     difference = samples[0] - samples[1]
     error = np.maximum(difference.std(axis=-1, ddof=1) / n**0.5, np.finfo(np.float64).tiny)
-    return _judged(samples[0].mean(axis=-1), samples[1].mean(axis=-1), error, np.float64(n - 1))
+    return _tested(samples[0].mean(axis=-1), samples[1].mean(axis=-1), error, np.float64(n - 1))
 
 
-def _judged(ours: Any, theirs: Any, error: Any, freedom: Any) -> Difference:
+def _tested(ours: Any, theirs: Any, error: Any, freedom: Any) -> Difference:
     from scipy.special import stdtr
 
     difference = ours - theirs
@@ -100,11 +100,11 @@ def _judged(ours: Any, theirs: Any, error: Any, freedom: Any) -> Difference:
 
 
 def outcomes(ours: ArrayLike, theirs: ArrayLike, significance: float) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return 1 where our mean error is significantly smaller, -1 where it is significantly larger, else 0.
+    """Return 1 where the mean error of `ours` is significantly smaller than that of `theirs`, -1 where it is larger, else 0.
 
-    By Welch's t-test, two-sided. It takes both samples for independent. Ours share their noise run by run, which makes the
-    difference of the means more certain than the test believes: it errs towards 0. Means that differ by no more than rounding
-    are equal, however little the samples scatter.
+    By Welch's two-sided t-test, which assumes that both samples are independent. If they share their noise run by run, the
+    difference of the means is more certain than the test assumes, so that the test is conservative (towards 0). Means that
+    differ by no more than rounding count as equal, even if the samples scatter very little.
 
     Parameters
     ----------
@@ -113,19 +113,19 @@ def outcomes(ours: ArrayLike, theirs: ArrayLike, significance: float) -> np.ndar
     significance : float
         Level of the tests.
     """
-    found = welch(ours, theirs)
-    return decided(-found.mean, found.p, significance)
+    difference = welch(ours, theirs)
+    return decided(-difference.mean, difference.p, significance)
 
 
 def decided(better: ArrayLike, p: ArrayLike, significance: float) -> np.ndarray[Any, np.dtype[np.int64]]:
-    """Return the sign of each difference that is significant, and 0 for the others.
+    """Return the sign of each significant difference, and 0 for the others.
 
     Parameters
     ----------
     better : array_like
-        By how much ours is better.
+        Difference, positive if the first sample is better.
     p : array_like of the same shape
-        Of its test; NaN decides nothing.
+        Its p-value; with NaN the difference is not significant.
     significance : float
         Level of the tests.
     """
@@ -140,9 +140,9 @@ class RankTest(NamedTuple):
     statistic : float
         Wilcoxon's smaller sum of ranks, or U of Mann and Whitney.
     p : float
-        Two-sided.
+        Two-sided p-value.
     effect : float
-        Rank-biserial correlation, between -1 and 1: positive where ours are larger.
+        Rank-biserial correlation, between -1 and 1, positive if `ours` are larger.
     """
 
     statistic: float
@@ -151,7 +151,7 @@ class RankTest(NamedTuple):
 
 
 def signed_ranks(ours: Floats, theirs: Floats) -> RankTest:
-    """Return Wilcoxon's signed-rank test of samples that belong together, by `scipy.stats.wilcoxon`; pairs that tie are left out.
+    """Return Wilcoxon's signed-rank test of paired samples, by `scipy.stats.wilcoxon`; pairs of equal values are left out.
 
     Parameters
     ----------
@@ -164,10 +164,8 @@ def signed_ranks(ours: Floats, theirs: Floats) -> RankTest:
     difference = difference[difference != 0]
     if not len(difference):
         return RankTest(0.0, 1.0, 0.0)
-    found, ranks = wilcoxon(difference), rankdata(np.abs(difference))
-    return RankTest(
-        float(found.statistic), float(found.pvalue), float((ranks * np.sign(difference)).sum() / ranks.sum())
-    )
+    test, ranks = wilcoxon(difference), rankdata(np.abs(difference))
+    return RankTest(float(test.statistic), float(test.pvalue), float((ranks * np.sign(difference)).sum() / ranks.sum()))
 
 
 def rank_sum(ours: Floats, theirs: Floats) -> RankTest:
@@ -180,23 +178,23 @@ def rank_sum(ours: Floats, theirs: Floats) -> RankTest:
     """
     from scipy.stats import mannwhitneyu
 
-    found = mannwhitneyu(ours, theirs)
-    u = float(found.statistic)
-    same = len(np.unique([*ours, *theirs])) == 1  # of which scipy says NaN from 1.18 on, and said 1 before
-    return RankTest(u, 1.0 if same else float(found.pvalue), 2.0 * u / (len(ours) * len(theirs)) - 1.0)
+    test = mannwhitneyu(ours, theirs)
+    u = float(test.statistic)
+    same = len(np.unique([*ours, *theirs])) == 1  # scipy returns NaN for p from version 1.18 on, and 1 before
+    return RankTest(u, 1.0 if same else float(test.pvalue), 2.0 * u / (len(ours) * len(theirs)) - 1.0)
 
 
 def corrected(p: ArrayLike, correction: Correction | None) -> Floats:
-    """Return the p-values of several tests, corrected for their number, as `statsmodels` calls them "adjusted".
+    """Return the p-values of several tests, corrected for their number ("adjusted" in `statsmodels`).
 
     Parameters
     ----------
     p : array_like of shape (tests,)
-        NaN stands for no test and stays.
+        The p-values; NaN means no test and stays.
     correction : str or None
-        ``"bonferroni"`` or ``"holm"`` (Holm 1979, never less powerful): with p below 5 %, the probability of a single false
-        finding among all tests is at most 5 %. ``"benjamini-hochberg"`` (1995): of what is found, at most 5 % is false on
-        average. None: as they are.
+        ``"bonferroni"`` or ``"holm"`` (Holm 1979, never less powerful): with p below 5 %, the probability of any false
+        finding among all tests is at most 5 %. ``"benjamini-hochberg"`` (1995): on average, at most 5 % of the findings are
+        false. None: no correction.
 
     Raises
     ------
@@ -207,9 +205,9 @@ def corrected(p: ArrayLike, correction: Correction | None) -> Floats:
     if correction is None:
         return values
     if correction not in CORRECTIONS:
-        raise ModelError(f"There is no correction {correction!r}; take one of {', '.join(map(repr, CORRECTIONS))}.")
-    known = np.flatnonzero(~np.isnan(values))
-    tests = values[known]
+        raise ModelError(f"There is no correction {correction!r}; use one of {', '.join(map(repr, CORRECTIONS))}.")
+    valid = np.flatnonzero(~np.isnan(values))
+    tests = values[valid]
     if correction == "bonferroni":
         tests = np.minimum(tests * len(tests), 1.0)
     elif correction == "holm":
@@ -221,7 +219,7 @@ def corrected(p: ArrayLike, correction: Correction | None) -> Floats:
         from scipy.stats import false_discovery_control
 
         tests = false_discovery_control(tests)
-    values[known] = tests
+    values[valid] = tests
     return values
 
 

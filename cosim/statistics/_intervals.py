@@ -1,6 +1,6 @@
 """Confidence intervals of means, and of ratios of means.
 
-They need one function of `scipy.special` alone; `scipy.stats`, which has them ready, takes half a second to import.
+They need only one function of `scipy.special`, because importing `scipy.stats` takes half a second.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bayesftc.cosim.types import Floats
 Method = Literal["BCa", "percentile", "basic"]
 METHODS = ("BCa", "percentile", "basic")
 LARGEST = 10_000_000
-"""Numbers that the bootstrap draws at a time: 80 MB."""
+"""Largest number of values that the bootstrap draws at a time: 80 MB."""
 
 
 def interval(values: Floats, level: float = 0.95) -> list[float]:
@@ -37,8 +37,8 @@ def interval(values: Floats, level: float = 0.95) -> list[float]:
 def ratio(ours: Floats, theirs: Floats, level: float = 0.95) -> tuple[float, list[float]]:
     """Return the ratio of the means of paired values, and its confidence interval.
 
-    By the delta method: to first order the ratio r errs as the mean of ``(ours - r theirs) / mean(theirs)`` does, of which
-    Student's t gives the interval. What both have in common (their noise) leaves it narrow.
+    By the delta method: to first order the error of the ratio r is that of the mean of ``(ours - r theirs) / mean(theirs)``,
+    whose interval is by Student's t. Noise that both have in common does not widen it.
 
     Parameters
     ----------
@@ -55,17 +55,17 @@ def ratio(ours: Floats, theirs: Floats, level: float = 0.95) -> tuple[float, lis
 def rms_ratio(ours: Floats, theirs: Floats, *, resamples: int = 0, seed: int = 0) -> dict[str, Any]:
     """Return the ratio of two root mean squares over runs with the same noise, and its 95 % confidence interval.
 
-    By the delta method (`ratio`), or by the percentiles of the paired bootstrap, which suits errors of which a few runs are many
-    times as large as the others.
+    By the delta method (`ratio`), or by the percentiles of the paired bootstrap, which suits errors that are many times larger
+    in a few runs than in the others.
 
     Parameters
     ----------
     ours, theirs : ndarray of shape (runs,)
-        Error of each run; of theirs there may be more, of which the first count.
+        Error of each run. If `theirs` has more runs, the first count.
     resamples : int
-        How many samples of pairs the bootstrap draws; 0 for the delta method.
+        Number of samples of pairs that the bootstrap draws; 0 for the delta method.
     seed : int
-        Of the draws: the same seed gives the same interval.
+        Seed of the draws: the same seed gives the same interval.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def rms_ratio(ours: Floats, theirs: Floats, *, resamples: int = 0, seed: int = 0
 def bootstrap_interval(
     values: Floats, level: float = 0.95, *, method: Method = "BCa", resamples: int = 9_999, seed: int = 0
 ) -> list[float]:
-    """Return the confidence interval of the mean of independent values by the bootstrap, which takes no distribution for granted.
+    """Return the confidence interval of the mean of independent values by the bootstrap, which assumes no distribution.
 
     By `scipy.stats.bootstrap`.
 
@@ -97,9 +97,9 @@ def bootstrap_interval(
         ``"BCa"`` (bias-corrected and accelerated, Efron 1987; its time grows with the square of n), ``"percentile"`` or
         ``"basic"``.
     resamples : int
-        How many samples are drawn.
+        Number of samples.
     seed : int
-        Of the draws: the same seed gives the same interval.
+        Seed of the draws: the same seed gives the same interval.
 
     Raises
     ------
@@ -109,10 +109,10 @@ def bootstrap_interval(
     from scipy.stats import bootstrap
 
     if method not in METHODS:
-        raise ModelError(f"The bootstrap has no method {method!r}; take one of {', '.join(map(repr, METHODS))}.")
-    if np.ptp(values) == 0:  # the bootstrap of values that are all the same is that value, where BCa divides by zero
+        raise ModelError(f"The bootstrap has no method {method!r}; use one of {', '.join(map(repr, METHODS))}.")
+    if np.ptp(values) == 0:  # BCa would divide by zero; the bootstrap of equal values is that value
         return [float(values[0])] * 2
-    found = bootstrap(
+    bounds = bootstrap(
         (values,),
         np.mean,
         n_resamples=resamples,
@@ -121,13 +121,13 @@ def bootstrap_interval(
         method=method,
         random_state=np.random.default_rng(seed),
     ).confidence_interval
-    return [float(found.low), float(found.high)]
+    return [float(bounds.low), float(bounds.high)]
 
 
 def check_level(level: float) -> None:
-    """Raise an error if a level of confidence cannot be one."""
+    """Raise an error if a level of confidence is not between 0 and 1."""
     if not 0 < level < 1:
-        raise ModelError(f"level is {level!r}; it is the probability that an interval covers, between 0 and 1.")
+        raise ModelError(f"level is {level!r}; it must be a probability between 0 and 1, such as 0.95.")
 
 
 __all__ = ["Method", "bootstrap_interval", "check_level", "interval", "ratio", "rms_ratio"]

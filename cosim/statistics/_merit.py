@@ -1,4 +1,4 @@
-"""The paper's merit: in how many scenarios one technique does better than another, by t-tests (section 5.2, table 2)."""
+"""The paper's merit: the number of scenarios in which one technique is better than another, by t-tests (section 5.2, table 2)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Merits = dict[str, dict[str, int]]
-"""Row -> column -> tests that the column won against the row, minus those that it lost."""
+"""Row -> column -> number of tests that the column won against the row, minus the number that it lost."""
 TOTAL = "total merit"
 
 
@@ -34,10 +34,10 @@ def merit(
     test: Literal["t", "wilcoxon"] = "t",
     correction: Correction | None = None,
 ) -> pd.DataFrame:
-    """Return the merit table of techniques: in how many scenarios each one is significantly better than each other one.
+    """Return the merit table: the number of scenarios in which each technique is significantly better than each other one.
 
-    As in the paper's section 5.2, where the metric is the root mean square of the tracking error, and the scenarios are faults x
-    references: each two techniques are compared in each scenario by a two-sided Welch's t-test.
+    Each two techniques are compared in each scenario by a two-sided Welch's t-test. In the paper's section 5.2 the metric is
+    the root mean square of the tracking error, and the scenarios are faults x references.
 
     Parameters
     ----------
@@ -50,32 +50,32 @@ def merit(
     by : str or sequence of str
         Factors whose combinations are the scenarios.
     better : str
-        ``"lower"`` of an error, ``"higher"`` of an AUC, say.
+        ``"lower"`` for an error, ``"higher"`` for an AUC, for example.
     significance : float
         Level of the tests.
     paired, test, correction
-        See `compare`. The paper's are ``False``, ``"t"`` and ``None``. Where all techniques see the same noise, Welch's test
-        knows less than it could and errs towards 0; ``paired=True`` finds more.
+        See `compare`. The paper's are ``False``, ``"t"`` and ``None``. If all techniques have the same noise, Welch's test is
+        too conservative (towards 0); ``paired=True`` finds more differences.
 
     Returns
     -------
     DataFrame
-        A row and a column for each technique: tests that the column won against the row, minus those that it lost. The last row,
-        ``"total merit"``, has the sums of the columns.
+        A row and a column for each technique: the number of tests that the column won against the row, minus the number that
+        it lost. The last row, ``"total merit"``, has the sums of the columns.
 
     Raises
     ------
     UnknownNameError
         If the table has no such column.
     ModelError
-        What `compare` raises; or if a technique has no run in a scenario, or less than two that have not failed.
+        As in `compare`; or if a technique has no run in a scenario, or less than two with a finite metric.
     """
     import pandas as pd
 
     if better not in ("lower", "higher"):
-        raise ModelError(f"merit has better={better!r}; it takes 'lower' or 'higher'.")
+        raise ModelError(f"merit has better={better!r}; it must be 'lower' or 'higher'.")
     if not 0 < significance < 1:
-        raise ModelError(f"merit has significance={significance!r}; it takes a probability between 0 and 1.")
+        raise ModelError(f"merit has significance={significance!r}; it must be a probability between 0 and 1.")
     tests = compare(table, metric, factor, by, paired=paired, test=test, correction=correction)
     scenarios = names_of(by)
     _check_whole(table, factor, scenarios)
@@ -99,8 +99,8 @@ def _check_whole(table: pd.DataFrame, factor: str, by: Sequence[str]) -> None:
     for cell, of in cells(table, by):
         if missing := sorted(techniques - set(of[factor]), key=str):
             raise ModelError(
-                f"merit has no run of {factor} {missing[0]!r}{where(cell)}. Run it there as well, or leave this scenario, or the "
-                "technique, out of the table."
+                f"merit has no run of {factor} {missing[0]!r}{where(cell)}. Run it there as well, or remove this scenario or "
+                "the technique from the table."
             )
 
 
@@ -111,19 +111,19 @@ def _check_runs(tests: pd.DataFrame, factor: str, by: Sequence[str]) -> None:
         technique, n = (row["first"], row["n_first"]) if row["n_first"] < 2 else (row["second"], row["n_second"])
         raise ModelError(
             f"merit has {n} runs of {factor} {technique!r}{where({name: row[name] for name in by})} whose metric is a number; it "
-            "takes at least two. Run it with more seeds, or leave this scenario out of the table."
+            "needs at least two. Run it with more seeds, or remove this scenario from the table."
         )
 
 
 def merit_counts(errors: Sequence[Mapping[str, Floats]], techniques: Sequence[str], significance: float) -> Merits:
-    """Return the merit table of arrays of errors, by Welch's t-tests; `merit` is that of a table of runs.
+    """Return the merit table of arrays of errors, by Welch's t-tests; for a table of runs use `merit`.
 
     Parameters
     ----------
     errors : sequence of mapping
-        For each scenario the errors of each technique, one for each run.
+        The errors of each technique in each scenario, one for each run.
     techniques : sequence of str
-        Which techniques are compared.
+        The techniques to compare.
     significance : float
         Level of the two-sided tests.
     """
@@ -139,7 +139,7 @@ def total_merit(table: Merits) -> dict[str, int]:
     Parameters
     ----------
     table : dict
-        What `merit_counts` returns.
+        The result of `merit_counts`.
     """
     return {column: sum(table[row][column] for row in table) for column in table}
 

@@ -1,4 +1,4 @@
-"""Scores and truth of many runs, as arrays of one shape or run by run, brought into one form."""
+"""Convert scores and truth of many runs, given as arrays of one shape or run by run, into one form."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def by_run(
     Parameters
     ----------
     what : str
-        What the scores are called in errors.
+        Name of the scores in error messages.
     score : array_like of shape (runs, steps) or (runs, steps, sensors), or a sequence of a smaller array for each run
-        Its numbers.
+        The scores.
     faulty : array_like of bool, or a sequence of such
         The truth, of the same shapes.
 
@@ -37,18 +37,18 @@ def by_run(
     if not len(score):  # type: ignore[arg-type]
         raise ModelError(f"There is no run of {what}; give at least one.")
     runs: list[tuple[Floats, Flags]] = []
-    for i, (own, its) in enumerate(zip(score, faulty, strict=True)):  # type: ignore[arg-type]
+    for i, (run_score, run_faulty) in enumerate(zip(score, faulty, strict=True)):  # type: ignore[arg-type]
         try:
-            values, truth = np.asarray(own, dtype=np.float64), np.asarray(its)
+            values, truth = np.asarray(run_score, dtype=np.float64), np.asarray(run_faulty)
         except (TypeError, ValueError):
-            raise ModelError(f"The {what} of run {i} is no array of numbers.") from None
+            raise ModelError(f"The {what} of run {i} is no array of numbers; give one.") from None
         if values.ndim not in (1, 2) or values.shape != truth.shape:
             raise ModelError(
                 f"Run {i} has {what} of shape {values.shape} and faulty of shape {truth.shape}; both must be (steps,) or (steps, "
-                "sensors). A single run is given as a list of one."
+                "sensors). Give a single run as a list of one."
             )
         columns = (len(values), -1 if values.size else 1)
-        if truth.dtype != np.bool_:  # as it is recorded: a number above one half, and missing after a run has failed
+        if truth.dtype != np.bool_:  # a recorded signal: above one half if faulty, NaN after the failure of a run
             flags = np.asarray(truth, dtype=np.float64)
             values, truth = np.where(np.isnan(flags), np.nan, values), flags > 0.5
         runs.append((values.reshape(columns), np.asarray(truth.reshape(columns))))
@@ -56,17 +56,17 @@ def by_run(
 
 
 def pooled(runs: Sequence[tuple[Floats, Flags]]) -> tuple[Floats, Flags, Any]:
-    """Return score, truth and number of the run of each sample that has a score, of all runs together.
+    """Return score, truth and run number of each sample with a score, of all runs together.
 
     Parameters
     ----------
     runs : sequence of (score, faulty)
-        What `by_run` returns.
+        The result of `by_run`.
     """
-    known = [~np.isnan(score) for score, _ in runs]
-    counts = [int(k.sum()) for k in known]
-    scores = np.concatenate([score[k] for (score, _), k in zip(runs, known, strict=True)])
-    truth = np.concatenate([faulty[k] for (_, faulty), k in zip(runs, known, strict=True)])
+    valid = [~np.isnan(score) for score, _ in runs]
+    counts = [int(v.sum()) for v in valid]
+    scores = np.concatenate([score[v] for (score, _), v in zip(runs, valid, strict=True)])
+    truth = np.concatenate([faulty[v] for (_, faulty), v in zip(runs, valid, strict=True)])
     return scores, truth, np.repeat(np.arange(len(runs)), counts)
 
 

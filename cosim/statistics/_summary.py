@@ -28,7 +28,7 @@ def summary(
 ) -> pd.DataFrame:
     """Return number, mean, standard deviation, confidence interval of the mean and median of metrics in each cell.
 
-    Runs of a cell count as independent. They are where each has a seed of its own; where a cell pools several points with the
+    Runs of a cell count as independent, which they are if each has a different seed. If a cell contains several points with the
     same seeds, name their factors in `by`.
 
     Parameters
@@ -36,30 +36,30 @@ def summary(
     table : DataFrame
         A row for each run.
     metric : str or sequence of str
-        Columns of which the means are.
+        Columns to summarize.
     by : str or sequence of str, optional
-        Factors: each combination of their values is a cell. Without any, all runs are one.
+        Factors: each combination of their values is a cell. Without factors, all runs are one cell.
     level : float
-        Probability that an interval covers the mean.
+        Probability that an interval contains the mean.
     bootstrap : str, optional
         ``"BCa"``, ``"percentile"`` or ``"basic"``: the interval by the bootstrap (`scipy.stats.bootstrap`) instead of Student's
         t, for metrics that are far from a normal distribution. The time of BCa grows with the square of the number of runs.
     resamples, seed : int
-        Of the bootstrap: how many samples are drawn, and with which random numbers.
+        Number of samples and seed of the bootstrap.
 
     Returns
     -------
     DataFrame
-        A row for each cell and metric: the columns of `by`, ``metric``, ``n``, ``left_out`` (runs of which the metric is NaN
-        or infinite, such as failed ones; they count nowhere else), ``mean``, ``sd`` (with n - 1), ``low``, ``high``
-        (the interval), ``median``. NaN where there are too few runs.
+        A row for each cell and metric: the columns of `by`, ``metric``, ``n``, ``left_out`` (runs with a metric that is NaN
+        or infinite, such as failed runs; they count nowhere else), ``mean``, ``sd`` (with n - 1), ``low``, ``high``
+        (the interval), ``median``. NaN if there are too few runs.
 
     Raises
     ------
     UnknownNameError
         If the table has no such column.
     ModelError
-        If a metric is no number, or level or method cannot be one.
+        If a metric is not a number, or level or method is wrong.
 
     Examples
     --------
@@ -86,19 +86,21 @@ def summary(
 
 
 def _row(values: Floats, level: float, options: dict[str, Any]) -> dict[str, Any]:
-    known = values[~np.isnan(values)]
-    n, enough = len(known), len(known) > 1
+    finite = values[~np.isnan(values)]
+    n, enough = len(finite), len(finite) > 1
     low, high = [NAN, NAN]
     if enough:
-        low, high = interval(known, level) if options["method"] is None else bootstrap_interval(known, level, **options)
+        low, high = (
+            interval(finite, level) if options["method"] is None else bootstrap_interval(finite, level, **options)
+        )
     return {
         "n": n,
         "left_out": len(values) - n,
-        "mean": float(known.mean()) if n else NAN,
-        "sd": float(known.std(ddof=1)) if enough else NAN,
+        "mean": float(finite.mean()) if n else NAN,
+        "sd": float(finite.std(ddof=1)) if enough else NAN,
         "low": low,
         "high": high,
-        "median": float(np.median(known)) if n else NAN,
+        "median": float(np.median(finite)) if n else NAN,
     }
 
 

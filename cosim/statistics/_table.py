@@ -17,12 +17,12 @@ Names = str | Sequence[str] | None
 
 
 def names_of(given: Names) -> tuple[str, ...]:
-    """Return one name, several, or none as a tuple."""
+    """Return a tuple of names from one name, several, or None."""
     return () if given is None else (given,) if isinstance(given, str) else tuple(given)
 
 
 def check_columns(table: pd.DataFrame, names: Sequence[str]) -> None:
-    """Raise an error if a table lacks one of some columns, or one is named twice.
+    """Raise an error if a table lacks a column, or a column is named twice.
 
     Parameters
     ----------
@@ -37,11 +37,11 @@ def check_columns(table: pd.DataFrame, names: Sequence[str]) -> None:
         if name not in table.columns:
             raise UnknownNameError(f"The table has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")
         if name in names[:i]:
-            raise ModelError(f"The column {name!r} is named twice; a factor can have one part only.")
+            raise ModelError(f"The column {name!r} is named twice; use it for one purpose only.")
 
 
 def numbers(table: pd.DataFrame, metric: str) -> Floats:
-    """Return the metric of each run; what is not finite (of a run that has failed) is NaN.
+    """Return the metric of each run; numbers that are not finite become NaN.
 
     Parameters
     ----------
@@ -53,19 +53,21 @@ def numbers(table: pd.DataFrame, metric: str) -> Floats:
     try:
         values = table[metric].to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError):
-        raise ModelError(f"The column {metric!r} holds no numbers and cannot be a metric.") from None
+        raise ModelError(
+            f"The column {metric!r} has no numbers and cannot be a metric; choose another column."
+        ) from None
     return np.where(np.isfinite(values), values, np.nan)
 
 
 def cells(table: pd.DataFrame, by: Sequence[str]) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
-    """Yield for each combination of values of some columns these values and its rows, in the order of their first rows.
+    """Yield each combination of values of some columns with its rows, in the order of their first rows.
 
     Parameters
     ----------
     table : DataFrame
         A row for each run.
     by : sequence of str
-        The columns; without any, all rows are one cell.
+        The columns; without columns, all rows are one cell.
     """
     if not by:
         yield {}, table
@@ -75,7 +77,7 @@ def cells(table: pd.DataFrame, by: Sequence[str]) -> Iterator[tuple[dict[str, An
 
 
 def where(cell: dict[str, Any]) -> str:
-    """Return the values of a cell as part of a sentence."""
+    """Return the values of a cell as part of a message."""
     return f" where {', '.join(f'{name} is {value!r}' for name, value in cell.items())}" if cell else ""
 
 
