@@ -1,1 +1,1 @@
-"""What blocks and diagrams become in python-control."""
+"""Convert blocks and diagrams to systems of python-control."""

@@ -22,14 +22,14 @@ from bayesftc.cosim.types import Floats
 class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
     """A block or a diagram as a system of python-control; made by `Block.to_control` and `Diagram.to_control`.
 
-    Its functions of time, state and inputs are pure: they can be asked in any order, and a system may stand twice in a diagram.
+    Its functions of time, state and inputs are pure: they can be called in any order, and a diagram may contain the system twice.
 
     Parameters
     ----------
     machine : Machine or Equations
-        What evaluates the diagram, in discrete time, or a model exchange FMU, in continuous time.
+        Evaluates a diagram in discrete time, or a model exchange FMU in continuous time.
     name, dt, inputs, outputs, states
-        As for ``control.nlsys``.
+        See ``control.nlsys``.
     """
 
     def __init__(
@@ -54,16 +54,16 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
 
     @property
     def initial_state(self) -> Floats:
-        """The state in which the block or the diagram begins, for ``X0=...``: python-control itself begins at zeros."""
+        """The initial state of the block or the diagram, for ``X0=...``; by default python-control starts at zeros."""
         return self._machine.initial.copy()
 
     def linearize(self, x0: Any, u0: Any = None, t: float = 0, *args: Any, **settings: Any) -> Any:
         """Return the linearization at a state and inputs, as ``control.linearize`` describes it.
 
-        It is the linearization with the precision learners held: each sensor is trusted at all times as it is at this point, and
-        what a learner remembers is no state of the result. What is not finite at the point (the fault probability of a learner
-        that has none, the variance of a sensor that is left out) is constant, with derivatives of zero. So all matrices are
-        finite.
+        In the linearization precision learners do not learn: the precision of each sensor is constant, with its value at this
+        point, and the memory of a learner is no state of the result. Numbers that are not finite at the point (the fault
+        probability of a learner without one, the variance of an ignored sensor) are constant, with derivatives of zero. So all
+        matrices are finite.
 
         Parameters
         ----------
@@ -73,12 +73,12 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         Raises
         ------
         ModelError
-            If there is an FMU in it whose state is known to itself alone.
+            If it contains an FMU with a hidden state.
         """
         if self._machine.opaque:
             raise ModelError(
-                f"The state of the FMU {self._machine.opaque[0]!r} is known to itself alone, so that it cannot be linearized in "
-                "python-control: LinearModel.from_fmu makes a linear model of it."
+                f"The state of the FMU {self._machine.opaque[0]!r} is hidden, so that it cannot be linearized in python-control; "
+                "make a linear model of it with LinearModel.from_fmu."
             )
         x0, u0 = (getattr(x0, "states", x0), getattr(x0, "inputs", 0.0) if u0 is None else u0)
         x0, u0 = _vector(x0, self.nstates), _vector(u0, self.ninputs)
@@ -86,7 +86,7 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         if isinstance(machine, Machine):
             machine, x0 = machine.held(t, x0, u0)
         hints = machine.hints
-        told, hints.told = hints.told, True  # whoever asks for zeros here means them
+        has_warned, hints.has_warned = hints.has_warned, True  # no warning, because here zeros are intended
         names = {
             "inputs": self.input_labels,
             "outputs": self.output_labels,
@@ -102,17 +102,17 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
         try:
             return held.linearize(x0, u0, t, *args, **settings)
         finally:
-            hints.told = told
+            hints.has_warned = has_warned
 
 
 def initial_state(system: Any) -> Floats:
-    """Return the state in which a python-control system begins, for ``X0=...``; python-control itself begins at zeros.
+    """Return the initial state of a python-control system, for ``X0=...``; by default python-control starts at zeros.
 
     Parameters
     ----------
     system : control.InputOutputSystem
-        What `Block.to_control` or `Diagram.to_control` has made, or an interconnection with such systems in it. Systems of
-        python-control begin at zeros.
+        A system from `Block.to_control` or `Diagram.to_control`, or an interconnection with such systems. For other systems of
+        python-control the result is zero.
 
     Returns
     -------
@@ -145,30 +145,30 @@ def block_to_control(
     step = block.sample_time if dt is None else dt
     continuous = step is None and isinstance(block, FMU) and block.kind == "model exchange"
     if step is None and not continuous:
-        raise ModelError(f"{type(block).__name__} does not know its sample time; give to_control(dt=...) in seconds.")
+        raise ModelError(f"{type(block).__name__} has no sample time; give to_control(dt=...) in seconds.")
     diagram = Diagram(1 if step is None else step)
     node = diagram.add(block, name)
     if inputs is None:
         inputs = [port.name for port in block.inputs if port.draw is None]
-    known = {port.name: (node, port) for port in block.inputs}, {port.name: (node, port) for port in block.outputs}
+    signals = {port.name: (node, port) for port in block.inputs}, {port.name: (node, port) for port in block.outputs}
     if continuous and isinstance(block, FMU):
-        return _equations(block, known, inputs, outputs, node.name)
-    return _system(diagram, known, inputs, outputs, seed, engine, node.name, f"{node.name}.")
+        return _equations(block, signals, inputs, outputs, node.name)
+    return _system(diagram, signals, inputs, outputs, seed, engine, node.name, f"{node.name}.")
 
 
 def diagram_to_control(
     diagram: Diagram, inputs: Names | None, outputs: Names | None, seed: int | None, engine: str, name: str | None
 ) -> ControlSystem:
     """Return a diagram as a system of python-control; `Diagram.to_control` describes the arguments."""
-    known_inputs, known_outputs = signals_of(diagram)
+    all_inputs, all_outputs = signals_of(diagram)
     if inputs is None:
         inputs = list(needed(diagram))
-    return _system(diagram, ({**known_outputs, **known_inputs}, known_outputs), inputs, outputs, seed, engine, name)
+    return _system(diagram, ({**all_outputs, **all_inputs}, all_outputs), inputs, outputs, seed, engine, name)
 
 
 def _system(
     diagram: Diagram,
-    known: tuple[Signals, Signals],
+    signals: tuple[Signals, Signals],
     inputs: Names,
     outputs: Names | None,
     seed: int | None,
@@ -176,22 +176,22 @@ def _system(
     name: str | None,
     prefix: str = "",
 ) -> ControlSystem:
-    given = chosen(known[0], inputs, "input", "to_control", allowed)
-    shown = chosen(known[1], list(known[1]) if outputs is None else outputs, "output", "to_control", allowed)
-    whole, places = opened(diagram, list(given.values()), "to_control")
-    machine = Machine(whole, places, [(node.name, port.name, i) for node, port, i in shown.values()], seed, engine)
+    ins = chosen(signals[0], inputs, "input", "to_control", allowed)
+    outs = chosen(signals[1], list(signals[1]) if outputs is None else outputs, "output", "to_control", allowed)
+    whole, places = opened(diagram, list(ins.values()), "to_control")
+    machine = Machine(whole, places, [(node.name, port.name, i) for node, port, i in outs.values()], seed, engine)
     states = [allowed(state.removeprefix(prefix)) for state in machine.names]
-    return ControlSystem(machine, name, float(diagram.step), list(given), list(shown), states)
+    return ControlSystem(machine, name, float(diagram.step), list(ins), list(outs), states)
 
 
 def _equations(
-    fmu: FMU, known: tuple[Signals, Signals], inputs: Names, outputs: Names | None, name: str
+    fmu: FMU, signals: tuple[Signals, Signals], inputs: Names, outputs: Names | None, name: str
 ) -> ControlSystem:
-    given = chosen(known[0], inputs, "input", "to_control", allowed)
-    shown = chosen(known[1], list(known[1]) if outputs is None else outputs, "output", "to_control", allowed)
-    model = Equations(fmu, *([(port, i) for _, port, i in side.values()] for side in (given, shown)))
+    ins = chosen(signals[0], inputs, "input", "to_control", allowed)
+    outs = chosen(signals[1], list(signals[1]) if outputs is None else outputs, "output", "to_control", allowed)
+    model = Equations(fmu, *([(port, i) for _, port, i in side.values()] for side in (ins, outs)))
     states = [allowed(state) for state in model.names]
-    return ControlSystem(model, name, 0.0, list(given), list(shown), states)
+    return ControlSystem(model, name, 0.0, list(ins), list(outs), states)
 
 
 def _vector(values: Any, size: int) -> Floats:
@@ -201,14 +201,14 @@ def _vector(values: Any, size: int) -> Floats:
     vector = np.concatenate([np.zeros(0), *(np.ravel(part) for part in values)]).astype(np.float64)
     if len(vector) != size:
         raise ModelError(
-            f"linearize has a vector of {len(vector)} numbers where the system has {size}; give one for each."
+            f"linearize has a vector of {len(vector)} numbers, but the system has {size}; give one number for each."
         )
     return vector
 
 
-def _finite(function: Callable[..., Floats], there: Floats) -> Callable[..., Floats]:
-    """Return a function of time, state and inputs in which what is not finite at the point is constant."""
-    constant = ~np.isfinite(there)
+def _finite(function: Callable[..., Floats], values: Floats) -> Callable[..., Floats]:
+    """Return a function of time, state and inputs that is constant where its `values` at a point are not finite."""
+    constant = ~np.isfinite(values)
 
     def finite(t: float, x: Any, u: Any, params: object = None) -> Floats:
         return np.where(constant, 0.0, function(t, x, u, params))
@@ -217,7 +217,7 @@ def _finite(function: Callable[..., Floats], there: Floats) -> Callable[..., Flo
 
 
 def allowed(label: str) -> str:
-    """Return a signal's name as python-control allows it: without dots, which divide systems from signals there."""
+    """Return a signal's name as python-control allows it: without dots, which separate systems from signals there."""
     return label.replace(".", "_")
 
 

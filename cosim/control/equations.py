@@ -17,19 +17,19 @@ Elements = Sequence[tuple[Port, int]]
 
 
 class Equations:
-    """The derivatives and outputs of a model exchange FMU; its discrete states stay as they are after initialization.
+    """The derivatives and outputs of a model exchange FMU; its discrete states keep their values after initialization.
 
     Parameters
     ----------
     fmu : FMU
         The FMU.
     inputs, outputs : sequence of (Port, int)
-        The elements of its ports that are inputs and outputs; other inputs keep their start values.
+        The elements of its ports that are inputs and outputs. Other inputs keep their start values.
 
     Attributes
     ----------
     initial, names, opaque, hints
-        As of `bayesftc.cosim.control.machine.Machine`.
+        See `bayesftc.cosim.control.machine.Machine`.
     """
 
     def __init__(self, fmu: FMU, inputs: Elements, outputs: Elements):

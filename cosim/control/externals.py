@@ -1,4 +1,4 @@
-"""The states of FMUs as numbers: their own where they are known, else the number of a saved state, or of steps made in order."""
+"""The states of FMUs as numbers: quantities if they are accessible, else the number of a saved state or of steps made."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.diagram.schedule import Schedule
 
 SNAPSHOTS = 100
-"""How many saved states are kept, besides the first one: an FMU may need megabytes for each."""
+"""Number of saved states that are kept besides the first one, because an FMU may need megabytes for each."""
 
 _HEADER = 64 + 4 * 4 + 8
 """Bytes before the numbers in a serialised state of an FMU of this package: token, four ints, stop time."""
@@ -27,18 +27,18 @@ Key = tuple[int, int, bytes]
 
 
 class ExternalState(ABC):
-    """What python-control holds as the state of one FMU in a diagram.
+    """The state of one FMU in a diagram, as numbers for python-control.
 
     Attributes
     ----------
     title : str
-        What errors call the FMU.
+        Name of the FMU in errors.
     names : list of str
-        Of its numbers.
+        Names of the numbers.
     real : bool
-        Whether they are quantities, which may be changed; else the FMU's state is known to itself alone.
+        Whether the numbers are quantities, which may be changed; else the FMU's state is hidden.
     initial : ndarray
-        The numbers at the beginning.
+        The initial numbers.
     """
 
     real = False
@@ -54,15 +54,15 @@ class ExternalState(ABC):
         self.title = node.name
 
     def over(self, part: Floats) -> bool:
-        """Return whether the FMU must be instantiated anew to have this state."""
+        """Return whether this state needs a new instance of the FMU."""
         return False
 
     @abstractmethod
     def load(self, k: int, part: Floats) -> None:
-        """Bring the FMU into a state, at step `k` of the diagram."""
+        """Set the state of the FMU, at step `k` of the diagram."""
 
     def evaluated(self, k: int) -> None:
-        """Note that the outputs at step `k` have been read, for which another FMU than a plant has been given its inputs."""
+        """Take into account that the outputs at step `k` were read, which gives an FMU that is no plant its inputs."""
         if self._timing != "plant" and k % self._every == 0:
             self.lose()
 
@@ -72,21 +72,21 @@ class ExternalState(ABC):
 
     @abstractmethod
     def lose(self) -> None:
-        """Note that the FMU is in none of the states that are known."""
+        """Take into account that the state of the FMU is unknown."""
 
 
 class Snapshots(ExternalState):
-    """An FMU that can save its state: the number of the saved one."""
+    """The state of an FMU that can save it: the number of the saved state."""
 
     def __init__(self, instance: External, schedule: Schedule, i: int):
         super().__init__(instance, schedule, i)
         self.names, self.initial = [f"{self.title}.snapshot"], np.zeros(1)
         self._saved: dict[int, object] = {0: instance.save()}
         self._steps: dict[int, int] = {0: 0}
-        self._ways: dict[int, Key] = {}  # how each was reached, and which was reached so
+        self._origins: dict[int, Key] = {}  # from where each state was reached, and the inverse
         self._reached: dict[Key, int] = {}
         self._next, self._loaded = 1, 0
-        self._standing: int | None = 0
+        self._present: int | None = 0
 
     def load(self, k: int, part: Floats) -> None:
         """See `ExternalState.load`."""
@@ -95,20 +95,20 @@ class Snapshots(ExternalState):
             raise ModelError(_no_number(self.title, part[0]))
         if number not in self._saved:
             raise ModelError(
-                f"The FMU {self.title!r} was to go back to its saved state number {number}, but only the first and the latest "
-                f"{SNAPSHOTS} are kept; begin anew, or from a later state."
+                f"The FMU {self.title!r} cannot return to its saved state number {number}, because only the first and the latest "
+                f"{SNAPSHOTS} are kept; start again from the beginning, or from a later state."
             )
-        wanted = -(-k // self._every)
-        if self._steps[number] != wanted:
+        steps = -(-k // self._every)
+        if self._steps[number] != steps:
             h = self._step * self._every
             raise ModelError(
-                f"The FMU {self.title!r} was asked for t = {float(k * self._step):g} s in its saved state number {number}, which "
-                f"is of t = {float(self._steps[number] * h):g} s; begin at the time at which the state was saved."
+                f"The FMU {self.title!r} cannot be evaluated at t = {float(k * self._step):g} s in its saved state number "
+                f"{number}, which is of t = {float(self._steps[number] * h):g} s; begin at the time of the saved state."
             )
-        if self._standing != number:
-            self._standing = None
+        if self._present != number:
+            self._present = None
             self._instance.restore(self._saved[number])
-        self._standing = self._loaded = number
+        self._present = self._loaded = number
 
     def leave(self, k: int, memory: Floats) -> Floats:
         """See `ExternalState.leave`."""
@@ -119,30 +119,30 @@ class Snapshots(ExternalState):
         if number is None:
             number, self._next = self._next, self._next + 1
             self._saved[number], self._steps[number] = self._instance.save(), k // self._every + 1
-            self._ways[number], self._reached[key] = key, number
-            if len(self._ways) > SNAPSHOTS:
-                self._forget(next(iter(self._ways)))
-        self._standing = number
+            self._origins[number], self._reached[key] = key, number
+            if len(self._origins) > SNAPSHOTS:
+                self._forget(next(iter(self._origins)))
+        self._present = number
         return np.array([float(number)])
 
     def lose(self) -> None:
         """See `ExternalState.lose`."""
-        self._standing = None
+        self._present = None
 
     def _forget(self, number: int) -> None:
         self._instance.forget(self._saved.pop(number))
-        del self._steps[number], self._reached[self._ways.pop(number)]
+        del self._steps[number], self._reached[self._origins.pop(number)]
 
 
 class InOrder(ExternalState):
-    """An FMU that cannot save its state: the number of steps that it has made; it can be stepped in order, and begin anew."""
+    """The state of an FMU that cannot save it: the number of steps made. It can only be stepped in order, or restarted."""
 
     def __init__(self, instance: External, schedule: Schedule, i: int):
         super().__init__(instance, schedule, i)
         if self._timing == "sampled":
             raise FMUError(
                 f"The FMU {self.title!r} has timing='sampled' and cannot save its state (canGetAndSetFMUstate), so that "
-                "python-control cannot ask for its outputs without changing it; export it with that capability."
+                "python-control cannot compute its outputs without changing it; export it with that capability."
             )
         self.names, self.initial = [f"{self.title}.step"], np.zeros(1)
         self._made: int | None = 0
@@ -156,19 +156,19 @@ class InOrder(ExternalState):
         if part[0] != np.floor(part[0]):
             raise ModelError(_no_number(self.title, part[0]))
         if part[0] != self._made:
-            stands = "after a step that failed" if self._made is None else f"after {self._made} steps"
+            present = "after a step that failed" if self._made is None else f"after {self._made} steps"
             raise ModelError(
-                f"The FMU {self.title!r} was asked for its state after {part[0]:g} steps, but it stands {stands} and cannot save "
-                "its state (canGetAndSetFMUstate): it can only be stepped in order, from t = 0 on."
+                f"The FMU {self.title!r} cannot be set to its state after {part[0]:g} steps, because it is in that {present} and "
+                "cannot save its state (canGetAndSetFMUstate); step it in order, from t = 0 on."
             )
         if part[0] != -(-k // self._every):
             raise ModelError(
-                f"The FMU {self.title!r} stands after {part[0]:g} steps of {show(self._step * self._every)} s, but was asked for "
-                f"t = {float(k * self._step):g} s; begin at t = 0."
+                f"The FMU {self.title!r} is in its state after {part[0]:g} steps of {show(self._step * self._every)} s, and "
+                f"cannot be evaluated at t = {float(k * self._step):g} s; begin at t = 0."
             )
 
     def evaluated(self, k: int) -> None:
-        """See `ExternalState.evaluated`: it stays where it is."""
+        """See `ExternalState.evaluated`: the state does not change."""
 
     def leave(self, k: int, memory: Floats) -> Floats:
         """See `ExternalState.leave`."""
@@ -183,10 +183,10 @@ class InOrder(ExternalState):
 
 
 class OwnNumbers(ExternalState):
-    """An FMU of this package: the numbers that its instance keeps, but for inputs, parameters and time.
+    """The state of an FMU of this package: the numbers of its instance, except for inputs, parameters and time.
 
-    ``fmus/c/instance.h`` says how they are serialised: the token, what phase the instance is in, and all numbers: those of
-    the variables, the time, and those that importers do not see.
+    ``fmus/c/instance.h`` serialises the token, the phase of the instance, and all numbers: those of the variables, the time, and
+    those that are hidden from importers.
     """
 
     real = True
@@ -206,20 +206,20 @@ class OwnNumbers(ExternalState):
         self._places = np.array([*(v.reference for v in kept), *hidden], dtype=np.int64)
         self.initial = numbers[self._places]
         self._part = self.initial
-        self._standing: tuple[int, bytes] | None = (0, self.initial.tobytes())
+        self._present: tuple[int, bytes] | None = (0, self.initial.tobytes())
 
     def load(self, k: int, part: Floats) -> None:
         """See `ExternalState.load`."""
         made = -(-k // self._every)
-        if self._standing == (made, part.tobytes()):
+        if self._present == (made, part.tobytes()):
             return
-        self._standing = None
+        self._present = None
         self._numbers[self._places] = part
         h = self._step * self._every
-        # As the FMU itself adds the step to the instant at which the step began.
+        # The same sum as in the FMU, which adds the step size to the beginning of the step.
         self._numbers[self._time] = float((made - 1) * h) + float(h) if made else 0.0
         self._instance.restore(self._saved.changed_to(self._content.tobytes()))
-        self._standing, self._part = (made, part.tobytes()), part.copy()
+        self._present, self._part = (made, part.tobytes()), part.copy()
 
     def leave(self, k: int, memory: Floats) -> Floats:
         """See `ExternalState.leave`."""
@@ -227,29 +227,29 @@ class OwnNumbers(ExternalState):
             saved: Any = self._instance.save()
             self._part = np.frombuffer(saved.serialised(), offset=_HEADER)[self._places]
             self._instance.forget(saved)
-            self._standing = k // self._every + 1, self._part.tobytes()
+            self._present = k // self._every + 1, self._part.tobytes()
         return self._part
 
     def lose(self) -> None:
         """See `ExternalState.lose`."""
-        self._standing = None
+        self._present = None
 
 
 def external_state(instance: External, schedule: Schedule, i: int) -> ExternalState:
-    """Return what stands for the state of a running FMU, the node number `i` of a diagram."""
+    """Return the state, as numbers, of a running FMU, the node number `i` of a diagram."""
     if not instance.can_save:
         return InOrder(instance, schedule, i)
     block = schedule.nodes[i].block
     if isinstance(block, FMU) and block.description.timing is not None:
         saved = instance.save()
-        if isinstance(saved, SavedState) and _known(saved, block):
+        if isinstance(saved, SavedState) and _has_layout(saved, block):
             return OwnNumbers(instance, schedule, i, saved)
         instance.forget(saved)
     return Snapshots(instance, schedule, i)
 
 
-def _known(saved: SavedState, block: FMU) -> bool:
-    """Return whether a saved state of an FMU with this package's annotation is indeed written as this package does it."""
+def _has_layout(saved: SavedState, block: FMU) -> bool:
+    """Return whether the saved state of an FMU with this package's annotation really has this package's layout."""
     try:
         content = saved.serialised()
     except FMUError:
@@ -265,7 +265,7 @@ def _known(saved: SavedState, block: FMU) -> bool:
 
 def _no_number(title: str, given: float) -> str:
     return (
-        f"The state of the FMU {title!r} is known to itself alone: in python-control it is the number of a saved state, and "
-        f"{given:g} is none. So it cannot be linearized, no operating point can be found, and it begins at its start values "
-        "(parameters=...); LinearModel.from_fmu makes a linear model of it."
+        f"The state of the FMU {title!r} is hidden: in python-control it is the number of a saved state, and {given:g} is not. "
+        "So the FMU cannot be linearized, no operating point can be found, and it begins at its start values (parameters=...); "
+        "make a linear model of it with LinearModel.from_fmu."
     )

@@ -1,4 +1,4 @@
-"""What a user of python-control is told once: that a system begins elsewhere than at zeros, and that params do not reach it."""
+"""Warnings for users of python-control, each given once: on the initial state, and on params without effect."""
 
 from __future__ import annotations
 
@@ -19,41 +19,41 @@ class Hints:
     Parameters
     ----------
     names : sequence of str
-        Of its states.
+        Names of its states.
     initial : ndarray
-        Where it begins.
+        Its initial state.
     blocks : iterable of Block
-        What it is made of.
+        Its blocks.
 
     Attributes
     ----------
-    told : bool
-        Whether no more need be said of a beginning at zeros.
+    has_warned : bool
+        Whether the warning about a start at zeros was given, or is not necessary.
     """
 
     def __init__(self, names: Sequence[str], initial: Floats, blocks: Iterable[Block]):
         self._names, self._initial = names, initial
-        self._own = _parameters(blocks)
-        self.told = not initial.any()
+        self._remedies = _parameters(blocks)
+        self.has_warned = not initial.any()
 
     def beginning(self, x: Floats) -> None:
-        """Warn of a beginning at zeros that is not the system's own."""
-        if not self.told and not x.any():
-            self.told = True
+        """Warn of a start at zeros if the initial state of the system is another."""
+        if not self.has_warned and not x.any():
+            self.has_warned = True
             name = self._names[int(np.argmax(self._initial != 0.0))]
             warnings.warn(
-                f"A system of python-control begins at zeros, with {name} = 0 and so on, which is "
-                "not where its blocks begin; for that, give X0=cosim.initial_state(system).",
+                f"python-control starts a system at zeros, here with {name} = 0, which is not the initial state of its blocks; "
+                "give X0=cosim.initial_state(system).",
                 stacklevel=3,
             )
 
     def params(self, given: object) -> None:
-        """Warn of params that a user may believe to reach the system's blocks."""
-        if not self._own or not isinstance(given, Mapping):
+        """Warn of params that are also parameters of a block, on which they have no effect."""
+        if not self._remedies or not isinstance(given, Mapping):
             return
         for name in given:
-            if name in self._own:
-                where, self._own = self._own[name], {}
+            if name in self._remedies:
+                where, self._remedies = self._remedies[name], {}
                 warnings.warn(
                     f"params={{{name!r}: ...}} of python-control does not reach {where}={{{name!r}: ...}}).",
                     stacklevel=3,
@@ -62,17 +62,17 @@ class Hints:
 
 
 def _parameters(blocks: Iterable[Block]) -> dict[str, str]:
-    """Return, for each parameter that a block has, the end of a sentence that says where to give it."""
-    found: dict[str, str] = {}
+    """Return the end of the warning for each parameter of a block: where to give it."""
+    remedies: dict[str, str] = {}
     for block in blocks:
         if isinstance(block, FMU):
             names = [v.name for v in block.description.variables if "parameter" in v.causality.lower() and v.settable]
-            found |= dict.fromkeys(
+            remedies |= dict.fromkeys(
                 names, f"the FMU {block.name!r}; give it when the block is made: cosim.FMU(..., parameters"
             )
         elif isinstance(block, StateSpace):
             names = list(getattr(block.system, "params", None) or {})
-            found |= dict.fromkeys(
+            remedies |= dict.fromkeys(
                 names, "the system within the block; give it when the block is made: cosim.StateSpace(..., params"
             )
-    return found
+    return remedies

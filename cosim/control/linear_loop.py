@@ -1,4 +1,4 @@
-"""A closed loop as a linear system, and control engineers' figures of it, by python-control."""
+"""A closed loop as a linear system, and its figures by python-control."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LASTING = 1e-9
-"""A mode does not die out if its pole is nearer to the unit circle than this; one that weighs less than this does not show."""
+"""A mode does not decay if its pole is nearer to the unit circle than this. A mode with less weight than this is invisible."""
 
 
 @dataclass(frozen=True)
 class LinearLoop:
     """A closed loop without faults and noise as a linear system, at the sample time of its controller.
 
-    `bayesftc.cosim.Diagram.linear` makes it, and says of what.
+    `bayesftc.cosim.Diagram.linear` makes it, and describes the linearization.
 
     Parameters
     ----------
@@ -51,11 +51,11 @@ class LinearLoop:
         solved = np.linalg.inv(np.eye(len(parts.controls)) - opened.D)
         C = solved @ opened.C  # u = C x + D goal
         D = solved @ parts.controller.D[:, m:]
-        into = np.vstack([np.zeros((n, goals)), parts.controller.B[:, m:]])
-        A, B = opened.A + opened.B @ C, into + opened.B @ D
+        B_goal = np.vstack([np.zeros((n, goals)), parts.controller.B[:, m:]])
+        A, B = opened.A + opened.B @ C, B_goal + opened.B @ D
         rows = np.reshape([row for _, row in parts.tracked.values()], (-1, len(plant.C)))
-        seen = rows @ np.hstack([plant.C, np.zeros((len(plant.C), len(A) - n))])
-        whole = np.vstack([seen + rows @ plant.D @ C, C]), np.vstack([rows @ plant.D @ D, D])
+        C_tracked = rows @ np.hstack([plant.C, np.zeros((len(plant.C), len(A) - n))])
+        whole = np.vstack([C_tracked + rows @ plant.D @ C, C]), np.vstack([rows @ plant.D @ D, D])
         return control.ss(
             A,
             B,
@@ -67,14 +67,14 @@ class LinearLoop:
         )
 
     def open(self, at: str | None = None) -> Any:
-        """Return the loop transfer function, a `control.StateSpace`: that of the loop broken at an input of the plant.
+        """Return the transfer function of the loop broken at an input of the plant, a `control.StateSpace`.
 
         The feedback is negative: the closed loop has its poles where this function is -1. The other controls stay connected.
 
         Parameters
         ----------
         at : str, optional
-            Name of the plant's input; needed where there are several controls.
+            Name of the plant's input; needed if there are several controls.
         """
         opened, j = self._opened, self._number(self.parts.controls, at, "control", "at")
         others = np.eye(len(self.parts.controls))
@@ -92,12 +92,12 @@ class LinearLoop:
         Parameters
         ----------
         at : str, optional
-            Name of the plant's input at which the loop is broken; needed where there are several controls.
+            Name of the plant's input at which the loop is broken; needed if there are several controls.
 
         Returns
         -------
         matplotlib.figure.Figure
-            A notebook shows it; a script saves it (``figure.savefig("bode.png")``) or shows it with ``pyplot.show()``.
+            A notebook shows it by itself. In a script, save it (``figure.savefig("bode.png")``) or call ``pyplot.show()``.
         """
         from bayesftc.cosim.control.loop_figures import bode_figure
         from bayesftc.cosim.judging.panels import shown_figure
@@ -106,17 +106,17 @@ class LinearLoop:
         return bode_figure(self.open(at), margins, self._title("Loop transfer function", at), shown_figure())
 
     def root_locus(self, at: str | None = None) -> Figure:
-        """Return the root locus: the closed loop's poles while the gain at the plant's input grows from 0; crosses mark gain 0.
+        """Return the root locus: the closed loop's poles for a growing gain at the plant's input; crosses mark gain 0.
 
         Parameters
         ----------
         at : str, optional
-            Name of the plant's input whose gain changes; needed where there are several controls.
+            Name of the plant's input whose gain changes; needed if there are several controls.
 
         Returns
         -------
         matplotlib.figure.Figure
-            As of `bode`.
+            See `bode`.
         """
         from bayesftc.cosim.control.loop_figures import root_locus_figure
         from bayesftc.cosim.judging.panels import shown_figure
@@ -129,7 +129,7 @@ class LinearLoop:
         Parameters
         ----------
         at : str, optional
-            Name of the plant's input; needed where there are several controls.
+            Name of the plant's input; needed if there are several controls.
 
         Raises
         ------
@@ -137,7 +137,7 @@ class LinearLoop:
             If the closed loop is not stable.
         """
         if not self._is_stable:
-            raise ModelError(f"{self._unstable()} A loop that is lost has no margins; bode() shows how far off it is.")
+            raise ModelError(f"{self._unstable()} So it has no margins; see bode() for the loop transfer function.")
         return margins_of(self.open(at))
 
     def poles(self) -> NDArray[np.complex128]:
@@ -150,7 +150,7 @@ class LinearLoop:
         Parameters
         ----------
         goal, output : str, optional
-            As of `step_info`.
+            See `step_info`.
         """
         return _largest_first(control.zeros(self._response(goal, output)))
 
@@ -160,27 +160,27 @@ class LinearLoop:
         Parameters
         ----------
         goal : str, optional
-            Name of the tracked signal whose goal steps (``"plant.angle"`` is called ``"angle"``); needed where there are several.
+            Name of the tracked signal whose goal steps (``"angle"`` for ``"plant.angle"``); needed if there are several.
         output : str, optional
-            Name of the tracked signal or the control that responds; by default the signal whose goal steps.
+            Name of the tracked signal or control that responds; by default the signal whose goal steps.
         **settings : object
             Further arguments of ``control.step_info``, such as ``SettlingTimeThreshold``.
 
         Returns
         -------
         dict of str to float
-            As of ``control.step_info``; times in seconds.
+            The results of ``control.step_info``; times in seconds.
 
         Raises
         ------
         ModelError
-            If the closed loop is not stable, so that nothing settles.
+            If the closed loop is not stable, so that the response does not settle.
         """
         response = _settling(self._response(goal, output))
         if response is None:
             raise ModelError(
-                f"{self._unstable()} A step response that does not settle has no figures; change the controller, or give the "
-                "plant other start values."
+                f"{self._unstable()} So the step response does not settle and has no figures; change the controller, or the "
+                "start values of the plant."
             )
         info: dict[str, float] = control.step_info(response, **settings)
         return info
@@ -194,7 +194,7 @@ class LinearLoop:
 
     @property
     def _is_stable(self) -> bool:
-        """Whether no mode grows; one that only stays, as the position behind a speed, may be of no interest to any goal."""
+        """Whether no mode grows. A constant mode, such as the position for a tracked speed, may be irrelevant to all goals."""
         return bool((np.abs(self.poles()) < 1.0 + LASTING).all())
 
     def _unstable(self) -> str:
@@ -203,7 +203,7 @@ class LinearLoop:
 
     @property
     def _opened(self) -> Matrices:
-        """The loop broken at all controls: from what goes into the plant to what comes out of the controller."""
+        """The loop broken at all controls: from the inputs of the plant to the outputs of the controller."""
         plant, law, S = self.parts.plant, self.parts.controller, self.parts.sensors
         m = len(S)
         By, Dy = law.B[:, :m], law.D[:, :m]
@@ -216,8 +216,8 @@ class LinearLoop:
         tracked = tuple(self.parts.tracked)
         if not tracked:
             raise ModelError(
-                "No measured signal has a goal of its own in this loop, so that there is no response from goal to signal; "
-                "loop.linear().closed has the response of the controls."
+                "No measured signal has its own goal in this loop, so that there is no response from goal to signal; use "
+                "loop.linear().closed for the response of the controls."
             )
         name = tracked[self._number(tracked, goal, "tracked signal", "goal")]
         signals = (*tracked, *self.parts.controls)
@@ -240,22 +240,22 @@ class LinearLoop:
 
 
 def _settling(system: Any) -> Any:
-    """Return a system without modes that do not die out; None if one of them shows in the response.
+    """Return a system without the modes that do not decay; None if such a mode is visible in the response.
 
-    An integrator that no goal asks about, as the position is one behind a speed, is such a mode that does not show.
+    An integrator without a goal, such as the position for a tracked speed, is an invisible mode that does not decay.
     """
     A, Z, stable = schur(system.A, sort=lambda real, imaginary: np.hypot(real, imaginary) < 1.0 - LASTING)
     if stable == len(A):
         return system
     B, C = Z.T @ system.B, system.C @ Z
-    # In other coordinates of the stable modes both kinds are apart.
+    # A change of coordinates decouples the stable modes from the others.
     Y = solve_sylvester(A[:stable, :stable], -A[stable:, stable:], -A[:stable, stable:])
-    seen, moved = C[:, :stable] @ Y + C[:, stable:], B[stable:]
-    if np.abs(seen).max() * np.abs(moved).max() > LASTING * max(
+    C_lasting, B_lasting = C[:, :stable] @ Y + C[:, stable:], B[stable:]
+    if np.abs(C_lasting).max() * np.abs(B_lasting).max() > LASTING * max(
         np.abs(system.B).max() * np.abs(system.C).max(), 1e-300
     ):
         return None
-    return control.ss(A[:stable, :stable], B[:stable] - Y @ moved, C[:, :stable], system.D, system.dt)
+    return control.ss(A[:stable, :stable], B[:stable] - Y @ B_lasting, C[:, :stable], system.D, system.dt)
 
 
 def linear_loop(diagram: Any, plant: Any = None) -> LinearLoop:
@@ -264,8 +264,8 @@ def linear_loop(diagram: Any, plant: Any = None) -> LinearLoop:
 
 
 def _largest_first(values: Any) -> NDArray[np.complex128]:
-    found = np.asarray(values, dtype=np.complex128)
-    return found[np.lexsort((-found.imag, -np.abs(found)))]
+    array = np.asarray(values, dtype=np.complex128)
+    return array[np.lexsort((-array.imag, -np.abs(array)))]
 
 
 __all__ = ["LinearLoop", "Margins", "linear_loop"]

@@ -1,4 +1,4 @@
-"""Bode plot and root locus of a loop, drawn by python-control on figures of this package's size."""
+"""Bode plot and root locus of a loop, drawn by python-control on figures of this package's format."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 GAINS = np.concatenate([[0.0], np.logspace(-3.0, 3.0, 4001)])
-"""Of the root locus, in units of the designed gain."""
+"""Gains of the root locus, in units of the designed gain."""
 
 
 def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) -> Figure:
@@ -28,20 +28,20 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
     loop : control.StateSpace
         The loop transfer function.
     margins : Margins or None
-        Of the loop; None where it is not stable.
+        Margins of the loop; None if it is not stable.
     title : str
-        Stands above.
+        Title of the figure.
     figure : Figure
-        An empty one to draw on.
+        An empty figure to draw on.
     """
     _, axes = make_panels([PANEL, PANEL], figure)
     control.bode_plot(loop, ax=np.array(axes)[:, None], color=BLUE, lw=1.3)
     axes[0].axhline(1.0, color="0.5", lw=0.8)
     axes[1].axhline(-180.0, color="0.5", lw=0.8)
     if margins is None:
-        said = ["the closed loop is not stable"]
+        texts = ["the closed loop is not stable"]
     else:
-        said = [
+        texts = [
             f"{name} {value} (at {at:.3g} rad/s)" if np.isfinite(at) else f"no {name}: no such crossing"
             for name, value, at in (
                 ("gain margin", f"{margins.gain:.3g}", margins.phase_crossover),
@@ -51,7 +51,7 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         for axis, at in zip(axes, (margins.phase_crossover, margins.gain_crossover), strict=True):
             if np.isfinite(at) and at > 0.0:
                 axis.axvline(at, color="0.5", lw=0.8, ls=":")
-    axes[0].set_title(", ".join(said), fontsize=9)
+    axes[0].set_title(", ".join(texts), fontsize=9)
     axes[0].set_ylabel("gain")
     axes[1].set_ylabel("phase (degrees)")
     axes[1].set_xlabel("frequency (rad/s); dashed: half of the sampling frequency")
@@ -67,21 +67,21 @@ def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figu
     loop : control.StateSpace
         The loop transfer function.
     poles : ndarray of complex
-        Of the closed loop.
+        Poles of the closed loop.
     title : str
-        Stands above.
+        Title of the figure.
     figure : Figure
-        An empty one to draw on.
+        An empty figure to draw on.
     """
     _, (axis,) = make_panels([0.7 * WIDTH], figure)
     control.root_locus_plot(loop, gains=GAINS, ax=axis, color=BLUE, legend_loc=False)
     for line in axis.lines:
-        if line.get_linestyle() != "None":  # lines would cut the corners where branches meet
+        if line.get_linestyle() != "None":  # dots, because lines would cut the corners where branches meet
             line.set(linestyle="none", marker=".", markersize=2.0)
     circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
     (limit,) = axis.plot(circle.real, circle.imag, color="0.5", lw=0.8, ls="--")
     (now,) = axis.plot(poles.real, poles.imag, "s", ms=6, mfc="none", color=SENSOR_COLOURS[0])
-    # Fast sampling gathers the poles at 1: what lies farther out matters little.
+    # With fast sampling the poles are near 1. The rest of the plane matters little.
     shown = np.concatenate([poles, loop.poles(), [1.0]])
     low, high, top = shown.real.min(), shown.real.max(), np.abs(shown.imag).max()
     pad = 0.15 * max(high - low, 2.0 * top, 0.02)

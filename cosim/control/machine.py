@@ -1,4 +1,4 @@
-"""A diagram as two pure functions of time, state and inputs, which is how python-control looks at a system."""
+"""A diagram as two pure functions of time, state and inputs, as python-control needs them."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from bayesftc.cosim.run.running import choose_engine, explain, open_run
 from bayesftc.cosim.types import Floats
 
 _ROUNDING = 1e-6
-"""Part of a step by which python-control's sum of steps may miss the instant that it means."""
+"""Tolerance for times, as a part of a step, because python-control adds up step sizes."""
 
-_SHOWN = 8
-"""How many outputs are remembered: an interconnection asks for the same ones again and again while values pass through it."""
+_CACHED = 8
+"""Number of cached outputs. An interconnection evaluates the same outputs repeatedly while values pass through it."""
 
-Asked = tuple[int, bytes, bytes]
+Point = tuple[int, bytes, bytes]
 """A step, and the bytes of state and inputs."""
 
 
@@ -38,24 +38,24 @@ class Machine:
     Parameters
     ----------
     diagram : Diagram
-        What to evaluate.
+        The diagram.
     inputs, outputs : sequence of (str, str, int)
-        Block, port and element of each input and output; an input is the element of a port that feeds the others.
+        Block, port and element of each input and output. An input is the element of a port that feeds others.
     seed : int or None
-        Of the random streams; None for no noise.
+        Seed of the random streams; None for no noise.
     engine : {"auto", "compiled", "interpreted"}
         As in `Diagram.simulate`.
 
     Attributes
     ----------
     initial : ndarray
-        The state at which the diagram begins.
+        The initial state of the diagram.
     names : list of str
-        Of the elements of the state.
+        Names of the elements of the state.
     opaque : list of str
-        Names of the FMUs of which the state is known to themselves alone.
+        Names of the FMUs whose states are hidden.
     hints : Hints
-        What its user is told.
+        Warnings for the user.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Machine:
         self.hints = Hints(self.names, self.initial, [node.block for node in diagram.nodes])
 
     def _open(self) -> None:
-        """Begin anew: with new instances of all FMUs."""
+        """Start again with new instances of all FMUs."""
         seed, engine = self._settings[3:]
         self._stack.close()
         schedule = self._schedule
@@ -96,29 +96,29 @@ class Machine:
         self._externals: list[ExternalState] = [
             external_state(instance, schedule, i) for i, instance in sorted(self._run.instances.items())
         ]
-        # The outputs that were asked for last, what memory stands at, and the step that was made last.
-        self._shown: dict[Asked, Floats] = {}
-        self._evaluated: Asked | None = None
-        self._stepped: Asked | None = None
+        # Cached outputs, the point of the values in memory, and the point of the last step.
+        self._cache: dict[Point, Floats] = {}
+        self._evaluated: Point | None = None
+        self._stepped: Point | None = None
         self._after: Floats = np.zeros(0)
 
     def output(self, t: float, x: Any, u: Any, params: object = None) -> Floats:
         """Return the outputs at time `t`."""
         self.hints.params(params)
-        key = self._asked(t, x, u)
-        values = self._shown.get(key)
+        key = self._point(t, x, u)
+        values = self._cache.get(key)
         if values is None:
             self._evaluate(key)
             values = self._run.memory[self._out]
-            if len(self._shown) == _SHOWN:
-                self._shown.clear()
-            self._shown[key] = values
+            if len(self._cache) == _CACHED:
+                self._cache.clear()
+            self._cache[key] = values
         return values.copy()
 
     def update(self, t: float, x: Any, u: Any, params: object = None) -> Floats:
         """Return the state one step after time `t`."""
         self.hints.params(params)
-        key = self._asked(t, x, u)
+        key = self._point(t, x, u)
         if key != self._stepped:
             if key[0] == 0:
                 self.hints.beginning(np.frombuffer(key[1]))
@@ -131,9 +131,9 @@ class Machine:
         return self._after.copy()
 
     def held(self, t: float, x: Any, u: Any) -> tuple[Machine, Floats]:
-        """Return what stands for the diagram in a linearization at a point, and the state there: what blocks learn is held."""
-        asked = self._asked(t, x, u)
-        self._evaluate(asked)
+        """Return the machine for a linearization at a point, in which blocks do not learn, and its state there."""
+        point = self._point(t, x, u)
+        self._evaluate(point)
         schedule, memory = self._schedule, self._run.memory
         blocks = {
             node.name: node.block.held(
@@ -141,17 +141,17 @@ class Machine:
             )
             for node in schedule.nodes
         }
-        state = np.frombuffer(asked[1])
+        state = np.frombuffer(point[1])
         if all(blocks[node.name] is node.block for node in schedule.nodes):
             return self, state
         diagram, inputs, outputs, seed, _ = self._settings
-        # Interpreted: to compile blocks anew takes longer than the few steps of a linearization.
+        # Interpreted, because compiling the new blocks takes longer than the few steps of a linearization.
         machine = Machine(diagram.rewired(blocks), inputs, outputs, seed, "interpreted")
-        known = dict(zip(self.names, state, strict=True))
-        values = [known.get(name, start) for name, start in zip(machine.names, machine.initial, strict=True)]
+        by_name = dict(zip(self.names, state, strict=True))
+        values = [by_name.get(name, start) for name, start in zip(machine.names, machine.initial, strict=True)]
         return machine, np.array(values, dtype=np.float64)
 
-    def _asked(self, t: float, x: Any, u: Any) -> Asked:
+    def _point(self, t: float, x: Any, u: Any) -> Point:
         if t != self._instant[0]:
             self._instant = t, self._step_of(t)
         return self._instant[1], np.asarray(x, dtype=np.float64).tobytes(), np.asarray(u, dtype=np.float64).tobytes()
@@ -161,17 +161,17 @@ class Machine:
         k = round(ratio) if isfinite(ratio) else -1
         if k < 0 or abs(ratio - k) > _ROUNDING * max(k, 1):
             raise StepSizeError(
-                f"The system was asked for t = {t:g} s, but it has a sample time of {show(self._schedule.step)} s and begins "
-                "at 0; give times that are whole multiples of it."
+                f"The system cannot be evaluated at t = {t:g} s, because it has a sample time of {show(self._schedule.step)} s "
+                "and begins at 0; give times that are whole multiples of the sample time."
             )
         return k
 
-    def _evaluate(self, asked: Asked) -> None:
-        """Bring outputs and inputs into memory as they are at a step, in a state, with inputs from outside."""
-        if asked == self._evaluated:
+    def _evaluate(self, point: Point) -> None:
+        """Compute outputs and inputs in memory for a step, a state, and inputs from outside."""
+        if point == self._evaluated:
             return
         self._evaluated = None
-        k, state, inputs = asked[0], np.frombuffer(asked[1]), np.frombuffer(asked[2])
+        k, state, inputs = point[0], np.frombuffer(point[1]), np.frombuffer(point[2])
         parts = self._parts(state)
         if any(external.over(part) for external, part in parts):
             self._open()
@@ -186,7 +186,7 @@ class Machine:
         self._make(self._engine.evaluate, k)
         for external in self._externals:
             external.evaluated(k)
-        self._evaluated = asked
+        self._evaluated = point
 
     def _parts(self, state: Floats) -> list[tuple[ExternalState, Floats]]:
         begin, parts = len(self._carried), []
@@ -196,23 +196,23 @@ class Machine:
         return parts
 
     def _make(self, phase: Callable[[int], Failure | None], k: int) -> None:
-        """Make a phase of a step; where it fails or is interrupted, the FMUs are in no state that is known."""
+        """Make a phase of a step. If it fails or is interrupted, the state of the FMUs is unknown."""
         try:
             failure = phase(k)
             if failure is not None:
-                sentence = explain(failure, self._run)
-                raise SimulationError(sentence.replace("; the signals up to the step before are kept", ""))
+                message = explain(failure, self._run)
+                raise SimulationError(message.replace("; the signals up to the step before are kept", ""))
         except BaseException:
             for external in self._externals:
                 external.lose()
             raise
 
-    # A copy, as python-control makes of a system that stands twice in a diagram, has FMUs of its own.
+    # A copy has its own FMUs. python-control copies a system that occurs twice in a diagram.
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), self._settings
 
 
 def _places(diagram: Diagram, elements: Sequence[tuple[str, str, int]]) -> np.ndarray[Any, np.dtype[np.int64]]:
     schedule = diagram.schedule
-    found = [schedule.signal(diagram[name], diagram[name].block.port(port)).start + i for name, port, i in elements]
-    return np.array(found, dtype=np.int64)
+    places = [schedule.signal(diagram[name], diagram[name].block.port(port)).start + i for name, port, i in elements]
+    return np.array(places, dtype=np.int64)

@@ -1,8 +1,8 @@
 """Stability margins of a sampled loop, from its transfer function on the unit circle.
 
-python-control looks for crossings between the points of a grid of frequencies. Of a sampled loop the limit is often at half of
-the sampling frequency, the end of each grid, and a lightly damped mode lies between its points. So the grid here has both ends,
-and points about each pole; what it finds is refined on the transfer function itself.
+python-control searches crossings between the points of a frequency grid. For a sampled loop the limit is often at half of the
+sampling frequency, the end of each grid, and a lightly damped mode lies between grid points. So the grid here has both ends,
+and points about each pole. Crossings are then refined on the transfer function itself.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from numpy.typing import NDArray
 from bayesftc.cosim.types import Floats
 
 GRID = 4000
-"""Points of the grid from 0 to half of the sampling frequency, half of them spaced evenly, half by their logarithm."""
+"""Number of grid points from 0 to half of the sampling frequency: half of them linearly spaced, half logarithmically."""
 
 ABOUT = np.concatenate([-np.geomspace(100.0, 0.01, 60), np.geomspace(0.01, 100.0, 60)])
-"""Where there are points about a pole, in units of its distance from the unit circle."""
+"""Grid points about a pole, in units of its distance from the unit circle."""
 
 
 class Margins(NamedTuple):
-    """How far a stable loop is from instability; infinite or NaN where there is no such crossing.
+    """Stability margins of a stable loop; infinite or NaN if there is no such crossing.
 
     Attributes
     ----------
     gain : float
         Gain margin: the factor of the loop gain, nearest to 1 on a logarithmic scale, at which the loop is at the limit of
-        stability. It is below 1 where less gain loses the loop sooner than more.
+        stability. It is below 1 if a lower gain reaches the limit sooner than a higher gain.
     phase : float
-        Phase margin in degrees: the least change of phase, in either direction, at which the loop is at the limit.
+        Phase margin in degrees: the smallest change of phase, in either direction, at which the loop is at the limit.
     delay : float
         Delay margin in seconds: the shortest additional delay at which the loop is at the limit. NaN if the gain is 1 or more
-        at half of the sampling frequency, where a part of a sample of delay has no meaning.
+        at half of the sampling frequency, because there a delay of a part of a sample has no meaning.
     gain_crossover, phase_crossover : float
         Frequencies in rad/s of the phase margin, where the gain is 1, and of the gain margin, where the phase is -180 degrees.
     modulus : float
-        Least distance of the loop transfer function from -1.
+        Smallest distance of the loop transfer function from -1.
     """
 
     gain: float
@@ -55,7 +55,7 @@ def margins_of(loop: Any) -> Margins:
     Parameters
     ----------
     loop : control.StateSpace
-        The transfer function of a loop with one input and one output, with negative feedback, at a sample time.
+        The transfer function of a sampled loop with one input and one output, for negative feedback.
     """
     from scipy.optimize import minimize_scalar
 
@@ -64,18 +64,18 @@ def margins_of(loop: Any) -> Margins:
     def response(angle: Any) -> Any:
         z = np.exp(1j * np.atleast_1d(angle))
         states = np.linalg.solve(z[:, None, None] * np.eye(len(loop.A)) - loop.A, loop.B[None] + 0j)
-        found = (loop.C @ states + loop.D)[:, 0, 0]
-        return found if np.ndim(angle) else complex(found[0])
+        values = (loop.C @ states + loop.D)[:, 0, 0]
+        return values if np.ndim(angle) else complex(values[0])
 
     grid = _grid(poles)
     values = response(grid)
-    # At both ends it is real, whatever rounding says.
+    # At both ends the response is real, except for rounding.
     ends = [a for a in (0.0, np.pi) if not (np.abs(poles - np.exp(1j * a)) < 1e-9).any()]
     real = [a for a in _crossings(lambda a: response(a).imag, grid, values.imag) if 1e-9 < a < np.pi - 1e-9]
     limits = [(a, -1.0 / response(a).real) for a in [*real, *ends] if response(a).real < 0.0]
     phase_crossover, gain = min(limits, key=lambda each: abs(np.log(each[1])), default=(np.nan, np.inf))
     unit = _crossings(lambda a: abs(response(a)) - 1.0, grid, np.abs(values) - 1.0)
-    lags = [(a, np.angle(-response(a))) for a in unit if a > 0.0]  # a lag that is negative is a lead
+    lags = [(a, np.angle(-response(a))) for a in unit if a > 0.0]  # a negative lag is a lead
     gain_crossover, phase = min(lags, key=lambda each: abs(each[1]), default=(np.nan, np.inf))
     delay = min((lag % (2.0 * np.pi) / a for a, lag in lags), default=np.inf)
     if np.pi not in ends or abs(response(np.pi)) >= 1.0:
@@ -95,25 +95,25 @@ def margins_of(loop: Any) -> Margins:
 
 
 def _grid(poles: NDArray[np.complex128]) -> Floats:
-    """Return angles from 0 to pi, dense where the transfer function changes fast; none is at a pole."""
+    """Return angles from 0 to pi, dense where the transfer function changes fast, and not at poles."""
     half = GRID // 2
     points = [np.linspace(np.pi / half, np.pi, half), np.geomspace(1e-7, np.pi / half, half)]
     for pole in poles[poles.imag >= 0.0]:
         points.append(np.angle(pole) + max(abs(1.0 - abs(pole)), 1e-7) * ABOUT)
-    found = np.unique(np.concatenate(points))
-    return found[(found >= 1e-7) & (found <= np.pi)]
+    grid = np.unique(np.concatenate(points))
+    return grid[(grid >= 1e-7) & (grid <= np.pi)]
 
 
 def _crossings(function: Callable[[float], float], grid: Floats, values: Floats) -> list[float]:
-    """Return where a function of the angle is zero, given its values on the grid; not where it jumps to the other sign."""
+    """Return the zeros of a function of the angle, given its values on the grid, without jumps to the other sign."""
     from scipy.optimize import brentq
 
-    found = []
+    zeros = []
     for i in np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0):
         place = brentq(function, grid[i], grid[i + 1], xtol=1e-14, rtol=1e-13)
         if abs(function(place)) <= max(abs(values[i]), abs(values[i + 1])):
-            found.append(float(place))
-    return found + [float(a) for a in grid[values == 0.0]]
+            zeros.append(float(place))
+    return zeros + [float(a) for a in grid[values == 0.0]]
 
 
 __all__ = ["Margins", "margins_of"]

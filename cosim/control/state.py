@@ -1,7 +1,7 @@
-"""The state of a diagram, as few numbers as it can be: the places in memory that a step reads before it writes them.
+"""The minimal state of a diagram: the places in memory that a step reads before it writes them.
 
-Scratch space that a block declares is no state. What it keeps among its states, and writes before it reads it, is none
-either. As a step function never branches on data, one step that is watched says all.
+Scratch of a block is no state. A declared state that is always written before it is read is no state either. A step function
+never branches on data, so that observing one step is sufficient.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Places = np.ndarray[Any, np.dtype[np.int64]]
 
 
 def state_places(schedule: Schedule) -> list[tuple[int, str]]:
-    """Return the places in memory that carry something from a step to the next, each with its name (``car.x[0]``).
+    """Return the places in memory whose values pass from a step to the next, each with its name (``car.x[0]``).
 
-    The states of external blocks are not in memory. A block that runs at every n-th step also hands on its outputs, which
-    the others read in between.
+    The states of external blocks are not in memory. For a block that runs at every n-th step, the outputs are included, because
+    other blocks read them in between.
     """
-    found: list[tuple[int, str]] = []
+    places: list[tuple[int, str]] = []
     for i, (node, slots) in enumerate(zip(schedule.nodes, schedule.slots, strict=True)):
         carried = set() if is_external(node) else _carried(schedule, i)
         outputs = slots.start["outputs"]
@@ -39,8 +39,8 @@ def state_places(schedule: Schedule) -> list[tuple[int, str]]:
                 if begin + j in carried | held:
                     index = f"[{','.join(map(str, np.unravel_index(j, shape)))}]" if size > 1 else ""
                     kept = "_held" if begin + j in held else ""
-                    found.append((begin + j, f"{node.name}.{name}{kept}{index}"))
-    return found
+                    places.append((begin + j, f"{node.name}.{name}{kept}{index}"))
+    return places
 
 
 def _carried(schedule: Schedule, i: int) -> set[int]:
@@ -53,14 +53,14 @@ def _carried(schedule: Schedule, i: int) -> set[int]:
         for j in range(int(np.prod(shape)))
     }
     if not definition.compiled:
-        return everything  # it may do with its arrays what it likes
+        return everything  # Python code may use its arrays in any way
     watch, memory = _Watch(), schedule.initial.copy()
     try:
         with np.errstate(all="ignore"):
             for kernel in (definition.output, definition.update):
                 if kernel is not None:
                     kernel(*_arguments(kernel, slots, memory, watch))
-    except Exception:  # noqa: BLE001 - a step function that cannot be watched runs all the same
+    except Exception:  # noqa: BLE001 - a step function that cannot be observed may still be valid
         return everything
     return watch.carried & watch.written
 
@@ -80,7 +80,7 @@ def _arguments(kernel: Kernel, slots: Slots, memory: Floats, watch: _Watch) -> l
 
 
 class _Watch:
-    """What was done to memory so far."""
+    """Records reads and writes of memory."""
 
     def __init__(self) -> None:
         self.carried: set[int] = set()
@@ -94,7 +94,7 @@ class _Watch:
 
 
 class _Watched(np.ndarray):  # type: ignore[type-arg]
-    """An array of which it is noted what is read and written; used whole, or in parts, all of it counts as both."""
+    """An array that records reads and writes; if it, or a part of it, is used as a whole, that counts as both."""
 
     watch: _Watch | None = None
     places: Places

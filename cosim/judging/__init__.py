@@ -1,1 +1,1 @@
-"""How good a run was: errors, alarms, probabilities, and the figures that show it."""
+"""Judge a run: errors, alarms, probabilities, and figures."""

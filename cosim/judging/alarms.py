@@ -1,17 +1,16 @@
-"""A detector at a threshold: when it alarms, how late, what it misses, and how often it is wrong.
+"""Judge a detector at a threshold: alarms, delays, missed faults and false alarms.
 
-- An *alarm* lasts for an unbroken run of samples whose score is at least the threshold; it *begins* with the first of them.
-- A *false alarm* is an alarm that begins in a fault-free sample. It counts once, however long it lasts. An alarm that begins
-  during a fault and outlasts it is no false alarm; `Alarms.false_share`, the share of the fault-free time in which there is an
-  alarm, tells how long such last.
-- A *fault* is an unbroken run of samples in which it is present. Its *delay* is the number of samples from its first one to its
-  first one with an alarm: 0 if the very first has one. A fault without any is *missed*, and its delay infinite, so that
-  quantiles are of all faults and not of the easy ones.
-- A sample whose score is missing (NaN) is left out, as if there had been none; a fault of which all are counts in no figure.
+- An *alarm* is an unbroken sequence of samples whose score is at least the threshold. It *begins* with the first of them.
+- A *false alarm* is an alarm that begins in a fault-free sample. It counts once, regardless of its length. An alarm that begins
+  during a fault and continues after it is not a false alarm. `Alarms.false_share`, the share of the fault-free time with an
+  alarm, shows how long such alarms last.
+- A *fault* is an unbroken sequence of samples in which it is present. Its *delay* is the number of samples from its first sample
+  to its first sample with an alarm: 0 if the first sample has one. A fault without an alarm is *missed*, and its delay is
+  infinite. So quantiles are those of all faults, not only of the faults that are easy to detect.
+- A sample whose score is missing (NaN) is left out, as if it did not exist. A fault without any score counts in no figure.
 
-Rates are per hour of one sensor: two sensors for one hour make two hours. As in `bayesftc.cosim.judging.metrics`, a
-figure is NaN where
-it is not defined. Intervals take faults and false alarms for independent of each other.
+Rates are per hour of one sensor: two sensors for one hour make two hours. As in `bayesftc.cosim.judging.metrics`, a figure is NaN
+if it is not defined. Intervals assume that faults and false alarms are independent of each other.
 """
 
 from __future__ import annotations
@@ -34,20 +33,22 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Alarms:
-    """The alarms of a detector, see the module's text for the definitions; made by `judge_alarms`. The sum pools records.
+    """The alarms of a detector; made by `judge_alarms`. The sum of two pools their records.
+
+    The docstring of the module has the definitions.
 
     Attributes
     ----------
     step : float
         Sample time in seconds.
     delays : ndarray of shape (faults,)
-        Delay of each fault in samples, infinite if it was missed.
+        Delay of each fault in samples, infinite for a missed fault.
     false_alarms : int
         Number of false alarms.
     hours : float
-        Fault-free time, of all sensors together.
+        Fault-free time in hours, of all sensors together.
     false_hours : float
-        How much of it had an alarm.
+        Fault-free time with an alarm.
     """
 
     step: float
@@ -62,7 +63,8 @@ class Alarms:
             return NotImplemented
         if other.step != self.step:
             raise ModelError(
-                f"Alarms at a sample time of {self.step:g} s cannot be pooled with some at {other.step:g} s."
+                f"Alarms at a sample time of {self.step:g} s cannot be pooled with alarms at {other.step:g} s; judge records of "
+                "one sample time."
             )
         return Alarms(
             self.step,
@@ -99,16 +101,16 @@ class Alarms:
 
     @property
     def time_between_false_alarms(self) -> float:
-        """Mean time between false alarms of one sensor in seconds; NaN if there was none."""
+        """Mean time between false alarms of one sensor in seconds; NaN without false alarms."""
         return self.hours * HOUR / self.false_alarms if self.false_alarms else NAN
 
     def delay(self, quantile: float = 0.5) -> float:
-        """Return a quantile of the delay in samples, over all faults; NaN where it falls on those that were missed.
+        """Return a quantile of the delay in samples, over all faults; NaN if it is that of a missed fault.
 
         Parameters
         ----------
         quantile : float
-            Between 0 and 1; the least delay that this share of the faults does not exceed.
+            Between 0 and 1. The result is the smallest delay that this share of the faults does not exceed.
         """
         if not self.faults:
             return NAN
@@ -116,25 +118,24 @@ class Alarms:
         return float(value) if np.isfinite(value) else NAN
 
     def delay_interval(self, quantile: float = 0.5, level: float = LEVEL) -> tuple[float, float]:
-        """Return the confidence interval of a quantile of the delay in samples, whatever the distribution; inf means missed.
+        """Return the confidence interval of a quantile of the delay in samples, for any distribution; inf means missed.
 
-        By the order statistics between which the quantile lies with at least this probability (David and Nagaraja 2003, section
-        7.1).
+        Its bounds are the order statistics between which the quantile lies with at least this probability (David and Nagaraja
+        2003, section 7.1).
 
         Parameters
         ----------
         quantile : float
             Between 0 and 1.
         level : float
-            Probability that the interval covers the quantile.
+            Probability that the interval contains the quantile.
         """
         from scipy.special import bdtr
 
         if not self.faults:
             return NAN, NAN
-        below = bdtr(
-            np.arange(self.faults + 1), self.faults, quantile
-        )  # at most k of the delays lie below the quantile
+        # Probability that at most k of the delays lie below the quantile.
+        below = bdtr(np.arange(self.faults + 1), self.faults, quantile)
         first = int(np.searchsorted(below, (1.0 - level) / 2, side="right"))
         last = int(np.searchsorted(below, (1.0 + level) / 2, side="left")) + 1
         ordered = np.concatenate([[0.0], np.sort(self.delays), [np.inf]])
@@ -146,7 +147,7 @@ class Alarms:
         Parameters
         ----------
         level : float
-            Probability that the interval covers the share.
+            Probability that the interval contains the share.
         """
         from scipy.special import betaincinv
 
@@ -162,7 +163,7 @@ class Alarms:
         Parameters
         ----------
         level : float
-            Probability that the interval covers the rate.
+            Probability that the interval contains the rate.
         """
         from scipy.special import gammaincinv
 
@@ -197,12 +198,12 @@ class Alarms:
 def judge_alarms(
     score: ArrayLike, faulty: ArrayLike, *, threshold: float, step: float, left_out: ArrayLike | None = None
 ) -> Alarms:
-    """Return how the faults of a record are seen by alarms at a threshold.
+    """Return the alarms of a detector at a threshold, compared with the faults of a record.
 
     Parameters
     ----------
     score : array_like of shape (steps,) or (steps, sensors)
-        What is the higher the more a sample looks faulty: a fault probability, its log odds, a residual; NaN where missing.
+        A fault probability, its log odds, a residual: a higher score means that a fault is more likely; NaN if missing.
     faulty : array_like of bool of the same shape
         The truth.
     threshold : float
@@ -210,7 +211,7 @@ def judge_alarms(
     step : float
         Sample time in seconds.
     left_out : array_like of bool of the same shape, optional
-        Samples that are neither faulty nor fault-free, such as those of another kind of fault than the one that is judged.
+        Samples that count neither as faulty nor as fault-free, such as those with another kind of fault than the judged one.
 
     Raises
     ------
@@ -220,11 +221,13 @@ def judge_alarms(
     values = _columns("score", score, np.float64)
     truth = _columns("faulty", faulty, np.bool_)
     other = np.zeros_like(truth) if left_out is None else _columns("left_out", left_out, np.bool_)
-    for name, given in (("faulty", truth), ("left_out", other)):
-        if given.shape != values.shape:
-            raise ModelError(f"judge_alarms has a score of shape {values.shape} and {name} of shape {given.shape}.")
+    for name, flags in (("faulty", truth), ("left_out", other)):
+        if flags.shape != values.shape:
+            raise ModelError(
+                f"judge_alarms has a score of shape {values.shape} and {name} of shape {flags.shape}; give equal shapes."
+            )
     if np.isnan(threshold):
-        raise ModelError("judge_alarms has threshold=nan; give the least score of an alarm.")
+        raise ModelError("judge_alarms has threshold=nan; give the lowest score of an alarm.")
     pieces = [_of_sensor(*column, float(threshold), _seconds(step)) for column in zip(values.T, truth.T, other.T)]
     total = pieces[0]
     for piece in pieces[1:]:
@@ -233,15 +236,15 @@ def judge_alarms(
 
 
 def _of_sensor(score: Floats, faulty: Flags, left_out: Flags, threshold: float, step: float) -> Alarms:
-    known = ~np.isnan(score)
+    valid = ~np.isnan(score)
     alarm = score >= threshold
     delays = []
     for a, b in periods(faulty & ~left_out):
-        there = a + np.flatnonzero(known[a:b])
-        if len(there):
-            alarmed = alarm[there]
-            delays.append(float(there[np.argmax(alarmed)] - there[0]) if alarmed.any() else np.inf)
-    on, healthy = alarm[known], (~faulty & ~left_out)[known]
+        places = a + np.flatnonzero(valid[a:b])
+        if len(places):
+            alarmed = alarm[places]
+            delays.append(float(places[np.argmax(alarmed)] - places[0]) if alarmed.any() else np.inf)
+    on, healthy = alarm[valid], (~faulty & ~left_out)[valid]
     begins = on & ~np.concatenate([[False], on[:-1]])
     hours = step / HOUR
     return Alarms(
@@ -254,37 +257,35 @@ def _of_sensor(score: Floats, faulty: Flags, left_out: Flags, threshold: float, 
 
 
 def alarm_threshold(scores: Sequence[ArrayLike] | ArrayLike, *, step: float, per_hour: float = 1.0) -> float:
-    """Return the least threshold at which fault-free records have no more than so many alarms per hour.
+    """Return the lowest threshold at which fault-free records have at most a given number of alarms per hour.
 
-    At that and at every higher one they have no more. Judge it on other records than those it was found on.
+    The condition holds at this threshold and at all higher ones. Test the threshold on other records.
 
     Parameters
     ----------
     scores : array_like of shape (steps,) or (steps, sensors), or sequence of such
-        Of fault-free records, NaN where missing. Sensors count as records of their own.
+        Scores of fault-free records, NaN if missing. Each sensor counts as a separate record.
     step : float
         Sample time in seconds.
     per_hour : float
-        Alarms per hour of one sensor.
+        Largest number of alarms per hour of one sensor.
 
     Returns
     -------
     float
-        Just above the score of the first alarm that would be too much: above all scores if more alarms than that share the
-        highest one, and the lowest score if there are never too many.
+        A number just above the score of the first alarm beyond the limit. It is above all scores if too many alarms have the
+        highest score, and the lowest score if there are never too many alarms.
 
     Raises
     ------
     ModelError
-        If the records are too short for a single alarm at that rate, or a score is infinite.
+        If the records are too short for one alarm at that rate, or a score is infinite.
     """
     several = isinstance(scores, list | tuple) and len(scores) > 0 and np.ndim(scores[0]) > 0
     records: Any = scores if several else [scores]
     columns = [c[~np.isnan(c)] for record in records for c in _columns("scores", record, np.float64).T]
     if not all(np.isfinite(c).all() for c in columns):
-        raise ModelError(
-            "alarm_threshold got a score that is infinite; give a score that is finite, such as bounded log odds."
-        )
+        raise ModelError("alarm_threshold has an infinite score; give finite scores, such as bounded log odds.")
     hours = sum(len(c) for c in columns) * _seconds(step) / HOUR
     allowed = hours * per_hour
     if not (np.isfinite(per_hour) and allowed >= 1):
@@ -296,25 +297,25 @@ def alarm_threshold(scores: Sequence[ArrayLike] | ArrayLike, *, step: float, per
     now = np.concatenate(columns)
     lowest, rises = float(now.min()), now > before
     before, now = before[rises], now[rises]
-    looked_at = min(len(now), 64 * int(allowed))
-    while True:  # few of the samples are as high as the threshold: only those are sorted
-        least = np.partition(now, -looked_at)[-looked_at]
+    count = min(len(now), 64 * int(allowed))
+    while True:  # sort only the highest samples, because few reach the threshold
+        least = np.partition(now, -count)[-count]
         level = _least_level(before, now, float(least), allowed)
         if level is not None:
             return float(np.nextafter(level, np.inf))
-        if looked_at == len(now):
+        if count == len(now):
             return lowest
-        looked_at = min(len(now), 8 * looked_at)
+        count = min(len(now), 8 * count)
 
 
 def _least_level(before: Floats, now: Floats, least: float, allowed: float) -> float | None:
-    """Return the highest level, from `least` up, at which there are too many rises from below to that level or above."""
+    """Return the highest level, from `least` up, that is reached too often from below."""
     up, down = now[now >= least], before[before >= least]
     levels = np.concatenate([up, down])
     order = np.argsort(-levels, kind="stable")
     levels = levels[order]
     alarms = np.cumsum(np.concatenate([np.ones(len(up)), -np.ones(len(down))])[order])
-    whole = np.append(levels[1:] < levels[:-1], True)  # the last of those that are equal has all of them
+    whole = np.append(levels[1:] < levels[:-1], True)  # among equal levels, only the last has the complete count
     too_many = levels[whole & (alarms > allowed)]
     return float(too_many[0]) if len(too_many) else None
 
@@ -324,7 +325,7 @@ def _columns(name: str, values: ArrayLike, dtype: Any) -> Any:
     try:
         array = np.asarray(values, dtype=dtype)
     except (TypeError, ValueError):
-        raise ModelError(f"{name} is no array of numbers.") from None
+        raise ModelError(f"{name} is not an array of numbers; give one.") from None
     array = array[:, None] if array.ndim == 1 else array
     if array.ndim != 2 or 0 in array.shape:
         raise ModelError(

@@ -1,4 +1,4 @@
-"""Panels of a closed loop's figure that are about faults: expected noise, fault probabilities, and which faults were present."""
+"""The fault panels of a closed loop's figure: expected noise, fault probabilities, and present faults."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 IGNORED = 100.0
-"""A sensor whose expected standard deviation is this many times the smallest one has less than 1/10,000 of that one's weight."""
+"""Factor above the smallest expected standard deviation. A sensor beyond it has less than 1/10,000 of the largest weight."""
 SMALLEST = 0.01
-"""Quantile of the expected standard deviations that stands for the smallest: the very smallest may last for a sample only."""
+"""Quantile of the expected standard deviations that counts as the smallest, because the minimum may last for one sample only."""
 LANE, FIRST_LANE = 0.11, 1.10
 """Height of a row of kinds and the middle of the lowest, in units of the probability."""
 ROW = 0.09
@@ -35,13 +35,13 @@ def deviation_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes],
     for sensor in signals.sensors:
         if sensor.precision is not None:
             units.setdefault(sensor.unit, []).append(sensor)
-    return [(1.8, partial(_draw_deviation, signals=signals, sensors=own, unit=unit)) for unit, own in units.items()]
+    return [(1.8, partial(_draw_deviation, signals=signals, sensors=group, unit=unit)) for unit, group in units.items()]
 
 
 def _draw_deviation(axis: Axes, *, signals: LoopSignals, sensors: list[SensorSignals], unit: str | None) -> None:
     expected = {sensor.index: _expected(sensor) for sensor in sensors}
-    known = np.concatenate([values[np.isfinite(values)] for values in expected.values()])
-    most = IGNORED * float(np.quantile(known, SMALLEST)) if len(known) else np.inf
+    finite = np.concatenate([values[np.isfinite(values)] for values in expected.values()])
+    most = IGNORED * float(np.quantile(finite, SMALLEST)) if len(finite) else np.inf
     drawn, row = [], 0
     for sensor in sensors:
         values = expected[sensor.index]
@@ -57,7 +57,7 @@ def _draw_deviation(axis: Axes, *, signals: LoopSignals, sensors: list[SensorSig
 
 
 def _expected(sensor: SensorSignals) -> Floats:
-    """Return the standard deviation that the controller expects; NaN where the sensor has no sample or no precision."""
+    """Return the standard deviation that the controller expects; NaN without a sample or a precision."""
     assert sensor.precision is not None
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = np.where(sensor.precision > 0, 1.0 / np.sqrt(sensor.precision), np.nan)
@@ -65,7 +65,7 @@ def _expected(sensor: SensorSignals) -> Floats:
 
 
 def _mark(axis: Axes, time: Floats, sensor: SensorSignals, what: str, row: int, where: Flags) -> int:
-    """Mark times of a sensor in a row at the top of an axis, and write there what they are; return how many rows that took."""
+    """Mark times of a sensor in a row at the top of an axis, with a text; return the number of rows used."""
     if not where.any():
         return 0
     height = axis.get_xaxis_transform()
@@ -82,59 +82,59 @@ def _mark(axis: Axes, time: Floats, sensor: SensorSignals, what: str, row: int, 
 
 
 def _write(axis: Axes, x: float, y: float, text: str, colour: str, transform: Any) -> None:
-    """Write a word on a bar."""
+    """Write a text on a bar."""
     box = {"fc": "white", "ec": "none", "pad": 0.8}
     style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7, "zorder": 6}
     axis.text(x, y, text, color=colour, bbox=box, transform=transform, **style)
 
 
 def _logarithmic(axis: Axes, drawn: list[Floats], margin: float = 0.0) -> None:
-    """Make the axis logarithmic, with ticks in between where powers of ten alone would leave one number or none.
+    """Make the axis logarithmic, with further ticks if there would be at most one power of ten.
 
-    ``margin`` is the share of its height that stays free at the top.
+    ``margin`` is the free share of its height at the top.
     """
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axis.set_yscale("log")
-    known = np.concatenate(drawn) if drawn else np.array([])
-    known = known[np.isfinite(known) & (known > 0)]
-    if not len(known):
+    values = np.concatenate(drawn) if drawn else np.array([])
+    values = values[np.isfinite(values) & (values > 0)]
+    if not len(values):
         return
-    low, high = 0.8 * known.min(), 1.3 * known.max()
+    low, high = 0.8 * values.min(), 1.3 * values.max()
     axis.set_ylim(low, low * (high / low) ** (1.0 / (1.0 - min(margin, 0.8))))
-    if known.max() < 100 * known.min():
-        few = known.max() < 5 * known.min()
+    if values.max() < 100 * values.min():
+        few = values.max() < 5 * values.min()
         axis.yaxis.set_major_locator(LogLocator(subs=tuple(np.arange(1.0, 10.0)) if few else (1.0, 2.0, 5.0)))
         axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axis.yaxis.set_minor_formatter(NullFormatter())
 
 
 def height_of_detection(signals: LoopSignals) -> float:
-    """Return the height of the panel of fault probabilities in inches: more with rows of kinds."""
+    """Return the height of the panel of fault probabilities in inches; rows of kinds increase it."""
     return 1.9 + 0.17 * len(_alarmed(signals))
 
 
 def _alarmed(signals: LoopSignals) -> list[SensorSignals | ActuatorSignals]:
-    """Return the sensors and actuators that have an alarm of a known kind."""
-    all_of_them: list[SensorSignals | ActuatorSignals] = [*signals.sensors, *signals.actuators]
+    """Return the sensors and actuators with an alarm and known kinds."""
+    devices: list[SensorSignals | ActuatorSignals] = [*signals.sensors, *signals.actuators]
     return [
         each
-        for each in all_of_them
+        for each in devices
         if each.kinds and each.kind is not None and each.probability is not None and (each.probability >= ALARM).any()
     ]
 
 
 def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
-    """Draw the fault probabilities and the kinds of faults; without a probability beta and what was detected."""
-    known = [s for s in signals.sensors if s.probability is not None and not np.isnan(s.probability).all()]
-    if not known and not signals.actuators:
+    """Draw the fault probabilities and the kinds of faults; without probabilities, beta and detected faults."""
+    with_probability = [s for s in signals.sensors if s.probability is not None and not np.isnan(s.probability).all()]
+    if not with_probability and not signals.actuators:
         _draw_beta(axis, signals)
         return
-    for sensor in known:
+    for sensor in with_probability:
         assert sensor.probability is not None
         axis.plot(*thin(signals.time, _given(sensor, sensor.probability)), **_line(sensor))
     for j, actuator in enumerate(signals.actuators):
-        # As those of an input, whose faults are hatched: no colour, for these are the sensors'.
+        # Black, as for inputs, because the colours belong to the sensors.
         style: dict[str, Any] = {"color": BLACK, "ls": LINES[j % len(LINES)], "lw": 1.3, "zorder": 3}
         axis.plot(*thin(signals.time, actuator.probability), label=f"actuator {actuator.name}", **style)
     axis.axhline(ALARM, color="0.4", lw=0.8, zorder=0, label=f"alarm from {ALARM:g}")
@@ -149,30 +149,30 @@ def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
 
 
 def _draw_kinds(axis: Axes, time: Floats, each: SensorSignals | ActuatorSignals, y: float) -> None:
-    """Draw a bar for each stretch of an alarm with one kind, and write the kinds on those that are long enough."""
+    """Draw a bar for each section of an alarm with one kind, and write the kind on bars that are long enough."""
     assert each.kind is not None
     assert each.probability is not None
     colour = colour_of(each.index) if isinstance(each, SensorSignals) else BLACK
     kind = np.where(each.probability >= ALARM, np.nan_to_num(each.kind), 0.0)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
     ends = np.append(time, time[-1])
-    stretches = [
+    sections = [
         (float(ends[a]), float(ends[b]), _words(each.kinds, kind[a])) for a, b in pairwise(edges) if kind[a] > 0
     ]
-    axis.broken_barh([(a, b - a) for a, b, _ in stretches], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=0, zorder=4)
+    axis.broken_barh([(a, b - a) for a, b, _ in sections], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=0, zorder=4)
     letter = 0.8 * LETTER * float(time[-1] - time[0])
-    for a, b, word in stretches:
+    for a, b, word in sections:
         if b - a > letter * (len(word) + 1):
             _write(axis, 0.5 * (a + b), y, word, colour, axis.transData)
-    if stretches and all(b - a <= letter * (len(word) + 1) for a, b, word in stretches):
-        a, b, word = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+    if sections and all(b - a <= letter * (len(word) + 1) for a, b, word in sections):
+        a, b, word = max(sections, key=lambda section: section[1] - section[0])
         right = b + letter * (len(word) + 1) < time[-1]
         side = {"ha": "left" if right else "right", "va": "center", "fontsize": 7, "zorder": 6}
         axis.text(b + 0.5 * letter if right else a - 0.5 * letter, y, word, color=colour, **side)  # type: ignore[arg-type]
 
 
 def _words(kinds: Sequence[str], number: float) -> str:
-    """Return the name of a kind in words: ``dropped out`` for `DroppedOut`."""
+    """Return the name of a kind as separate words: ``dropped out`` for `DroppedOut`."""
     name = kinds[int(number) - 1] if number <= len(kinds) else f"kind {number:g}"
     return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
 
@@ -212,7 +212,7 @@ def draw_shades(axis: Axes, signals: LoopSignals) -> None:
 
 
 def name_faults(axis: Axes, signals: LoopSignals) -> None:
-    """Write each fault's name above its period, or one note where there are too many."""
+    """Write the name of each fault above its period, or one note if there are too many."""
     faults = [
         (a, b, f"sensor {i}: {_kind(name, '', f'_{i}')}", colour_of(i))
         for name, (i, active) in signals.faults.items()
@@ -232,13 +232,13 @@ def name_faults(axis: Axes, signals: LoopSignals) -> None:
 
 
 def _kind(name: str, of: str, number: str) -> str:
-    """Return the kind of fault in a default name such as ``freeze_1``; a name that was given stays as it is."""
+    """Return the kind of fault in a default name such as ``freeze_1``; any other name is returned unchanged."""
     kind = name.removeprefix(of).removesuffix(number)
     return name if kind == name else kind.replace("_", " ")
 
 
 def _given(sensor: SensorSignals, values: Floats) -> Floats:
-    """Return a learner's output with a gap where there was no sample to learn from: it only relaxes there, and says nothing."""
+    """Return a learner's output with gaps for missing samples, because without samples it only relaxes."""
     return values if sensor.missing is None else np.where(sensor.missing, np.nan, values)
 
 

@@ -1,7 +1,7 @@
-"""The figure of a closed loop: signals and belief, samples, control, expected noise, and faults that the controller sees.
+"""The figure of a closed loop: signals and belief, samples, control, expected noise, and faults that the controller infers.
 
-Colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart; lines differ in style as well,
-so that they can be told apart in black and white. Legends stand beside the panels and cover nothing.
+The colours are those of Okabe and Ito, which are distinct for all kinds of colour vision. Lines also differ in style, so that
+they are distinct in black and white. Legends are beside the panels and cover nothing.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 MAIN, NARROW, STRIP = 2.1, 1.5, 0.8
 """Heights of panels in inches: of a quantity, of an input, and of the samples of one sensor."""
 MOST_STRIPS = 12
-"""Samples of more sensors than this are not drawn: the figure would be higher than a page."""
+"""Largest number of sensors whose samples are drawn, so that the figure fits on a page."""
 NORMAL_95 = 1.96
-"""Standard deviations on both sides of the mean within which a normal variable is with a probability of 95 %."""
+"""Half width in standard deviations of the interval that contains a normal variable with a probability of 95 %."""
 
 _Panels = list[tuple[float, Callable[["Axes"], None]]]
 
@@ -42,25 +42,25 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     From above, with time in seconds:
 
     - for each measured quantity its true value, its reference, and the belief: mean, and the mean plus and minus 1.96 standard
-      deviations; below it the samples of each of its sensors beside the mean of the belief;
-    - for each control what was sent, its limits, and with a fault on the way what the plant received; the same for other inputs
-      of the plant with a fault on their way;
+      deviations; below it the samples of each of its sensors with the mean of the belief;
+    - for each control the sent signal, its limits, and with a fault in between the signal that the plant received; the same for
+      other inputs of the plant with faults;
     - the standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``). While it is more than a
-      hundred times the smallest one, the sensor counts as ignored: a bar at the top says so. Crosses are missing samples;
-    - the fault probability of each sensor and, in black, of each actuator whose faults the controller tells; above it the most
-      probable kind of fault during an alarm. Without a probability: beta, with marks where a fault is detected.
+      hundred times the smallest one, the sensor counts as ignored and has a mark at the top. Crosses are missing samples;
+    - the fault probability of each sensor and, in black, of each actuator whose faults the controller infers; above it the most
+      probable kind of fault during an alarm. Without a probability: beta, with marks for detected faults.
 
-    Faults that were present are shaded, those of an input hatched, and named at the top. There are gaps where a sensor has no
-    sample. What was not recorded is left out.
+    Present faults are shaded, those of an input hatched, and named at the top. Lines have gaps at missing samples. Signals that
+    were not recorded are left out.
 
     Parameters
     ----------
     signals : LoopSignals
-        From `bayesftc.cosim.judging.roles.loop_signals`.
+        The signals, from `bayesftc.cosim.judging.roles.loop_signals`.
     title : str, optional
-        Stands above.
+        Title of the figure.
     figure : Figure, optional
-        An empty one to draw on.
+        An empty figure to draw on.
     """
     panels: _Panels = []
     for quantity in signals.quantities:
@@ -76,7 +76,7 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
             panels.append((NARROW, partial(_draw_input, time=signals.time, each=each)))
     panels += deviation_panels(signals)
     panels.append((height_of_detection(signals), partial(draw_detection, signals=signals)))
-    made, axes = make_panels([height for height, _ in panels], figure)
+    drawing, axes = make_panels([height for height, _ in panels], figure)
     for axis, (_, draw) in zip(axes, panels, strict=True):
         draw(axis)
         draw_shades(axis, signals)
@@ -85,13 +85,13 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
         legend(axis)
     finish(axes, signals.time)
     if title:
-        made.suptitle(title, fontsize=10, x=0.01, ha="left")
-    return made
+        drawing.suptitle(title, fontsize=10, x=0.01, ha="left")
+    return drawing
 
 
 def _draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None:
     lines: list[tuple[str, Floats | None, dict[str, Any]]] = [
-        # Broad and light below the others: under a good controller the belief lies on the reference and would hide it.
+        # Broad and light below the others, because under a good controller the belief would hide the reference.
         ("reference", quantity.reference, {"color": "0.75", "ls": "-", "lw": 3.0, "zorder": 2}),
         ("true value", quantity.truth, {"color": BLACK, "ls": "-", "lw": 1.1, "zorder": 4}),
         ("belief: mean", quantity.belief, {"color": BLUE, "ls": (0, (5, 2)), "lw": 1.3, "zorder": 5}),
@@ -108,19 +108,19 @@ def _draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> No
 
 
 def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panels:
-    """Return a panel for the samples of each sensor: in one panel those of redundant sensors hide each other."""
-    known = [sensor for sensor in sensors if sensor.samples is not None]
-    shown = known[:MOST_STRIPS]
+    """Return a panel for the samples of each sensor, because samples of redundant sensors would hide each other."""
+    recorded = [sensor for sensor in sensors if sensor.samples is not None]
+    shown = recorded[:MOST_STRIPS]
     panels: _Panels = []
     for number, sensor in enumerate(shown):
-        rest = f"\n({len(known) - len(shown)} more sensors are not drawn)" if len(known) > len(shown) else ""
+        rest = f"\n({len(recorded) - len(shown)} more sensors are not drawn)" if len(recorded) > len(shown) else ""
         label = None if number else f"samples{rest}"
         panels.append((STRIP, partial(_draw_samples, time=signals.time, sensor=sensor, belief=belief, label=label)))
     return panels
 
 
 def _draw_samples(axis: Axes, *, time: Floats, sensor: SensorSignals, belief: Floats | None, label: str | None) -> None:
-    """Draw samples and belief; with a label for the samples both are in the legend, which the first sensor has for all."""
+    """Draw samples and belief; with a label for the samples, both are in the legend (only for the first sensor)."""
     if belief is not None:
         axis.plot(*thin(time, belief), color=BLUE, lw=0.8, zorder=2, label=label and "belief: mean")
     style: dict[str, Any] = {"ls": "none", "marker": MARKERS[sensor.index % len(MARKERS)], "ms": 2.0, "mew": 0}

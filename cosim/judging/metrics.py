@@ -1,19 +1,19 @@
-"""The figures of a run: errors of tracking and belief, and how well faults were detected.
+"""The figures of a run: errors of tracking and belief, and quality of the fault detection.
 
-Every figure is NaN where it is not defined (no fault, nothing detected, no probability), never a made-up 0 or 1; also where
-an estimate, a true value or a probability that it is made from is not finite, so that a run that diverges cannot look good. The
-detection figures follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds and with alarms that last:
+A figure is NaN if it is not defined (no fault, no detection, no probability), never an invented 0 or 1. It is also NaN if an
+estimate, a true value or a probability in it is not finite, so that a run that diverges cannot look good. The detection figures
+follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds and with alarms that last:
 
-- a *fault* is an unbroken run of samples in which it is present; an *alarm* is a sample with a probability of at least 0.5, or,
-  of a controller that gives no probability, one with which it says that a fault is detected;
-- a sample that is *missing* (NaN) needs no detector, since the controller leaves it out at once, and tells a detector nothing:
-  it counts in none of the figures below, and a fault of which all samples are missing is *seen as missing*, neither detected
-  nor missed;
+- a *fault* is an unbroken sequence of samples in which it is present. An *alarm* is a sample with a probability of at least 0.5.
+  For a controller without probabilities, it is a sample at which the controller reports a detected fault;
+- a *missing* sample (NaN) needs no detector, because the controller leaves it out immediately, and contains no information for
+  a detector. It counts in none of the figures below. A fault whose samples are all missing is *seen as missing*, neither
+  detected nor missed;
 - a fault is *missed* if no sample of it has an alarm; else its *delay* is the time from its first sample to its first alarm;
-- the *false-alarm rate* is the share of the fault-free samples that have an alarm, also right after a fault's end, where the
-  posterior still has to come back;
-- the *AUC* is the probability that a sample with the fault is ranked above one without (ties count half), of the fault
-  probability, or of beta where there is no probability: both rank alike, and the AUC needs no calibration.
+- the *false-alarm rate* is the share of the fault-free samples with an alarm, also directly after a fault, while the posterior
+  still returns;
+- the *AUC* is the probability that a sample with the fault has a higher score than a sample without it (equal scores count
+  half). The score is the fault probability, or beta if there is no probability. The AUC needs no calibration.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ NAN = float("nan")
 
 @dataclass(frozen=True)
 class Errors:
-    """Root-mean-square errors: over the whole run, before the first fault, while one is present, and after (or between)."""
+    """Root-mean-square errors: over the whole run, before the first fault, during faults, and after (or between) faults."""
 
     overall: float
     before: float
@@ -43,30 +43,30 @@ class Errors:
 
 @dataclass(frozen=True)
 class Detection:
-    """How the faults of one sensor were seen; see the module's text for the definitions.
+    """The detection of the faults of one sensor; the docstring of the module has the definitions.
 
     Attributes
     ----------
     sensor : int
-        Its number.
+        Number of the sensor.
     fault_share : float
-        Share of time in which a fault was present.
+        Share of time with a fault.
     missing_share : float
-        Share of samples that were missing; NaN if the samples were not recorded, and then none is taken to be.
+        Share of missing samples; NaN if the samples were not recorded (then none counts as missing).
     faults : float
-        How many faults there were.
+        Number of faults.
     seen_as_missing : float
-        Of how many of them all samples were missing; NaN if the samples were not recorded.
+        Number of faults whose samples were all missing; NaN if the samples were not recorded.
     missed : float
-        How many of the others were missed.
+        Number of the other faults that were missed.
     delay : float
-        Mean delay of those that were detected, in seconds.
+        Mean delay of the detected faults, in seconds.
     false_alarm_rate : float
         Share of fault-free samples with an alarm.
     auc : float
         Area under the receiver operating characteristic.
     ranked_by : str or None
-        ``"fault_probability"`` or ``"beta"``: what the AUC is of.
+        The score of the AUC: ``"fault_probability"`` or ``"beta"``.
     precision_healthy, precision_faulty : float
         Mean precision without and with the fault, in one over the unit squared.
     """
@@ -96,11 +96,11 @@ class InputFaults:
     unit : str or None
         Its unit.
     fault_share : float
-        Share of time in which a fault was present.
+        Share of time with a fault.
     faults : float
-        How many there were.
+        Number of faults.
     deviation : float
-        Root mean square of what was received minus what was sent, while a fault was present.
+        Root mean square of the received minus the sent signal, while a fault was present.
     """
 
     name: str
@@ -112,12 +112,12 @@ class InputFaults:
 
 @dataclass(frozen=True)
 class ActuatorFaults:
-    """What the controller has said of one actuator, and how right that was; as of a sensor, see `Detection`.
+    """The controller's inference about one actuator, compared with the truth; `Detection` has the definitions.
 
     Attributes
     ----------
     name : str
-        The plant's variable that the control goes to.
+        The plant's variable that the control feeds.
     unit : str or None
         Its unit.
     mean_probability : float
@@ -125,11 +125,11 @@ class ActuatorFaults:
     alarm_share : float
         Share of time with an alarm.
     missed, delay, false_alarm_rate, auc : float
-        Of the faults on the way of the control.
+        Detection of the faults between the control and the plant.
     kind : str or None
-        The mode that was the most probable one most often during alarms; None if there was no alarm.
+        The mode that was most often the most probable during alarms; None without alarms.
     size : float
-        Mean size of its fault meanwhile.
+        Mean size of its fault at these times.
     """
 
     name: str
@@ -146,7 +146,7 @@ class ActuatorFaults:
 
 @dataclass(frozen=True)
 class Figures:
-    """All figures of a run: errors by quantity, detection by sensor, faults by input of the plant, and actuators blamed."""
+    """All figures of a run: errors by quantity, detection by sensor, faults by plant input, and inferred actuator faults."""
 
     tracking: dict[str, Errors]
     belief: dict[str, Errors]
@@ -161,7 +161,7 @@ class Figures:
 
 
 def rmse(error: ArrayLike, where: Flags | None = None) -> float:
-    """Return the root of the mean square of `error` where `where` is true; NaN if one of the errors is not finite."""
+    """Return the root mean square of `error` where `where` is true; NaN if one of the errors is not finite."""
     values = np.asarray(error, dtype=np.float64)
     values = values if where is None else values[where]
     if not len(values) or not np.isfinite(values).all():
@@ -178,26 +178,26 @@ def auc(truth: ArrayLike, score: ArrayLike) -> float:
     truth : array of bool, of any shape
         Whether the fault was present.
     score : array of the same shape
-        What is to be higher then; samples without one (NaN) are left out.
+        A score that should be higher with the fault; samples without a score (NaN) are left out.
     """
     present, values = np.asarray(truth, dtype=bool), np.asarray(score, dtype=np.float64)
-    known = ~np.isnan(values)
-    healthy, faulty = np.sort(values[known & ~present]), np.sort(values[known & present])
+    valid = ~np.isnan(values)
+    healthy, faulty = np.sort(values[valid & ~present]), np.sort(values[valid & present])
     if not len(healthy) or not len(faulty):
         return NAN
-    # Mann and Whitney's U; by hand, since scipy.stats and sklearn take half a second and more to import.
+    # Mann and Whitney's U, computed here because scipy.stats and sklearn take half a second and more to import.
     below, upto = (np.searchsorted(healthy, faulty, side=side) for side in ("left", "right"))  # type: ignore[call-overload]
     return float((below.sum() + upto.sum()) / (2.0 * len(healthy) * len(faulty)))
 
 
 def periods(flags: Flags) -> list[tuple[int, int]]:
-    """Return first index and the index behind the last of each unbroken run of true values."""
+    """Return the first index and the index after the last of each unbroken sequence of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def errors_by_phase(error: Floats | None, faulty: Flags | None) -> Errors:
-    """Return the root-mean-square errors of the phases of a run; NaN what needs a signal that is None."""
+    """Return the root-mean-square errors of the phases of a run; NaN if a necessary signal is None."""
     if error is None or faulty is None:
         return Errors(NAN if error is None else rmse(error), NAN, NAN, NAN)
     begun = np.logical_or.accumulate(faulty)
@@ -205,22 +205,22 @@ def errors_by_phase(error: Floats | None, faulty: Flags | None) -> Errors:
 
 
 def detection(signals: SensorSignals, time: Floats) -> Detection:
-    """Return how the faults of one sensor were seen, from its signals and the time of each row in seconds."""
+    """Return the detection of the faults of one sensor, from its signals and the time of each row in seconds."""
     faulty, probability = signals.faulty, signals.probability
     missing = NAN if signals.missing is None else _share(signals.missing)
     if faulty is None:
         return Detection(signals.index, NAN, missing, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
-    there = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing
-    # The numbers of the samples of each fault that arrived; of a dropout there are none.
-    arrived = [a + np.flatnonzero(there[a:b]) for a, b in periods(faulty)]
-    visible = [samples for samples in arrived if len(samples)]
+    present = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing
+    # For each fault the indices of the samples that are not missing; a dropout has none.
+    samples_of_faults = [a + np.flatnonzero(present[a:b]) for a, b in periods(faulty)]
+    visible = [samples for samples in samples_of_faults if len(samples)]
     missed = delay = false_alarms = NAN
     alarm = signals.alarm
     if alarm is not None:
         delays = [time[s[np.argmax(alarm[s])]] - time[s[0]] for s in visible if alarm[s].any()]
         missed = float(len(visible) - len(delays)) if visible else NAN
         delay = float(np.mean(delays)) if delays else NAN
-        false_alarms = _share(alarm[~faulty & there])
+        false_alarms = _share(alarm[~faulty & present])
     candidates = {"fault_probability": probability, "beta": signals.beta}
     scores = {name: score for name, score in candidates.items() if score is not None and not np.isnan(score).all()}
     ranked_by = next(iter(scores), None)
@@ -228,22 +228,22 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
         sensor=signals.index,
         fault_share=_share(faulty),
         missing_share=missing,
-        faults=len(arrived),
-        seen_as_missing=NAN if signals.missing is None else float(len(arrived) - len(visible)),
+        faults=len(samples_of_faults),
+        seen_as_missing=NAN if signals.missing is None else float(len(samples_of_faults) - len(visible)),
         missed=missed,
         delay=delay,
         false_alarm_rate=false_alarms,
-        auc=auc(faulty[there], scores[ranked_by][there])
-        if ranked_by and not np.isnan(scores[ranked_by][there]).any()
+        auc=auc(faulty[present], scores[ranked_by][present])
+        if ranked_by and not np.isnan(scores[ranked_by][present]).any()
         else NAN,
         ranked_by=ranked_by,
-        precision_healthy=_mean(signals.precision, ~faulty & there),
-        precision_faulty=_mean(signals.precision, faulty & there),
+        precision_healthy=_mean(signals.precision, ~faulty & present),
+        precision_faulty=_mean(signals.precision, faulty & present),
     )
 
 
 def input_faults(signals: InputSignals) -> InputFaults:
-    """Return how often an input of the plant had a fault, and how far that went."""
+    """Return the number and the size of the faults of an input of the plant."""
     faulty, difference = signals.faulty, _difference(signals.received, signals.sent)
     if faulty is None:
         return InputFaults(signals.name, signals.unit, NAN, NAN, NAN)
@@ -252,26 +252,26 @@ def input_faults(signals: InputSignals) -> InputFaults:
 
 
 def actuator_faults(signals: ActuatorSignals, time: Floats) -> ActuatorFaults:
-    """Return what was said of one actuator, from its signals and the time of each row in seconds."""
+    """Return the inference about one actuator, from its signals and the time of each row in seconds."""
     p = signals.probability
-    seen = detection(SensorSignals(0, None, signals.faulty, None, None, p), time)
+    detected = detection(SensorSignals(0, None, signals.faulty, None, None, p), time)
     alarm = p >= ALARM
     kind, size = None, NAN
-    if signals.kind is not None and len(blamed := signals.kind[alarm & (signals.kind > 0)]):
-        number = int(np.bincount(blamed.astype(np.int64)).argmax())
+    if signals.kind is not None and len(kinds := signals.kind[alarm & (signals.kind > 0)]):
+        number = int(np.bincount(kinds.astype(np.int64)).argmax())
         kind = signals.kinds[number - 1]
         size = _mean(signals.size, alarm & (signals.kind == number))
     return ActuatorFaults(
-        signals.name, signals.unit, float(p.mean()) if len(p) else NAN, _share(alarm), seen.missed, seen.delay,
-        seen.false_alarm_rate, seen.auc, kind, size,
+        signals.name, signals.unit, float(p.mean()) if len(p) else NAN, _share(alarm), detected.missed, detected.delay,
+        detected.false_alarm_rate, detected.auc, kind, size,
     )  # fmt: skip
 
 
 def figures(signals: LoopSignals) -> Figures:
     """Return all figures of a run.
 
-    Tracking is the true value minus the reference at the same instant; belief is the controller's estimate minus the true
-    value. The true value is what an ideal sensor would read.
+    Tracking is the true value minus the reference at the same instant. Belief is the controller's estimate minus the true
+    value. The true value is the reading of an ideal sensor.
     """
     faulty = signals.faulty
     return Figures(
@@ -286,7 +286,7 @@ def figures(signals: LoopSignals) -> Figures:
 def _difference(one: Floats | None, other: Floats | None) -> Floats | None:
     if one is None or other is None:
         return None
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is told by the figures
+    with np.errstate(invalid="ignore", over="ignore"):  # the figures become NaN
         return one - other
 
 

@@ -10,7 +10,7 @@ DOTS_PER_INCH = 100
 
 
 class NotebookFigure(Figure):
-    """A figure with its own picture for notebooks: without pyplot, they show a plain one as text."""
+    """A figure with its own picture for notebooks, which show figures without pyplot as text."""
 
     def _repr_png_(self) -> bytes:
         picture = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Panels over time, one above the other: what the figures of runs and of recordings are drawn on."""
+"""Panels over time, one above the other, for the figures of runs and of recordings."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_POINTS = 20_000
-"""A line with more points than this is thinned: no print shows more."""
+"""A line with more points than this is thinned, because no print shows more."""
 MOST_ROWS = 3
-"""Faults whose names would need more rows than this are shaded, but not named one by one."""
+"""If the names of faults need more rows than this, the faults are only shaded."""
 LETTER = 0.0115
-"""Width of a letter of those names, as a share of the panel's."""
+"""Width of a letter of those names, as a share of the panel's width."""
 WIDTH, PANEL = 8.0, 2.1
 """Width of a figure and usual height of a panel in inches."""
 
 
 def shown_figure() -> Figure:
-    """Return an empty figure for a user: a notebook shows it where it is returned, a script with ``pyplot.show()``.
+    """Return an empty figure for a user: a notebook shows it when it is returned, a script with ``pyplot.show()``.
 
-    pyplot keeps no list of a notebook's figures: else it would show each of them a second time.
+    In a notebook the figure is not known to pyplot, which would show it a second time.
     """
     import matplotlib
 
@@ -47,7 +47,7 @@ def _in_kernel() -> bool:
 
 
 def bare_figure() -> Figure:
-    """Return an empty figure that pyplot does not know, as for a file."""
+    """Return an empty figure outside of pyplot, as for a file."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -57,14 +57,14 @@ def bare_figure() -> Figure:
 
 
 def make_panels(heights: Sequence[float], figure: Figure | None = None) -> tuple[Figure, list[Axes]]:
-    """Return a figure with panels of these heights in inches, from above, which share their time.
+    """Return a figure with panels of these heights in inches, from above, with a common time axis.
 
     Parameters
     ----------
     heights : sequence of float
         One for each panel.
     figure : Figure, optional
-        An empty one to draw on; by default one that pyplot does not know.
+        An empty figure to draw on; by default one outside of pyplot.
     """
     figure = figure or bare_figure()
     figure.set_size_inches(WIDTH, 0.6 + sum(heights))
@@ -81,24 +81,24 @@ def make_panels(heights: Sequence[float], figure: Figure | None = None) -> tuple
 
 
 def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return a line with no more points than a print shows."""
+    """Return a line with at most as many points as a print shows."""
     stride = -(-len(time) // MOST_POINTS)
     return time[::stride], values[::stride]
 
 
 def with_unit(name: str, unit: str | None) -> str:
-    """Return what an axis is called: a name and, if there is one, its unit."""
+    """Return the label of an axis: a name and its unit, if there is one."""
     return f"{name} ({unit})" if unit else name
 
 
 def name_spans(axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str, str]], what: str) -> None:
-    """Write names above spans of time, each with its begin, end and colour, in as many rows as they need.
+    """Write names above spans of time, each with its begin, end and colour, in as many rows as necessary.
 
-    Where they would need too many, one note says how many of ``what`` are shaded.
+    If there are too many rows, write one note with the number of shaded ``what`` instead.
     """
     style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
     first, last = (float(time[0]), float(time[-1])) if len(time) else (0.0, 0.0)
-    rows: list[float] = []  # where the last name of each row ends
+    rows: list[float] = []  # the end of the last name in each row
     names = []
     for begin, end, text, colour in sorted(spans):
         half = 0.5 * LETTER * (last - first) * (len(text) + 2)
@@ -114,18 +114,18 @@ def name_spans(axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str
 
 
 def legend(axis: Axes) -> None:
-    """Put the legend beside a panel, if it has anything to name; lines and dots are there as if not transparent."""
+    """Put the legend beside a panel, if it has labels; its lines and dots are not transparent."""
     from matplotlib.lines import Line2D
 
     if axis.get_legend_handles_labels()[0]:
-        made = axis.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8, borderaxespad=0)
-        for handle in made.legend_handles:
+        box = axis.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=8, borderaxespad=0)
+        for handle in box.legend_handles:
             if isinstance(handle, Line2D):
                 handle.set_alpha(1.0)
 
 
 def finish(axes: list[Axes], time: Floats) -> None:
-    """Write the time below the lowest panel, cut all panels to it, and align what is written beside them."""
+    """Label the time below the lowest panel, limit all panels to it, and align their labels."""
     axes[-1].set_xlabel("time (s)")
     if len(time) > 1:
         axes[-1].set_xlim(float(time[0]), float(time[-1]))

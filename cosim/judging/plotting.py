@@ -1,7 +1,7 @@
 """The figure of any signals over time.
 
-Colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart; lines differ in style as well,
-so that they can be told apart in black and white. Legends stand beside the panels and cover nothing.
+The colours are those of Okabe and Ito, which are distinct for all kinds of colour vision. Lines also differ in style, so that
+they are distinct in black and white. Legends are beside the panels and cover nothing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SENSOR_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
 LINES = ("-", "--", "-.", ":")
 MARKERS = ("o", "^", "s", "D", "v")
 LONGEST = 24
-"""More letters than this a label has not beside a panel."""
+"""Largest number of letters in a line of a label beside a panel."""
 
 
 def plot_signals(result: Result, signals: Iterable[str] | None = None, figure: Figure | None = None) -> Figure:
@@ -39,12 +39,12 @@ def plot_signals(result: Result, signals: Iterable[str] | None = None, figure: F
     signals : iterable of str, optional
         Names of signals; by default all scalars and vectors that have a number at some time.
     figure : Figure, optional
-        An empty one to draw on.
+        An empty figure to draw on.
 
     Returns
     -------
     matplotlib.figure.Figure
-        To be saved (``figure.savefig("run.png")``) or shown by a notebook.
+        Save it (``figure.savefig("run.png")``), or return it from a notebook's cell to show it.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def plot_signals(result: Result, signals: Iterable[str] | None = None, figure: F
 
 
 def _broken(label: str) -> str:
-    """Return a label in lines that are no longer than a panel is high, broken after points and underscores."""
+    """Return a label, broken after points and underscores into lines that fit the height of a panel."""
     lines = [""]
     for part in re.findall(r"[^._]*[._]?", label):
         if lines[-1] and len(lines[-1]) + len(part) > LONGEST:

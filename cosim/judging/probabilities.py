@@ -1,4 +1,4 @@
-"""Is a fault probability a probability? Of the samples that it calls 30 % faulty, 30 % should be."""
+"""Calibration of fault probabilities: of the samples with a fault probability of 30 %, 30 % should be faulty."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """How well probabilities agree with what happened; made by `reliability`.
+    """The agreement of probabilities with the truth; made by `reliability`.
 
     Attributes
     ----------
     brier : float
         Mean squared difference between probability and truth (0 or 1).
     brier_of_constant : float
-        That of a constant probability, the share of faulty samples: what a useless but honest detector has.
+        Brier score of a constant probability, the share of faulty samples: a calibrated detector without information.
     calibration_error : float
         Expected calibration error: mean over the samples of the gap between `predicted` and `observed` in their bins.
     samples : ndarray of shape (bins,)
-        How many samples lie in each bin.
+        Number of samples in each bin.
     predicted, observed : ndarray of shape (bins,)
-        Mean probability in each bin, and share of its samples that were faulty; NaN of an empty bin.
+        Mean probability in each bin, and share of its samples that were faulty; NaN for an empty bin.
     """
 
     brier: float
@@ -49,7 +49,7 @@ class Reliability:
         Parameters
         ----------
         title : str, optional
-            Stands above.
+            Title of the figure.
         """
         from bayesftc.cosim.judging.panels import shown_figure
         from bayesftc.cosim.judging.reliability_figure import plot_reliability
@@ -69,7 +69,7 @@ class Reliability:
 def reliability(
     probability: ArrayLike, faulty: ArrayLike, *, bins: int = 10, equal: Literal["counts", "widths"] = "counts"
 ) -> Reliability:
-    """Return how well probabilities agree with the truth: reliability diagram, Brier score, expected calibration error.
+    """Return the agreement of probabilities with the truth: reliability diagram, Brier score, expected calibration error.
 
     Parameters
     ----------
@@ -80,25 +80,27 @@ def reliability(
     bins : int
         Number of bins.
     equal : str
-        ``"counts"``: all bins have equally many samples (Nguyen and O'Connor 2015), so that rare high probabilities share one
-        and the error is not that of the many healthy samples alone. ``"widths"``: all have the same width (Guo et al. 2017),
-        as is usual for diagrams.
+        ``"counts"``: all bins have equally many samples (Nguyen and O'Connor 2015). Rare high probabilities then share a bin,
+        and the error is not only that of the many healthy samples. ``"widths"``: all bins have the same width (Guo et al.
+        2017), as is usual for diagrams.
 
     Raises
     ------
     ModelError
-        If shapes do not agree, a probability is none, there are fewer samples than bins, or `equal` is unknown.
+        If shapes do not agree, a probability is not in [0, 1], there are fewer samples than bins, or `equal` is unknown.
     """
     p, truth = np.asarray(probability, dtype=np.float64), np.asarray(faulty, dtype=np.bool_)
     if p.shape != truth.shape:
-        raise ModelError(f"reliability has probabilities of shape {p.shape} and a truth of shape {truth.shape}.")
-    known = ~np.isnan(p)
-    p, happened = p[known], truth[known].astype(np.float64)
+        raise ModelError(
+            f"reliability has probabilities of shape {p.shape} and a truth of shape {truth.shape}; give equal shapes."
+        )
+    valid = ~np.isnan(p)
+    p, happened = p[valid], truth[valid].astype(np.float64)
     return of_bins(p, happened, bins_of(p, bins, equal), bins)
 
 
 def of_bins(p: Floats, happened: Floats, place: np.ndarray[Any, np.dtype[np.intp]], bins: int) -> Reliability:
-    """Return how well probabilities agree with what happened (0 or 1), given the number of the bin that each one lies in."""
+    """Return the agreement of probabilities with the truth (0 or 1), given the number of the bin of each probability."""
     samples, predicted, observed = (np.bincount(place, weights, bins) for weights in (None, p, happened))
     with np.errstate(invalid="ignore"):
         shown = [np.where(samples > 0, total / samples, NAN) for total in (predicted, observed)]
@@ -114,14 +116,14 @@ def of_bins(p: Floats, happened: Floats, place: np.ndarray[Any, np.dtype[np.intp
 
 
 def bins_of(probability: Floats, bins: int, equal: str) -> np.ndarray[Any, np.dtype[np.intp]]:
-    """Return the number of the bin that each probability lies in, see `reliability`, which raises what this raises."""
+    """Return the number of the bin of each probability; `reliability` describes arguments and errors."""
     if isinstance(bins, bool) or not isinstance(bins, int) or not 1 <= bins <= len(probability):
         raise ModelError(
-            f"reliability has bins={bins!r} for {len(probability)} samples; it takes a whole number from 1 up to that."
+            f"reliability has bins={bins!r} for {len(probability)} samples; give a whole number from 1 to the number of samples."
         )
     if probability.min() < 0 or probability.max() > 1:
         raise ModelError(
-            f"reliability got probabilities from {probability.min():g} to {probability.max():g}; they must lie between 0 and 1."
+            f"reliability has probabilities from {probability.min():g} to {probability.max():g}; they must be between 0 and 1."
         )
     if equal == "counts":
         order = np.argsort(probability, kind="stable")
@@ -130,4 +132,4 @@ def bins_of(probability: Floats, bins: int, equal: str) -> np.ndarray[Any, np.dt
         return place
     if equal == "widths":
         return np.minimum((probability * bins).astype(np.intp), bins - 1)
-    raise ModelError(f"reliability has equal={equal!r}; it takes 'counts' or 'widths'.")
+    raise ModelError(f"reliability has equal={equal!r}; it must be 'counts' or 'widths'.")

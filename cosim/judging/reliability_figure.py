@@ -1,4 +1,4 @@
-"""The reliability diagram: of the samples that a probability calls 30 % faulty, 30 % should be."""
+"""The reliability diagram: of the samples with a fault probability of 30 %, 30 % should be faulty."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
     from bayesftc.cosim.judging.probabilities import Reliability
 
 
-def plot_reliability(found: Reliability, figure: Figure, title: str | None = None) -> Figure:
-    """Draw the reliability diagram on an empty figure and return it; below, how many samples each bin has.
+def plot_reliability(reliability: Reliability, figure: Figure, title: str | None = None) -> Figure:
+    """Draw the reliability diagram on an empty figure and return it; the lower panel shows the number of samples in each bin.
 
-    There are no intervals: the samples of one run depend on each other, and their number says little.
+    There are no intervals, because the samples of one run depend on each other, so that their number means little.
     """
     figure.set_size_inches(5.6, 6.4)
     figure.set_layout_engine("constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    above.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="as often as the probability says")
-    error = f"bins of samples (calibration error {found.calibration_error:.3f})"
-    above.plot(found.predicted, found.observed, "o-", color=BLUE, lw=1.5, ms=5, label=error)
+    above.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="as often as the probability states")
+    error = f"bins of samples (calibration error {reliability.calibration_error:.3f})"
+    above.plot(reliability.predicted, reliability.observed, "o-", color=BLUE, lw=1.5, ms=5, label=error)
     above.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), ylabel="share of samples in fault")
     above.legend(loc="upper left", frameon=False, fontsize=9)
-    known = found.samples > 0
-    below.bar(found.predicted[known], found.samples[known], width=0.03, color=BLUE)
+    filled = reliability.samples > 0
+    below.bar(reliability.predicted[filled], reliability.samples[filled], width=0.03, color=BLUE)
     below.set(yscale="log", ylim=(0.8, None), ylabel="samples", xlabel="mean fault probability of a bin")
     for axis in (above, below):
         axis.grid(True, color="0.9", lw=0.6)

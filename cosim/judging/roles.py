@@ -1,4 +1,4 @@
-"""Reads the signals of a closed loop from a result by their part in the loop, for the figures and the figure of a run."""
+"""Read the signals of a closed loop from a result by their role, for the metrics and the figure of a run."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ def loop_signals(diagram: Diagram, result: Result, *, drawn: bool = True) -> Loo
     Parameters
     ----------
     diagram : Diagram
-        With one `Sensors` block and one controller, a block with inputs ``y`` and ``goal`` and the output ``u``: as
-        `closed_loop` makes it, or put together by hand in the same way.
+        A diagram with one `Sensors` block and one controller, a block with inputs ``y`` and ``goal`` and the output ``u``: from
+        `closed_loop`, or connected by hand in the same way.
     result : Result
-        A run of it. Signals that were not recorded are None in what is returned.
+        A run of it. Signals that were not recorded become None.
     drawn : bool
-        Whether to read what only the figure of a run needs as well: a campaign records what is read.
+        Whether to also read signals that only the figure of a run needs. A campaign records all signals that are read.
 
     Raises
     ------
     ModelError
-        If the diagram is no such loop.
+        If the diagram is not such a loop.
     """
     return signals_of(find_roles(diagram), result, drawn=drawn)
 
 
 def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopSignals:
-    """Return the signals of a closed loop whose roles are known, as `loop_signals` does."""
+    """Return the signals of a closed loop with the given roles, as `loop_signals` does."""
     reader = _Reader(result, roles.controller)
     none: Flags = np.zeros(len(result.time), dtype=bool)
     active = {name: reader.active(name) for sensor in roles.sensors for name in sensor.faults}
@@ -59,23 +59,23 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
             precision[i],
             beta[i],
             probability[i],
-            None if (found := detected[i]) is None else found > 0.5,
+            None if (values := detected[i]) is None else values > 0.5,
             kind[i],
             roles.fault_kinds,
             role.unit,
         )
         for i, role in enumerate(roles.sensors)
     )
-    known: dict[str, tuple[int, Flags]] = {}
+    faults: dict[str, tuple[int, Flags]] = {}
     for i, role in enumerate(roles.sensors):
         for name in role.faults:
             if (flags := active[name]) is not None:
-                known.setdefault(name, (i, flags))  # a channel that is read twice is named once
+                faults.setdefault(name, (i, flags))  # a fault of two sensors counts for the first
     return LoopSignals(
         result.time,
         tuple(_quantity(reader, role, drawn) for role in roles.quantities),
         sensors,
-        known,
+        faults,
         tuple(_input(reader, role) for role in roles.inputs),
         _actuators(reader, roles),
         _controls(reader, roles) if drawn else (),
@@ -83,7 +83,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
 
 
 class _Reader:
-    """Reads signals of a result; None for what was not recorded."""
+    """Reads signals of a result; None for signals that were not recorded."""
 
     def __init__(self, result: Result, controller: str):
         self.result, self.controller = result, controller
@@ -101,10 +101,10 @@ class _Reader:
         return self.signal(f"{self.controller}.{name}")
 
     def columns(self, name: str, count: int) -> list[Floats | None]:
-        """Return the elements of an output of the controller; None for each if there is another number of elements."""
+        """Return the elements of an output of the controller; None for each if their number is not `count`."""
         values = self.output(name)
-        found: list[Floats | None] = [] if values is None else list(values.reshape(len(values), -1).T)
-        return found if len(found) == count else [None] * count
+        elements: list[Floats | None] = [] if values is None else list(values.reshape(len(values), -1).T)
+        return elements if len(elements) == count else [None] * count
 
     def at(self, place: Place | None) -> Floats | None:
         values = None if place is None else self.signal(place[0])
@@ -117,7 +117,7 @@ def _input(reader: _Reader, role: InputRole) -> InputSignals:
 
 
 def _actuators(reader: _Reader, roles: LoopRoles) -> tuple[ActuatorSignals, ...]:
-    """Return what the controller says of its actuators; nothing if it does not, or if that was not recorded."""
+    """Return the controller's inference about its actuators; empty if there is none, or if not recorded."""
     probability, kind, size = (
         reader.columns(f"actuator_fault_{name}", len(roles.controls)) for name in ("probability", "kind", "size")
     )
@@ -127,13 +127,13 @@ def _actuators(reader: _Reader, roles: LoopRoles) -> tuple[ActuatorSignals, ...]
             role.name,
             role.unit,
             any_of([none, *map(reader.active, role.faults)]),
-            known,
+            values,
             kind[j],
             size[j],
             roles.actuator_kinds,
         )
-        for j, (role, known) in enumerate(zip(roles.controls, probability, strict=True))
-        if known is not None
+        for j, (role, values) in enumerate(zip(roles.controls, probability, strict=True))
+        if values is not None
     )
 
 
@@ -149,8 +149,8 @@ def _controls(reader: _Reader, roles: LoopRoles) -> tuple[ControlSignals, ...]:
 
 def _quantity(reader: _Reader, role: QuantityRole, drawn: bool) -> QuantitySignals:
     used = [(weight, reader.at(place)) for weight, place in role.truth or ()]
-    known = [weight * values for weight, values in used if values is not None]
-    truth = np.sum(known, axis=0) if known and len(known) == len(used) else None
+    terms = [weight * values for weight, values in used if values is not None]
+    truth = np.sum(terms, axis=0) if terms and len(terms) == len(used) else None
     x_hat, P = reader.output("x_hat"), reader.output("P") if drawn else None
     row = None if role.belief is None else np.array(role.belief)
     belief = None if x_hat is None or row is None else x_hat @ row

@@ -1,4 +1,4 @@
-"""The signals of a closed loop by their part in it, as the figures and the figure of a run take them."""
+"""The signals of a closed loop by their role in it, for the metrics and the figure of a run."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from bayesftc.cosim.types import Floats
 Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 ALARM = 0.5
-"""The fault probability from which on there is an alarm."""
+"""The lowest fault probability of an alarm."""
 
 
 def any_of(flags: list[Flags | None]) -> Flags | None:
-    """Return with which samples any of the flags is set; None if not all of them are known."""
-    known = [f for f in flags if f is not None]
-    return np.any(known, axis=0) if known and len(known) == len(flags) else None
+    """Return the samples at which any of the flags is set; None if one of them is None."""
+    recorded = [f for f in flags if f is not None]
+    return np.any(recorded, axis=0) if recorded and len(recorded) == len(flags) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,15 +30,15 @@ class SensorSignals:
     index : int
         Its number, from 0.
     samples : array
-        What the controller was given (NaN for a missing sample).
+        The samples that the controller received (NaN for a missing sample).
     faulty : array of bool or None
-        Whether a fault between the sensor and the controller was present; None if that was not recorded.
+        Whether a fault between the sensor and the controller was present; None if not recorded.
     precision, beta, probability : array
         The controller's outputs for this sensor.
     detected : array of bool or None
-        Whether the controller says that it has detected a fault (`ExplicitDetection` does).
+        Whether the controller reports a detected fault (as `ExplicitDetection` does).
     kind : array or None
-        The most probable kind of fault by its number (0: healthy); None if there is none, or if it was not recorded.
+        The most probable kind of fault by its number (0: healthy); None if there is no such output, or if not recorded.
     kinds : tuple of str
         Names of the kinds, from number 1 on.
     unit : str or None
@@ -63,15 +63,15 @@ class SensorSignals:
 
     @property
     def alarm(self) -> Flags | None:
-        """With which samples there is an alarm; None if that was not recorded, or if a sample has no finite probability.
+        """The samples with an alarm; None if not recorded, or if a sample has no finite probability.
 
-        A probability of at least `ALARM` is one; of a controller that gives none, what it says is detected.
+        An alarm is a probability of at least `ALARM`, or for a controller without probabilities a detected fault.
         """
         if self.probability is not None:
-            known = ~np.isnan(self.probability)
-            if known.any() or self.detected is None:
-                needed = known if self.missing is None else known | self.missing
-                return self.probability >= ALARM if needed.all() else None  # type: ignore[return-value]
+            finite = ~np.isnan(self.probability)
+            if finite.any() or self.detected is None:
+                complete = finite if self.missing is None else finite | self.missing
+                return self.probability >= ALARM if complete.all() else None  # type: ignore[return-value]
         return self.detected
 
 
@@ -82,23 +82,23 @@ class QuantitySignals:
     Attributes
     ----------
     name : str
-        The plant's variable, or ``sensor i`` where a sensor measures a mixture of several.
+        The plant's variable, or ``sensor i`` if a sensor measures a mixture of several.
     unit : str or None
         Its unit.
     sensors : tuple of int
         The sensors that measure it.
     truth : array or None
-        What an ideal sensor would read: without noise, offset, rounding and fault.
+        The reading of an ideal sensor: without noise, offset, rounding and fault.
     reference : array or None
-        The element of the goal for this very quantity; None if there is none, or if it was not recorded.
+        Its element of the goal; None if there is none, or if not recorded.
     belief : array or None
-        The controller's estimate of it: ``C x_hat``; None if that was not recorded, or if there is none.
+        The controller's estimate of it: ``C x_hat``; None if there is none, or if not recorded.
     has_goal : bool
         Whether there is an element of the goal for it.
     has_belief : bool
-        Whether the controller says what linear function of ``x_hat`` it is.
+        Whether the controller states it as a linear function of ``x_hat``.
     spread : array or None
-        Standard deviation of the belief; None if the controller has no covariance ``P``, or if it was not recorded.
+        Standard deviation of the belief; None if the controller has no covariance ``P``, or if not recorded.
     """
 
     name: str
@@ -114,7 +114,7 @@ class QuantitySignals:
 
 @dataclass(frozen=True, eq=False)
 class InputSignals:
-    """One input of the plant on whose way there is a fault, of an actuator or of the process, over time.
+    """One input of the plant with an actuator fault or a process fault, over time.
 
     Attributes
     ----------
@@ -123,11 +123,11 @@ class InputSignals:
     unit : str or None
         Its unit.
     sent, received : array or None
-        What the controller (or a noise) has sent, and what the plant was given; None if that was not recorded.
+        The signal from the controller (or a noise), and the signal that the plant receives; None if not recorded.
     faults : mapping of str to array of bool or None
-        For each fault on the way when it was present; None if that was not recorded.
+        For each fault in between, whether it was present; None if not recorded.
     control : int or None
-        The number of the control that is sent; None if it is another signal.
+        The number of the control that is sent; None for another signal.
     """
 
     name: str
@@ -139,26 +139,26 @@ class InputSignals:
 
     @property
     def faulty(self) -> Flags | None:
-        """Whether any of the faults was present; None if not all of that was recorded."""
+        """Whether any of the faults was present; None if one of them was not recorded."""
         return any_of(list(self.faults.values()))
 
 
 @dataclass(frozen=True, eq=False)
 class ActuatorSignals:
-    """What a controller that knows of actuators' faults says of one of its controls, over time.
+    """The inference about one control, over time, by a controller with actuator modes.
 
     Attributes
     ----------
     name : str
-        The plant's variable that the control goes to; ``control j`` if it goes to none.
+        The plant's variable that the control feeds; ``control j`` if it feeds none.
     unit : str or None
         Its unit.
     faulty : array of bool or None
-        Whether a fault on the way was present; None if that was not recorded.
+        Whether a fault of the actuator was present; None if not recorded.
     probability : array
-        That the actuator has a fault.
+        Probability that the actuator has a fault.
     kind, size : array or None
-        The most probable mode by its number (0: healthy), and the size of its fault; None if that was not recorded.
+        The most probable mode by its number (0: healthy), and the size of its fault; None if not recorded.
     kinds : tuple of str
         Names of the modes, from number 1 on.
     """
@@ -174,7 +174,7 @@ class ActuatorSignals:
 
 @dataclass(frozen=True, eq=False)
 class ControlSignals:
-    """One control over time: what was sent to the plant's input of this name, and its limits (None: unlimited)."""
+    """One control over time: the signal for the plant's input of this name, and its limits (None: unlimited)."""
 
     name: str
     unit: str | None
@@ -185,10 +185,10 @@ class ControlSignals:
 
 @dataclass(frozen=True, eq=False)
 class LoopSignals:
-    """A run of a closed loop: time in seconds, the measured quantities, the sensors, the inputs with a fault on their way.
+    """A run of a closed loop: time in seconds, the measured quantities, the sensors, the inputs with faults.
 
-    ``faults`` has for each fault of a sensor that was recorded the number of that sensor and when it was present;
-    ``actuators`` are those that the controller says something of, ``controls`` those that were recorded.
+    ``faults`` has for each recorded sensor fault the number of its sensor and whether it was present. ``actuators`` are those
+    with an inference of the controller, ``controls`` the recorded ones.
     """
 
     time: Floats
@@ -201,7 +201,7 @@ class LoopSignals:
 
     @property
     def faulty(self) -> Flags | None:
-        """Whether any sensor or input had a fault; None if not all of that was recorded."""
+        """Whether any sensor or input had a fault; None if one of them was not recorded."""
         return any_of([*(s.faulty for s in self.sensors), *(i.faulty for i in self.inputs)])
 
 

@@ -88,7 +88,7 @@ def test_the_figure_has_medians_reference_and_faults(compared):
 
 REFUSED = [
     ({"a": loop_of(FixedPrecision())}, "at least two loops by name"),
-    ({"a": loop_of(FixedPrecision()), "b": 3}, "give each loop as a diagram"),
+    ({"a": loop_of(FixedPrecision()), "b": 3}, "give a mapping from names"),
     ({"a": loop_of(FixedPrecision()), "b": cosim.Diagram(0.1)}, "has no such block, so that runs"),
     ({"a": cosim.Diagram(0.1), "b": cosim.Diagram(0.1)}, "A closed loop has one controller"),
     ({"a": loop_of(SERFDI()), "b": loop_of(SERFDI(), sensors=cosim.Sensors(2, 0.3))}, "'sensors' has other settings"),

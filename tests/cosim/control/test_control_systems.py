@@ -410,10 +410,10 @@ def test_any_fmu_stands_in_a_loop_of_python_control(foreign, fmi, saves):
     for _ in range(2):  # the second time it begins anew
         got = response(system)
         np.testing.assert_allclose(got.outputs[0], ours["plant.v"], rtol=1e-12)
-    with pytest.raises(ModelError, match=r"'plant' is known to itself alone.*LinearModel\.from_fmu"):
+    with pytest.raises(ModelError, match=r"'plant' is hidden.*LinearModel\.from_fmu"):
         control.linearize(plant, 0.0, [0.0, 0.0])
     for refused in (plant, system):
-        with pytest.raises(ModelError, match=r"'plant' is known to itself alone.*LinearModel\.from_fmu"):
+        with pytest.raises(ModelError, match=r"'plant' is hidden.*LinearModel\.from_fmu"):
             control.find_operating_point(refused, cosim.initial_state(refused), np.zeros(refused.ninputs))
     with pytest.raises(ModelError, match=r"LinearModel\.from_fmu"):
         control.linearize(system, cosim.initial_state(system))
@@ -434,7 +434,9 @@ def test_saved_states_are_asked_in_any_order(foreign):
     other = system.dynamics(3 * DT, x[3], pushes[4])
     assert other not in x
     assert system.output(4 * DT, other, [0, 0]) == pytest.approx(A * v[3] + B * pushes[4, 0] + pushes[4, 1], rel=1e-13)
-    with pytest.raises(ModelError, match=r"asked for t = 0\.1 s in its saved state number 3, which is of t = 0\.06 s"):
+    with pytest.raises(
+        ModelError, match=r"cannot be evaluated at t = 0\.1 s in its saved state number 3, which is of t = 0\.06 s"
+    ):
         system.output(5 * DT, x[3], [0.0, 0.0])
     for nonsense in (0.5, -1.0, 1000.0, np.nan):
         with pytest.raises(ModelError, match="is none"):
@@ -447,10 +449,10 @@ def test_only_the_latest_saved_states_are_kept(foreign, monkeypatch):
     got = response(system, np.zeros((2, len(T))))
     (external,) = system._machine._externals
     assert len(external._saved) == 6
-    assert len(external._ways) == len(external._reached) == len(external._steps) - 1 == 5
+    assert len(external._origins) == len(external._reached) == len(external._steps) - 1 == 5
     np.testing.assert_allclose(got.outputs[0], 20.0 * A ** np.arange(len(T)), rtol=1e-12)
     assert system.output(T[-1], got.states[:, -1], [0.0, 0.0]) == got.outputs[0, -1]
-    with pytest.raises(ModelError, match="saved state number 10, but only the first and the latest 5 are kept"):
+    with pytest.raises(ModelError, match="saved state number 10, because only the first and the latest 5 are kept"):
         system.output(T[10], got.states[:, 10], [0.0, 0.0])
 
 
@@ -461,7 +463,8 @@ def test_an_fmu_that_cannot_save_is_stepped_in_order(foreign):
     assert system.output(DT, x, [0.0, 0.0]) == A * 20.0 + B * 100.0
     system.dynamics(DT, x, [0.0, 0.0])
     with pytest.raises(
-        ModelError, match="asked for its state after 1 steps, but it stands after 2 steps and cannot save"
+        ModelError,
+        match="cannot be set to its state after 1 steps, because it is in that after 2 steps and cannot save",
     ):
         system.dynamics(DT, [1.0], [1.0, 0.0])
     assert system.output(0.0, [0.0], [0.0, 0.0]) == 20.0  # begins anew
@@ -538,7 +541,7 @@ def test_a_beginning_at_zeros_is_told_once():
     system = brain().to_control(outputs=["u"], engine="interpreted")
     given = np.full((3, len(T)), 20.0)
     with pytest.warns(
-        UserWarning, match=r"begins at zeros, with controller.mean = 0 and so on.*X0=cosim\.initial_state"
+        UserWarning, match=r"starts a system at zeros, here with controller.mean = 0.*X0=cosim\.initial_state"
     ):
         control.input_output_response(system, T, given)
     again = brain().to_control(outputs=["u"], engine="interpreted")
@@ -548,7 +551,7 @@ def test_a_beginning_at_zeros_is_told_once():
 
 def test_a_beginning_at_zeros_is_told_in_continuous_time_too(casadi_fmu):
     system = cosim.FMU(casadi_fmu("begins", lambda q, u: q)).to_control()  # at q = 0.5
-    with pytest.warns(UserWarning, match=r"begins at zeros, with q = 0 and so on.*X0=cosim\.initial_state"):
+    with pytest.warns(UserWarning, match=r"starts a system at zeros, here with q = 0.*X0=cosim\.initial_state"):
         control.input_output_response(system, T, 0.0)
     response(system)
 
@@ -595,7 +598,7 @@ def test_a_missing_sample_passes_through_a_system_of_its_own():
         (
             lambda: cosim.Gain(1.0).to_control(),
             ModelError,
-            r"Gain does not know its sample time; give to_control\(dt=\.\.\.\)",
+            r"Gain has no sample time; give to_control\(dt=\.\.\.\)",
         ),
         (lambda: brain().to_control(0.1), StepSizeError, r"every 0\.02 s.*every 0\.1 s"),
         (

@@ -118,5 +118,5 @@ def test_outputs_that_learning_moves_are_constants():
 
 def test_a_vector_of_another_size_is_refused():
     system = bayesian(FixedPrecision()).to_control(engine="interpreted")
-    with pytest.raises(cosim.ModelError, match="vector of 2 numbers where the system has 3"):
+    with pytest.raises(cosim.ModelError, match="vector of 2 numbers, but the system has 3"):
         system.linearize(system.initial_state, [0.0, 0.0])

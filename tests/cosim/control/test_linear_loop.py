@@ -242,7 +242,7 @@ def unstable():
     ("ask", "sentence"),
     [
         (lambda: source_alone().bode(), "A closed loop has one Sensors block"),
-        (lambda: loop_of(lqg(), sensors=cosim.Sensors(2, 0.1, function=squares)).margins(), "measure by a function"),
+        (lambda: loop_of(lqg(), sensors=cosim.Sensors(2, 0.1, function=squares)).margins(), "have a measurement function"),
         (lambda: unstable().step_info(), "The closed loop is not stable: its largest poles are 1.896"),
         (lambda: loop_of(lqg()).linear(plant=control.ss(A, np.eye(2), H, 0, DT)), "2 inputs and 1 outputs, but the loop has 1"),
         (lambda: loop_of(lqg()).linear(plant=control.ss(A, B, H, 0, 0.3)), "sample time of 0.3 s, but the controller runs every"),
@@ -279,7 +279,7 @@ def test_an_fmu_that_hides_its_states_needs_a_model_in_its_place():
         )
         for block in (cosim.FMU(path, isolate=True), cosim.FMU(path))
     )
-    with pytest.raises(ModelError, match="does not show its states"):
+    with pytest.raises(ModelError, match="has hidden states"):
         hidden.bode()
     model = controllers.LinearModel.from_fmu(path, measured="angle", actuated="voltage", sensors=2)
     given = hidden.linear(plant=model.to_control()).margins()

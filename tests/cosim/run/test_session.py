@@ -185,7 +185,9 @@ def test_inputs_that_nothing_feeds_are_set_between_steps():
                 session.set("car.farce", 1.0)
             with pytest.raises(cosim.ModelError, match=r"car.force cannot be set to \[1, 2\]; give one number"):
                 session.set("car.force", [1, 2])
-            with pytest.raises(cosim.ModelError, match=r"car.force cannot be set to nan: an FMU must be given finite"):
+            with pytest.raises(
+                cosim.ModelError, match=r"car.force cannot be set to nan, because inputs of an FMU must be finite"
+            ):
                 session.set("car.force", np.nan)
 
 

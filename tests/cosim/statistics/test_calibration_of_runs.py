@@ -99,7 +99,7 @@ def test_means_of_long_runs():
 
 
 def test_what_is_no_probability_is_told():
-    with pytest.raises(ModelError, match="must lie between 0 and 1"):
+    with pytest.raises(ModelError, match="must be between 0 and 1"):
         calibration(np.full((2, 20), 3.0), np.zeros((2, 20), bool))
     with pytest.raises(ModelError, match="2 runs of probability and 1 of faulty"):
         calibration(np.zeros((2, 20)), np.zeros((1, 20), bool))

@@ -100,5 +100,5 @@ def test_holm_keeps_its_promise_where_nothing_differs():
 
 
 def test_no_such_correction():
-    with pytest.raises(ModelError, match="no correction 'fdr'; take one of 'bonferroni'"):
+    with pytest.raises(ModelError, match="no correction 'fdr'; use one of 'bonferroni'"):
         corrected([0.1], "fdr")

@@ -90,5 +90,5 @@ def test_bootstrap_of_equal_values_is_that_value():
 
 
 def test_bootstrap_without_such_a_method():
-    with pytest.raises(ModelError, match="no method 'bca'; take one of 'BCa'"):
+    with pytest.raises(ModelError, match="no method 'bca'; use one of 'BCa'"):
         bootstrap_interval(np.arange(3.0), method="bca")

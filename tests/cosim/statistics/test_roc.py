@@ -160,7 +160,7 @@ def test_scores_that_are_infinite_or_separate_all():
     [
         (np.zeros((3, 4)), np.zeros((2, 4), bool), "3 runs of score and 2 of faulty"),
         (np.zeros((3, 4)), np.zeros((3, 5), bool), r"Run 0 has score of shape \(4,\) and faulty of shape \(5,\)"),
-        (np.zeros(4), np.zeros(4, bool), "given as a list of one"),
+        (np.zeros(4), np.zeros(4, bool), "as a list of one"),
         ([], [], "no run"),
         (np.zeros((3, 4)), np.zeros((3, 4), bool), "12 samples with a score, and none of them faulty"),
         (np.zeros((3, 4)), np.ones((3, 4), bool), "all of them faulty"),

@@ -136,7 +136,7 @@ def test_another_design_than_the_tables_is_told():
         sensitivity(table, "metric", SaltelliDesign(ANGLES, 8, 1))
     with pytest.raises(ModelError, match="40 points and the design 80"):
         sensitivity(table, "metric", SaltelliDesign(ANGLES, 16))
-    with pytest.raises(ModelError, match="takes the SaltelliDesign"):
+    with pytest.raises(ModelError, match="give the SaltelliDesign"):
         sensitivity(table, "metric", Grid({"a": [1]}))
     with pytest.raises(UnknownNameError, match="no column 'c'"):
         sensitivity(table.drop(columns="c"), "metric", design)

@@ -176,13 +176,13 @@ def test_too_few_runs_have_no_p():
 @pytest.mark.parametrize(
     ("change", "options", "says"),
     [
-        (lambda t: t.assign(seed=range(len(t))), {}, "24 seeds have a run of one of them only .*paired=False"),
-        (lambda t: t, {"by": None}, "several with the seed 1.*in by="),
-        (lambda t: t[t["technique"] == "none"], {}, "'technique' has only 'none'.*nothing to compare"),
+        (lambda t: t.assign(seed=range(len(t))), {}, "24 seeds have a run of only one of them .*paired=False"),
+        (lambda t: t, {"by": None}, "several have the seed 1.*in by="),
+        (lambda t: t[t["technique"] == "none"], {}, "'technique' has only 'none'.*needs two levels"),
         (lambda t: t, {"test": "z"}, "test='z'"),
         (lambda t: t, {"correction": "fdr"}, "correction='fdr'"),
         (lambda t: t, {"level": 95}, "level is 95"),
-        (lambda t: t.assign(rmse="much"), {}, "'rmse' holds no numbers"),
+        (lambda t: t.assign(rmse="much"), {}, "'rmse' has no numbers"),
         (lambda t: t, {"by": ["fault", "technique"]}, "'technique' is named twice"),
         (lambda t: [1], {}, "table is a list"),
     ],

@@ -283,7 +283,7 @@ def test_fmus_that_cannot_go_back_are_named(fmi, tmp_path):
         (
             mute,
             {},
-            r"The FMU 'two' cannot save and restore its state .* which iterated coupling of one and two needs: put a Unit",
+            r"The FMU 'two' cannot save and restore its state .* which iterated coupling of one and two needs; put a Unit",
         ),
         (mute, {"step_error": 1e-3}, r"The FMU 'two' cannot save .* which step_error of one and two needs"),
         (
