@@ -127,6 +127,6 @@ OF_LIBRARY = {
 """Operations that C's library has, with their names in C; NumPy has them under the names used here."""
 
 COMPOSED = ("maximum", "minimum", "square")
-"""Those that are written with other operations; every engine reads what stands above."""
+"""Operations that are composed of others; every engine uses the definitions above."""
 
 __all__ = list(NAMES)

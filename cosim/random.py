@@ -125,8 +125,8 @@ def fill(seed, streams, first, buffer):
             row[i], row[i + 1] = _uniform(words[0]), _uniform(words[1])
             row[i + 2], row[i + 3] = _uniform(words[2]), _uniform(words[3])
         if streams[j, 3] == np.uint64(0):
-            # First the tails: their normal numbers lie far outside (0, 1), so that the values left to convert can be told
-            # apart. Then the middle, in a loop without branches, which the compiler turns into vector instructions.
+            # First the tails: their normal numbers are far from 0.5, unlike the uniform numbers that are left. Then the
+            # middle, in a loop without branches, which the compiler turns into vector instructions.
             for i in range(row.shape[0]):
                 if abs(row[i] - 0.5) > CENTRAL:
                     row[i] = _normal(row[i])

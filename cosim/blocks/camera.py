@@ -46,9 +46,9 @@ def radial_distortion(k1: float, k2: float = 0.0, k3: float = 0.0) -> Kernel:
     --------
     >>> import numpy as np
     >>> from bayesftc import cosim
-    >>> seen = np.zeros(2)
-    >>> cosim.radial_distortion(-0.1)(np.array([2.0, 0.0]), seen)
-    >>> seen.tolist()
+    >>> image = np.zeros(2)
+    >>> cosim.radial_distortion(-0.1)(np.array([2.0, 0.0]), image)
+    >>> image.tolist()
     [1.2, 0.0]
     """
     return _lens(_coefficients("radial_distortion", (k1, k2, k3)))

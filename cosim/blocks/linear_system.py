@@ -62,7 +62,7 @@ def normalised(system: Any) -> Any:
         names, dt = signal_names(system), system.dt
         try:
             converted = _entry_by_entry(system)
-        except Exception as error:  # noqa: BLE001 - python-control raises whatever its backend does
+        except Exception as error:  # noqa: BLE001 - python-control raises the errors of its backend
             reason = str(error).strip().removesuffix(".")
             raise ModelError(
                 f"The transfer function cannot be converted to a state space: {reason}. Make it proper, or give a state space."

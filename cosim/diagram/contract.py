@@ -30,18 +30,18 @@ def checked(block: Block, definition: Definition, title: str) -> Definition:
     outputs = {p.name for p in block.outputs}
     late = {p.name for p in block.inputs if not p.feedthrough}
     entries = {*definition.state, *definition.parameters, *definition.scratch}
-    known = {p.name for p in block.inputs} | outputs | entries | RESERVED
+    names = {p.name for p in block.inputs} | outputs | entries | RESERVED
     for name in definition.records:
-        if name in known:
+        if name in names:
             raise KernelError(f"Block {title} has a record {name!r} and also a port or entry of that name: rename one.")
     for kernel in (definition.output, definition.update):
         if kernel is None:
             continue
         for name in argument_names(kernel):
-            if name not in known:
+            if name not in names:
                 raise KernelError(
                     f"The step function {kernel.__name__!r} of block {title} has the argument {name!r}, which is no port, "
-                    f"state, parameter or scratch array of the block (these are: {', '.join(sorted(known))})."
+                    f"state, parameter or scratch array of the block (these are: {', '.join(sorted(names))})."
                 )
             if kernel is definition.output and name in late:
                 raise KernelError(

@@ -212,7 +212,7 @@ class Diagram(LoopMethods):
         coupling : {"gauss-seidel", "jacobi", "iterated"} or Coupling
             How FMUs that feed each other are stepped. Gauss-Seidel, the default: an FMU that is fed directly by an FMU of the
             same rate added before it gets the output of that FMU after its step. Jacobi: before its step. With a block between
-            the two (a `Gain` that converts units, say), or with different ``every``, it gets the output before the step in
+            the two (such as a `Gain` that converts units), or with different ``every``, it gets the output before the step in
             both cases. Iterated: steps are repeated until values agree, and algebraic loops are solved.
             ``diagram.schedule.describe()`` lists the resulting order.
         **settings : object
@@ -263,7 +263,7 @@ class Diagram(LoopMethods):
             Seconds; a whole number of base steps. The result has a row at both ends (with `decimation`, at the end only if it
             divides the number of steps).
         seed : int
-            Seed of all random streams. The same seed gives a block the same numbers, whatever other blocks there are.
+            Seed of all random streams. With the same seed a block has the same numbers, regardless of the other blocks.
         record : iterable of str, optional
             Names of the signals to keep, ``*`` allowed (``["plant.v", "controller.*"]``), or ports (``plant["v"]``); by default
             all outputs. Inputs can be recorded as well, by name.

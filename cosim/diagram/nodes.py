@@ -26,7 +26,7 @@ class Node:
 
     @cached_property
     def inputs(self) -> tuple[Port, ...]:
-        """The inputs of the block, kept here because the block makes them anew at each access."""
+        """The inputs of the block, kept here because the block makes new ports at each access."""
         return tuple(self.block.inputs)
 
     @cached_property

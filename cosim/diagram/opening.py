@@ -35,13 +35,13 @@ def signals_of(diagram: Diagram) -> tuple[Signals, Signals]:
 
 
 def chosen(
-    known: Signals, names: Names, what: str, who: str, allowed: Callable[[str], str]
+    signals: Signals, names: Names, what: str, who: str, allowed: Callable[[str], str]
 ) -> dict[str, tuple[Node, Port, int]]:
     """Return the scalar signals of the given names, each by its label: ``y[0]``, ``y[1]`` for a vector ``y``.
 
     Parameters
     ----------
-    known : mapping of str to (Node, Port)
+    signals : mapping of str to (Node, Port)
         All signals by name.
     names : sequence or mapping of str
         Names of the signals to choose, vectors or elements.
@@ -57,11 +57,11 @@ def chosen(
     result: dict[str, tuple[Node, Port, int]] = {}
     for signal, label in renamed.items():
         label = allowed(label)
-        if signal in known:
-            node, port = known[signal]
+        if signal in signals:
+            node, port = signals[signal]
             scalars = {scalar: (node, port, i) for i, scalar in enumerate(labels(label, port.shape))}
         else:
-            scalars = {label: _one(known, signal, what)}
+            scalars = {label: _one(signals, signal, what)}
         for scalar, place in scalars.items():
             if scalar in result or place in result.values():
                 raise ModelError(
@@ -72,14 +72,14 @@ def chosen(
     return result
 
 
-def _one(known: Signals, signal: str, what: str) -> tuple[Node, Port, int]:
+def _one(signals: Signals, signal: str, what: str) -> tuple[Node, Port, int]:
     match = re.fullmatch(r"(.+)\[([\d,]+)\]", signal)
-    if match and match[1] in known:
-        node, port = known[match[1]]
+    if match and match[1] in signals:
+        node, port = signals[match[1]]
         elements = labels(match[1], port.shape)
         if signal in elements:
             return node, port, elements.index(signal)
-    raise UnknownNameError(f"There is no {what} {signal!r}; {did_you_mean(signal, known)}")
+    raise UnknownNameError(f"There is no {what} {signal!r}; {did_you_mean(signal, signals)}")
 
 
 def _hand_on(u, y):

@@ -161,7 +161,9 @@ class Schedule:
                 lines.append(f"to t_k+1   {self._named(call)}")
             elif call.kind == "update":
                 seen = ", ".join(self.nodes[i].name for i in self._seen_ahead.get(call.node, ()))
-                lines.append(f"to t_k+1   {self.nodes[call.node].name}" + (f"  (sees {seen} at t_k+1)" if seen else ""))
+                lines.append(
+                    f"to t_k+1   {self.nodes[call.node].name}" + (f"  (reads {seen} at t_k+1)" if seen else "")
+                )
         return "\n".join(lines)
 
     def every(self, call: Call) -> int:
@@ -182,7 +184,7 @@ class Schedule:
             return self.nodes[call.node].name
         names = " and ".join(self.nodes[i].name for i in call.group.nodes)
         how = [f"guessing {', '.join(call.group.names)}"] if call.group.names else []
-        how += ["in steps of their own"] if call.group.doubling else []
+        how += ["in substeps"] if call.group.doubling else []
         return f"{names}  ({', '.join(how) or 'one after the other'})"
 
     def outputs_start(self, call: Call) -> int:

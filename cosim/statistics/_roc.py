@@ -134,8 +134,8 @@ def roc(score: ArrayLike | Sequence[ArrayLike], faulty: ArrayLike | Sequence[Arr
     >>> import numpy as np
     >>> rng = np.random.default_rng(0)
     >>> faulty = np.tile(np.arange(100) >= 60, (30, 1))  # 30 runs, with a fault from sample 60 on
-    >>> found = roc(rng.normal(size=(30, 100)) + faulty, faulty)
-    >>> round(found.auc, 2), found.low < 0.76 < found.high  # by theory 0.76
+    >>> result = roc(rng.normal(size=(30, 100)) + faulty, faulty)
+    >>> round(result.auc, 2), result.low < 0.76 < result.high  # by theory 0.76
     (0.75, True)
     """
     check_level(level)

@@ -1,7 +1,7 @@
 """Faults as blocks that change one channel of a signal on its way to the receiver.
 
 Between sensors and controller a fault is a sensor fault, between controller and plant an actuator fault, between a disturbance
-and the plant a process fault. `closed_loop` has a setting for each. Nothing tells the sender about the fault: the controller
+and the plant a process fault. `closed_loop` has a setting for each. The sender has no information about the fault: the controller
 computes with the control that it sent. Several faults of a signal are chained. A fault is *scheduled* (present while
 ``start <= t < stop``), or begins and ends at *random* in that window, as a two-state Markov chain. Its output ``active`` is the
 ground truth for judging a detector.

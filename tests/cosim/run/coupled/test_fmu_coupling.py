@@ -79,7 +79,7 @@ def test_a_block_between_two_fmus_is_seen_as_at_the_beginning_of_the_step(run_bo
     np.testing.assert_array_equal(run_both(through, 12)["b.v"], jacobi)
     assert through.schedule.describe().splitlines()[-2:] == ["to t_k+1   a", "to t_k+1   b"]
     direct = chain("gauss-seidel").schedule.describe().splitlines()
-    assert direct[-2:] == ["to t_k+1   a", "to t_k+1   b  (sees a at t_k+1)"]
+    assert direct[-2:] == ["to t_k+1   a", "to t_k+1   b  (reads a at t_k+1)"]
     assert chain("jacobi").schedule.describe().splitlines()[-1] == "to t_k+1   b"
 
 
