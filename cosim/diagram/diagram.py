@@ -171,8 +171,8 @@ class Diagram(LoopMethods):
                 new = ports.get(port_name)
                 if new is None or new.size != size:
                     raise ConnectionError(
-                        f"{type(blocks[name]).__name__} cannot replace {name!r}: the connected port {port_name!r} of size "
-                        f"{size} {'is missing' if new is None else f'has size {new.size}'}. "
+                        f"{type(blocks[name]).__name__} cannot replace {name!r}: the connected port {port_name!r} "
+                        f"{'is missing' if new is None else f'has size {new.size} instead of {size}'}. "
                         "To change sizes, write a function of the factors that makes the loop."
                     )
             origin = outputs[feeder][source.port.name]

@@ -237,12 +237,12 @@ def explain(failure: Failure, run: Run) -> str:
             f"The run stopped {when}: {name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
             f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
         )
-    instance = run.instances.get(failure.node)
-    detail = instance.explain(failure.status) if instance is not None else ""
-    run.ended = instance is not None and instance.has_ended
+    external = run.instances.get(failure.node)
+    detail = external.explain(failure.status) if external is not None else ""
+    run.ended = external is not None and external.has_ended
     if run.ended:
         return f"The run has ended {when}, as {node.name!r} requested. {detail}"
-    if _date_crash(instance, failure.k, t):
+    if _date_crash(external, failure.k, t):
         return f"The run stopped {when}: t{detail[1:]}"
     return f"The run stopped {when}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
 

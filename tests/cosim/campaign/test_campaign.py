@@ -308,7 +308,7 @@ def test_pieces_have_each_run_once(counts, size):
             {"grid": {"injection_0.start": ["late"]}},
             "Injection has start='late' and stop=inf; the start must be finite",
         ),
-        ({"grid": {"sensors.count": [3]}}, "size 2, which is connected, has size 3. Where .* a function"),
+        ({"grid": {"sensors.count": [3]}}, "has size 3 instead of 2. To change sizes, write a function"),
         ({"grid": {"controller.model.dt": [0.04]}}, "must run every 0.04 s, but the diagram runs it every 0.02 s"),
         ({"seeds": 0}, "at least one run"),
         ({"seeds": [1, 1]}, "one twice"),
@@ -327,7 +327,7 @@ def test_pieces_have_each_run_once(counts, size):
         ({"metrics": [cosim.Final("plant.v", name="status")]}, "A metric is called 'status', which is not allowed"),
         (
             {"metrics": [cosim.LoopFigures(only=["sensor.*"])]},
-            "which no figure is called; there are tracking.v.overall",
+            "which matches no figure; the figures are tracking.v.overall",
         ),
         ({"duration": 0.03}, "duration"),
         ({"decimation": 0}, "decimation"),

@@ -116,7 +116,7 @@ def test_saltelli_design_is_salibs(second):
         (lambda: LatinHypercube({"a": (0, 1)}, 0), "count=0"),
         (lambda: LatinHypercube({"a": (0, 1)}, 2.5), "count=2.5"),
         (lambda: SobolSequence({"a": (0, 1)}, 5, -1), "seed=-1"),
-        (lambda: SaltelliDesign({"a": (0, 1)}, 24), "count=24.*take 16 or 32"),
+        (lambda: SaltelliDesign({"a": (0, 1)}, 24), "count=24.*use 16 or 32"),
         (lambda: LatinHypercube({"a": scipy.stats.norm(0, np.nan)}, 5).points(), "'a' is nan"),
     ],
 )

@@ -342,7 +342,7 @@ def test_the_default_is_threads_where_they_use_all_cores(monkeypatch, car, make_
     monkeypatch.setitem(once["plant"].block.description.capabilities, "canBeInstantiatedOnlyOncePerProcess", True)
     executor, why = chosen(once)
     assert executor == Processes()
-    assert why == "Processes: the FMU 'plant' can be there only once in a process."
+    assert why == "Processes: the FMU 'plant' allows only one instance per process."
     monkeypatch.setattr("bayesftc.cosim.campaign.executors.choice.cores", lambda: 1)
     assert chosen(once)[0] == Threads()
     assert cosim.Campaign(car(), duration=0.1).run().metadata["executor"].startswith("Threads: ")

@@ -195,7 +195,7 @@ def test_names_that_every_campaign_has_are_refused_and_factors_make_way(tmp_path
 def test_folders_that_are_no_store_say_so(tmp_path):
     with pytest.raises(StoreError, match="There is no campaign"):
         CampaignStore.open(tmp_path / "none")
-    with pytest.raises(StoreError, match=r"is no stored campaign: it has no campaign.json"):
+    with pytest.raises(StoreError, match=r"is not a stored campaign, because it has no campaign.json"):
         CampaignStore.open(tmp_path)
     create(tmp_path / "s").close()
     with pytest.raises(StoreError, match=r"There is already a campaign in .*; resume it"):
