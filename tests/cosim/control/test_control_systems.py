@@ -439,7 +439,7 @@ def test_saved_states_are_asked_in_any_order(foreign):
     ):
         system.output(5 * DT, x[3], [0.0, 0.0])
     for nonsense in (0.5, -1.0, 1000.0, np.nan):
-        with pytest.raises(ModelError, match="is none"):
+        with pytest.raises(ModelError, match="is the number of a saved state, and"):
             system.output(0.0, [nonsense], [0.0, 0.0])
 
 
@@ -614,7 +614,7 @@ def test_a_missing_sample_passes_through_a_system_of_its_own():
         (
             lambda: brain().to_control(inputs=["y"]),
             UnconnectedInputError,
-            r"controller\.goal\[0\] of BayesianController .* name it",
+            r"controller\.goal\[0\] of BayesianController .* add it",
         ),
         (lambda: brain().to_control(outputs=["u[3]"]), UnknownNameError, r"no output 'u\[3\]'"),
         (lambda: brain().to_control(outputs=["u", "u"]), ModelError, "one of its outputs twice"),

@@ -147,7 +147,7 @@ def test_reliability_is_that_of_its_definition():
         (lambda: cosim.judge_alarms([1.0], [0, 1], threshold=0.0, step=1.0), "shape"),
         (lambda: cosim.judge_alarms([1.0], [0], threshold=np.nan, step=1.0), "threshold=nan"),
         (lambda: cosim.judge_alarms([1.0], [0], threshold=0.0, step=0.0), "step is 0.0"),
-        (lambda: cosim.judge_alarms("abc", [0], threshold=0.0, step=1.0), "no array of numbers"),
+        (lambda: cosim.judge_alarms("abc", [0], threshold=0.0, step=1.0), "is not an array of numbers"),
         (lambda: cosim.judge_alarms([], [], threshold=0.0, step=1.0), "not empty"),
         (lambda: cosim.alarm_threshold(np.zeros(10), step=1.0), "at least 1 hours"),
         (lambda: cosim.alarm_threshold(np.zeros(10), step=1.0, per_hour=np.nan), "per_hour=nan"),

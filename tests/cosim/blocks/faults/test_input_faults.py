@@ -269,7 +269,7 @@ def test_an_input_without_a_value_cannot_be_at_rest(make_block):
 
     ports = (cosim.Port("force", feedthrough=False), cosim.Port("disturbance", feedthrough=False))
     plant = make_block(inputs=ports, outputs=(cosim.Port("v"),), output=still, name="plant")
-    words = r"plant\.disturbance, which has no control, no noise and no start value; give it a source, such as closed\(noise="
+    words = r"plant\.disturbance, which has no control, no noise and no start value; give it a source, such as closed_loop\("
     with pytest.raises(UnconnectedInputError, match=words):
         car(plant, noise=None, input_faults={"disturbance": cosim.Freeze()})
     sources = {"disturbance": cosim.Constant(0.0)}

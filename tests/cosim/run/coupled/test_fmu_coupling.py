@@ -178,4 +178,4 @@ def test_inspect_shows_which_outputs_feed_through(fmi, through):
 
     assert shown(fmus.path("CruiseControl", fmi=fmi)) == "none"
     assert shown(through(fmi, "declared")) == "v <- force"
-    assert shown(through(fmi, "silent")) == "v <- any input (it does not say)"
+    assert shown(through(fmi, "silent")) == "v <- any input (not stated)"
