@@ -138,7 +138,10 @@ def test_the_same_function_and_records_make_one_function():
 @pytest.mark.parametrize(
     ("parts", "sentence"),
     [
-        ({"records": {"model": Model("A", "C"), "motion": named_alike(Motion)}}, "asks for 'C', which is no port"),
+        (
+            {"records": {"model": Model("A", "C"), "motion": named_alike(Motion)}},
+            "has the argument 'C', which is no port",
+        ),
         ({"records": {"model": ("A", "B"), "motion": named_alike(Motion)}}, "is no valid record"),
         ({"state": {"mean": [1.0, 2.0], "next": 0.0}}, "uses the name 'next' twice"),
     ],
@@ -246,7 +249,10 @@ class Default(NamedTuple):
         ({"motion": Default()}, "without defaults"),
         ({"motion": Motion("mean", "a b")}, "has the name 'a b', which cannot be an argument"),
         ({"motion": Motion("mean", "lambda")}, "has the name 'lambda'"),
-        ({"y": named_alike(Motion), "motion": named_alike(Motion)}, "a record 'y', but a port or entry is called so"),
+        (
+            {"y": named_alike(Motion), "motion": named_alike(Motion)},
+            "a record 'y' and also a port or entry of that name",
+        ),
     ],
 )
 def test_records_that_cannot_be(make_block, records, sentence):
