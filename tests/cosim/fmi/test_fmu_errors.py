@@ -342,7 +342,7 @@ def test_names_and_types(tmp_path, fmi):
     refused(lambda: FMU(path, outputs=["force"]), "has no output 'force'", error=UnknownNameError)
     refused(lambda: FMU(path, inputs=["label"]), "is of type String; only numbers can be ports")
     refused(lambda: FMU(path, inputs="force"), "give a list of names, as ['force']", error=ModelError)
-    refused(lambda: FMU(path, inputs=["force", "force"]), "'force' twice among its inputs", error=ModelError)
+    refused(lambda: FMU(path, inputs=["force", "force"]), "'force' twice in inputs", error=ModelError)
     refused(lambda: FMU(3), "FMU has path=3; it must be the path of an .fmu file", error=ModelError)
     refused(lambda: FMU(path, parameters=["m"]), "parameters=['m']; give values by name", error=ModelError)
     refused(lambda: FMU(path, validate="no"), "validate='no'; it must be True or False", error=ModelError)

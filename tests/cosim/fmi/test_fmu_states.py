@@ -129,7 +129,7 @@ def test_the_state_of_another_fmu_is_refused():
         FMUError, match=r"is no saved state of the FMU 'TwoLinkArm' but one of 'TwoLinkArm'\. Give a state from"
     ):
         other.restore(instance.save())
-    with pytest.raises(FMUError, match=r"is no saved state of the FMU 'TwoLinkArm'; save it in a run"):
+    with pytest.raises(FMUError, match=r"is no saved state of the FMU 'TwoLinkArm'\. Give a state from a run"):
         other.restore("state")
     instance.close()
     other.close()

@@ -64,7 +64,7 @@ def test_arrays_go_into_an_ssp_and_come_back(mixer, tmp_path, monkeypatch, same_
         ('Dimension size="3"', 'Dimension size="three"', "has a Dimension of size 'three', which is no whole number"),
         ('value="1.0 2.0 3.0"', 'value="1.0 2.0"', "gives 'u' the value '1.0 2.0', which is not of type Real and shape (3,)"),
         ('value="1.0 2.0 3.0"', 'value="1.0 x 3.0"', "gives 'u' the value '1.0 x 3.0', which is not of type Real"),
-        ('endConnector="u"', 'endConnector="u" endIndices="1"', "has indices in the connection from first.y to last.u: SSP"),
+        ('endConnector="u"', 'endConnector="u" endIndices="1"', "has indices in the connection from first.y to last.u, but SSP"),
         ('startConnector="y"', 'startConnector="total"', "connects first.total, of shape (), to last.u, of shape (3,)"),
         ('version="2.0" name="initialValues"', 'name="initialValues"', None),
     ],
@@ -90,8 +90,8 @@ def test_elements_of_arrays_are_not_saved(mixer, tmp_path):
     constant.connect(constant.add(cosim.Constant(1.0), "one")["y"], constant["b"]["u[0]"])
     for diagram, words in (
         (element, "b.single is fed by an element of a.y"),
-        (crossed, "b.u is an array, and only an array of an FMU with the same shape"),
-        (constant, "b.u is an array, and only an array of an FMU with the same shape"),
+        (crossed, "b.u is an array, and an SSP can connect it only to a whole array"),
+        (constant, "b.u is an array, and an SSP can connect it only to a whole array"),
     ):
         with pytest.raises(SSPError, match=words):
             cosim.save_ssp(diagram, tmp_path / "x.ssp")

@@ -199,7 +199,7 @@ def test_what_is_written_beyond_the_memory_for_it(built, fmi, what, which):
 
 
 def test_a_binary_with_another_number_of_states(built):
-    with pytest.raises(FMUError, match="Its binary has 2 continuous states, its model description 1"):
+    with pytest.raises(FMUError, match="Its binary has 2 continuous states, but its model description has 1"):
         alone(built("count", "3.0"), 0.1).simulate(1, engine="interpreted")
 
 

@@ -116,7 +116,7 @@ def test_saved_with_whole_numbers_and_tunables_it_goes_on_with_the_same_bits(bui
     instance.restore(saved)
     same_bits(steps(instance, 4, 9), first)
     other = FMU(built("typed", "3.0"), inputs=["u"], solver=solver).instantiate(Fraction(1, 10), "other")
-    with pytest.raises(FMUError, match=r"of a block of the FMU 'typed' with other inputs or sizes \(u, s, i8"):
+    with pytest.raises(FMUError, match=r"from a block of the FMU 'typed' with other inputs or sizes \(u, s, i8"):
         other.restore(saved)
     instance.forget(saved)
     for one in (instance, other):

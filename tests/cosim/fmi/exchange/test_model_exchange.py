@@ -170,7 +170,7 @@ def test_equations_and_jacobians(pendulum, built):
             model.has_directional_derivatives = exact
             for found, known in zip(model.jacobians(x, u), (A, [[0.0], [1.0]], [[1.0, 0.0]], [[0.5]]), strict=True):
                 np.testing.assert_allclose(found, known, atol=1e-14 if exact else 1e-9)
-        with pytest.raises(ModelError, match="x has the shape \\(3,\\); the FMU 'pendulum' wants 2 numbers: q, w"):
+        with pytest.raises(ModelError, match="x has the shape \\(3,\\), but the FMU 'pendulum' needs 2 numbers: q, w"):
             model.derivatives([1, 2, 3], u)
     with pytest.raises(FMUError, match="are closed"):
         model.outputs(x, u)
@@ -300,8 +300,8 @@ def test_an_fmu_with_discrete_states_that_cannot_save(built):
         ("endless", r"Its event iteration does not end: after 1000 passes at t = 0\.5 s", 5),
         ("nan", r"(The derivative 'der\(x\)'|A derivative) came out NaN or infinite at t = 0\.3", 4),
         ("fails", r"(Derivatives|StateDerivatives) returned Error.* Its log: the valve is stuck", 4),
-        ("past", r"Its events do not end at t = 0\.2 s: the time that it gives for the next one.* t = 0\.2 s\. ", 2),
-        ("relay", r"Its events do not end at t = 0\.25.* s: 100 came one after the other.*hysteresis", 3),
+        ("past", r"Its events do not end at t = 0\.2 s: the time of the next event .* t = 0\.2 s\. ", 2),
+        ("relay", r"Its events do not end at t = 0\.25.* s: 100 occurred one after the other.*hysteresis", 3),
     ],
 )
 def test_runs_that_cannot_go_on_say_why_and_keep_what_was(model, sentence, kept, solver, fmi, built):
