@@ -143,7 +143,7 @@ def test_discarded_steps_that_cannot_go_on_end_in_a_sentence(breadth, alone, eng
         (
             breadth("2", VARIABLE),
             {"most": 1e-9},
-            "fmi2DoStep returned Discard. It could compute the step up to t = 0 s",
+            "fmi2DoStep returned Discard. It computed the step up to t = 0 s",
         ),
         (breadth("2", VARIABLE), {"most": 0.01, "lie": -3.0}, "fmi2DoStep returned Discard."),
         (breadth("2", VARIABLE), {"most": 0.01, "lie": float("1e300")}, "fmi2DoStep returned Discard."),
