@@ -350,7 +350,7 @@ def test_names_and_types(tmp_path, fmi):
     if fmi == "3.0":
         assert FMU(path).port("wide").default == (1.0, 2.0, 3.0)
         for gains in (1.0, [1.0], [[1.0, 2.0]], [1.0, 2.0, 3.0], "1 2"):
-            refused(lambda g=gains: FMU(path, parameters={"gains": g}), "'gains'", "must be given", error=FMUError)
+            refused(lambda g=gains: FMU(path, parameters={"gains": g}), "'gains'", "Give it row by row", error=FMUError)
 
 
 @pytest.mark.parametrize(("library", "prefix"), [(_fmi_library.Library2, "fmi2"), (_fmi_library.Library3, "fmi3")])
