@@ -23,6 +23,10 @@ LASTING = 1e-9
 """A mode does not decay if its pole is nearer to the unit circle than this. A mode with less weight than this is invisible."""
 
 
+MOST_STEPS = 200_000
+"""A step response is simulated over at most so many steps."""
+
+
 @dataclass(frozen=True)
 class LinearLoop:
     """A closed loop without faults and noise as a linear system, at the sample time of its controller.
@@ -174,7 +178,8 @@ class LinearLoop:
         Raises
         ------
         ModelError
-            If the closed loop is not stable, so that the response does not settle.
+            If the closed loop is not stable, so that the response does not settle; or if the response never comes near its
+            final value.
         """
         response = _settling(self._response(goal, output))
         if response is None:
@@ -182,7 +187,15 @@ class LinearLoop:
                 f"{self._unstable()} So the step response does not settle and has no figures; change the controller, or the "
                 "start values of the plant."
             )
-        info: dict[str, float] = control.step_info(response, **settings)
+        if not {"T", "timepts", "T_num", "timepts_num", "final_output"} & set(settings):
+            settings["T"] = self.dt * np.arange(_steps_to_rest(response) + 1)
+        try:
+            info: dict[str, float] = control.step_info(response, **settings)
+        except IndexError:  # python-control finds no sample at which the response has risen
+            raise ModelError(
+                "The step response does not come near its final value within the simulated time. Give a longer one in seconds, "
+                "as T=[0.0, 0.1, ...]; it may also be that the goal has no lasting effect on this signal."
+            ) from None
         return info
 
     def __repr__(self) -> str:
@@ -256,6 +269,13 @@ def _settling(system: Any) -> Any:
     ):
         return None
     return control.ss(A[:stable, :stable], B[:stable] - Y @ B_lasting, C[:, :stable], system.D, system.dt)
+
+
+def _steps_to_rest(system: Any) -> int:
+    """Return the steps in which the slowest mode has decayed to a millionth; python-control takes too few for slow loops."""
+    slowest = float(np.abs(system.poles()).max(initial=0.0))
+    steps = np.log(1e-6) / np.log(slowest) if slowest > 0.0 else 0.0
+    return int(min(max(np.ceil(steps), 100), MOST_STEPS))
 
 
 def linear_loop(diagram: Any, plant: Any = None) -> LinearLoop:

@@ -107,6 +107,12 @@ def test_what_is_no_pair_is_refused(loops, sentence):
         cosim.compare(loops, duration=1.0, seeds=2)
 
 
+@pytest.mark.parametrize("seeds", [1, [7]])
+def test_one_seed_has_no_interval(seeds):
+    with pytest.raises(ModelError, match="compare has one seed; intervals and tests need at least two"):
+        cosim.compare({"a": loop_of(FixedPrecision()), "b": loop_of(SERFDI())}, duration=1.0, seeds=seeds)
+
+
 def test_another_seed_of_random_faults_is_the_same_in_each_loop():
     faults = [cosim.RandomFaults(mean_time_to_fault=1.0, mean_time_to_recovery=0.5)]
     loops = {"a": loop_of(FixedPrecision(), faults=faults), "b": loop_of(SERFDI(), faults=faults)}

@@ -64,6 +64,17 @@ def test_an_lqg_loop_is_the_one_made_by_hand():
     assert found["SteadyStateValue"] == pytest.approx(1.0)
 
 
+def test_the_step_response_of_a_slow_loop_is_simulated_until_it_rests():
+    """A hundred and more seconds at ten samples a second; python-control alone ends before it has settled."""
+    loop = loop_of(lqg(control_covariance=1e-6))
+    slowest = np.log(np.abs(loop.poles()).max()) / DT
+    info = loop.step_info(SettlingTimeThreshold=0.001)
+    assert slowest > -0.2
+    assert info["SettlingTime"] == pytest.approx(np.log(0.001) / slowest, rel=0.25)
+    with pytest.raises(ModelError, match="does not come near its final value within the simulated time"):
+        loop.step_info(T=np.arange(20) * DT)
+
+
 def test_margins_need_a_loop_that_is_stable():
     strong = control.ss(MODEL.matrix("A"), 40.0 * MODEL.matrix("B"), MODEL.matrix("C")[:1], 0.0, DT)
     loop = loop_of(lqg()).linear(plant=strong)
