@@ -70,7 +70,7 @@ def test_without_ziglang_a_sentence_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setattr(
         _compiler.importlib.util, "find_spec", lambda name, package=None: None if name == "ziglang" else find_spec(name)
     )
-    with pytest.raises(cosim.FMUError, match=r"Binaries for linux-aarch64 .*; pip install 'bayesftc\[export\]'\."):
+    with pytest.raises(cosim.FMUError, match=r"Binaries for linux-aarch64 .*with: pip install 'bayesftc\[export\]'\."):
         export_fmu(cosim.Gain(2.0), kept, dt=0.1, platforms="linux-aarch64")
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"what was there"]
 

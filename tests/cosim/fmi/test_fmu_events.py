@@ -364,7 +364,7 @@ def test_inspect_says_which_clocks_tick(clocked):
     rows = row(EVENTS, CLOCKS)
     assert rows["clocks"].works == "partly"
     assert rows["clocks"].how == (
-        "time ticks tick, fixed, countdown and 1 more, when it asks for that; nothing triggers triggered."
+        "time ticks tick, fixed, countdown and 1 more, when the FMU requests it; nothing triggers triggered."
     )
     assert rows["outputs"].how == "12 ports; never: even, on_trigger."
     rows = row(VARIES, CLOCKS)

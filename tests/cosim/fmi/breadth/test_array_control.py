@@ -27,8 +27,8 @@ def test_a_model_of_elements_of_arrays(mixer):
         ({"measured": "y[3]"}, r"no output 'y\[3\]'; did you mean 'y\[\d\]'", UnknownNameError),
         ({"measured": "total[0]"}, r"no output 'total\[0\]'; did you mean 'total'", UnknownNameError),
         ({"measured": "z[0]"}, "has no output 'z'", UnknownNameError),
-        ({"measured": ["y", "y[1]"]}, r"'y\[1\]' names an element a second time", ModelError),
-        ({"actuated": ["u[1]", "u"]}, "'u' names an element a second time", ModelError),
+        ({"measured": ["y", "y[1]"]}, r"'y\[1\]' repeats an element", ModelError),
+        ({"actuated": ["u[1]", "u"]}, "'u' repeats an element", ModelError),
         ({"at": {"u": [0.0, 0.0]}}, "The operating point of u has the shape", ModelError),
         ({"noise": {"u[1]": -1.0}}, r"The noise has u\[1\]=-1", ModelError),
     ):
