@@ -120,7 +120,7 @@ def test_nothing_found_and_nothing_to_find(files, tmp_path):
     assert "No fault was found." in done.output
     (tmp_path / "model.toml").write_text(MODEL + '[precision]\nkind = "FixedPrecision"\n', encoding="utf-8")
     done = RUNNER.invoke(app, ["monitor", *files])
-    assert "There is no fault probability: FixedPrecision does not look for faults." in done.output
+    assert "There is no fault probability: FixedPrecision does not infer faults." in done.output
 
 
 def test_a_file_that_cannot_be_written_leaves_none_behind(files, tmp_path, monkeypatch):

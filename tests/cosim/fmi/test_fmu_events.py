@@ -366,10 +366,10 @@ def test_inspect_says_which_clocks_tick(clocked):
     assert rows["clocks"].how == (
         "time ticks tick, fixed, countdown and 1 more, when the FMU requests it; nothing triggers triggered."
     )
-    assert rows["outputs"].how == "12 ports; never: even, on_trigger."
+    assert rows["outputs"].how == "12 ports; cannot be ports: even, on_trigger."
     rows = row(VARIES, CLOCKS)
     assert rows["clocks"].works == "no"
-    assert rows["inputs"].how == "2 ports; never: tick, v, fixed and 3 more."
+    assert rows["inputs"].how == "2 ports; cannot be ports: tick, v, fixed and 3 more."
     assert "clocks" not in row()
 
 
