@@ -63,6 +63,10 @@ def _integrate(u, kept, n):
     return (a + 0.5 * u[0], c, c + u[1] / np.float64(n + 1), d + 0.5)
 
 
+def _sum_over_time(u, kept, n, step=1.0 / 30.0):
+    return tuple(_clip(a + step * (0.0 if math.isnan(x) else x), -3.0, 1e300) for a, x in zip(kept, u))
+
+
 NUMBER = st.sampled_from([0.0, 1.0, -2.5, 0.1, 1e-300, 3e200, -1e308])
 ROWS = ((1.0, -2.0), (0.5, 3e150))
 KINDS = {
@@ -91,6 +95,25 @@ KINDS = {
         lambda p: cosim.Saturation(-1.5, 2.0, size=2),
         lambda p, u, t, n, kept, z: [_clip(x, -1.5, 2.0) for x in u],
     ),
+    "dead zone": (
+        2,
+        lambda p: cosim.DeadZone(-1.5, 2.0, size=2),
+        lambda p, u, t, n, kept, z: [x - _clip(x, -1.5, 2.0) if abs(x) > 1.5 or math.isnan(x) else 0.0 for x in u],
+    ),
+    "quotient": (2, lambda p: cosim.Product("*/"), lambda p, u, t, n, kept, z: [u[0] / u[1] + 0.0]),
+    "least": (
+        3,
+        lambda p: cosim.Minimum(3),
+        lambda p, u, t, n, kept, z: [min((x for x in u if not math.isnan(x)), default=math.nan)],
+    ),
+    "greater": (2, lambda p: cosim.Compare(">"), lambda p, u, t, n, kept, z: [float(u[0] > u[1])]),
+    "sum over time": (
+        2,
+        lambda p: cosim.Integrator(1.0, low=-3.0, high=1e300, size=2),
+        lambda p, u, t, n, kept, z: kept[:2],
+        _sum_over_time,
+        lambda p: (1.0, 1.0),
+    ),
     "delay": (
         2,
         lambda p: cosim.UnitDelay(2, p),
@@ -108,12 +131,15 @@ KINDS = {
 }
 
 
+TWO_OUTPUTS = {"clip", "dead zone", "delay", "integral", "matrix", "noise", "sum over time"}
+
+
 @st.composite
 def plans(draw):
     """Blocks (kind, number, every) and for each input element the block and element that feeds it."""
     kinds = ["noise", *draw(st.lists(st.sampled_from(sorted(KINDS)), min_size=2, max_size=9))]
     blocks = [(kind, draw(NUMBER), draw(st.sampled_from([1, 1, 2, 3, 5]))) for kind in kinds]
-    widths = [2 if kind in {"noise", "matrix", "clip", "delay", "integral"} else 1 for kind in kinds]
+    widths = [2 if kind in TWO_OUTPUTS else 1 for kind in kinds]
     wires = []
     for i, kind in enumerate(kinds):
         sources = range(len(kinds) if len(KINDS[kind]) > 3 else i)
@@ -164,7 +190,8 @@ def meaning(plan, steps, seed):
                 seen[i].append([held[j][e] for j, e in wires[i]])
         for i, (kind, _, every) in enumerate(blocks):
             if len(KINDS[kind]) > 3 and k % every == 0:
-                kept[i] = KINDS[kind][3]([np.float64(x) for x in seen[i][-1]], kept[i], k // every)
+                further = [np.float64(x) for x in seen[i][-1]], kept[i], k // every
+                kept[i] = KINDS[kind][3](*further, *[every / 30] * (kind == "sum over time"))
     return np.array(rows, dtype=float), seen
 
 
