@@ -72,13 +72,13 @@ def test_what_is_not_there(result):
     short = loop.simulate(1.0, engine="interpreted", record=["controller.innovation", "controller.beta"])
     with pytest.raises(ModelError, match="has no rate"):
         beta_residual(short)
-    with pytest.raises(UnknownNameError, match=r"'controller\.P' was not recorded; add it"):
+    with pytest.raises(UnknownNameError, match=r"'controller\.P' is not recorded; add it"):
         state_estimation_residual(short, standardised=loop["controller"].block.model)
-    with pytest.raises(UnknownNameError, match=r"'brain\.innovation' was not recorded"):
+    with pytest.raises(UnknownNameError, match=r"'brain\.innovation' is not recorded"):
         state_estimation_residual(result, "brain")
-    with pytest.raises(UnknownNameError, match=r"'controller\.innovation' was not recorded"):
+    with pytest.raises(UnknownNameError, match=r"'controller\.innovation' is not recorded"):
         beta_residual(loop.simulate(1.0, engine="interpreted", record=["controller.beta"]))
-    with pytest.raises(ModelError, match="not one value for each of the 2 sensors"):
+    with pytest.raises(ModelError, match="give an output with one value for each of the 2 sensors"):
         residual_features(result, ["x_hat"])
     with pytest.raises(ModelError, match="decimation=1"):
         state_estimation_residual(

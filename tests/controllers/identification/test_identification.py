@@ -73,7 +73,7 @@ def test_an_unstable_plant_is_identified_as_its_controller_holds_it():
     np.testing.assert_allclose(np.diag(r), np.diag(R), rtol=0.05)
     assert found.whiteness.min() > 1e-3
     assert np.isnan(found.simulated_fit).all()
-    assert "no simulation, for it is unstable" in found.describe()
+    assert "no simulation, because the model is unstable" in found.describe()
     found.plot()
 
 
@@ -372,7 +372,7 @@ def test_what_is_no_recording(tmp_path):
         LinearModel.identify(twice, inputs="u", outputs="u")
     with pytest.raises(ModelError, match=r"cannot be read: No such file or directory; give"):
         LinearModel.identify(tmp_path / "none.csv", inputs="u", outputs="y")
-    with pytest.raises(ModelError, match="not int"):
+    with pytest.raises(ModelError, match="of the type int; give a Result"):
         LinearModel.identify(3, inputs="u", outputs="y")
 
 

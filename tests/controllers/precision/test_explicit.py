@@ -236,7 +236,7 @@ def test_learned_on_a_healthy_run_of_the_shipped_car():
         (lambda: ExplicitDetection(hold=0.0), "finite number above 0"),
         (lambda: ExplicitDetection(hold="0.4"), "hold='0.4'; it must be a finite number above 0"),
         (lambda: ExplicitDetection(hold=None), "hold=None; it must be a finite number above 0"),
-        (lambda: ExplicitDetection(hold=0.03).learner(MODEL), "take 0.02 s or 0.04 s"),
+        (lambda: ExplicitDetection(hold=0.03).learner(MODEL), "use 0.02 s or 0.04 s"),
         (lambda: ExplicitDetection(hold=0.011).learner(MODEL), r"no whole number of steps of 0\.02 s; use 0\.02 s\.$"),
         (lambda: ExplicitDetection(threshold=np.array(4.0)), "it must be a number above 0"),
         (

@@ -290,7 +290,7 @@ def test_an_fmu_that_has_returned_fatal_is_not_called_any_more(fmi, lying):
         state = session.save_state()
         with pytest.raises(cosim.SimulationError, match="DoStep returned Fatal"):
             session.advance(1)
-        with pytest.raises(cosim.FMUError, match=r"\('car'\) has returned Fatal, .*; begin anew with reset\(\)\.$"):
+        with pytest.raises(cosim.FMUError, match=r"\('car'\) has returned Fatal, .* Start a new run with reset\(\)\.$"):
             session.restore(state)
         session.reset()
         assert session.advance(0.02).time.tolist() == [0.0, 0.02]
