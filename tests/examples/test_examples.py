@@ -94,7 +94,7 @@ def test_a_failed_engine_is_told_from_failed_sensors(capsys):
     price = actuator_faults.insurance(runs=20)
     assert price["with actuator modes"] < 1.02
     assert price["with frequent actuator faults"] > price["with actuator modes"]
-    ((_, errors),) = actuator_faults.slow_engine(runs=1, lags=(0.5,), steps=300, compiled=False).items()
+    ((_, errors),) = actuator_faults.slow_engine(runs=2, lags=(0.5,), steps=2000).items()
     assert errors["with actuator modes"] > 3 * errors["FixedPrecision"]  # a reason why they are no default
 
 
