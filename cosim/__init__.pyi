@@ -18,13 +18,12 @@ from .blocks.combining import (
 from .blocks.elementwise import (
     Abs as Abs,
     DeadZone as DeadZone,
-    LookupTable as LookupTable,
-    LookupTable2D as LookupTable2D,
     Polynomial as Polynomial,
     Quantizer as Quantizer,
+    Saturation as Saturation,
     Sign as Sign,
 )
-from .blocks.excitation import PRBS as PRBS, Chirp as Chirp, Pulse as Pulse, Recorded as Recorded
+from .blocks.excitation import PRBS as PRBS, Chirp as Chirp, Pulse as Pulse
 from .blocks.faults.kinds import (
     FAULTS as FAULTS,
     Bias as Bias,
@@ -44,7 +43,7 @@ from .blocks.faults.kinds import (
     Spikes as Spikes,
     Stuck as Stuck,
 )
-from .blocks.mathblocks import Gain as Gain, Saturation as Saturation, Sum as Sum, UnitDelay as UnitDelay
+from .blocks.mathblocks import Gain as Gain, Sum as Sum, UnitDelay as UnitDelay
 from .blocks.memory import (
     Counter as Counter,
     ExponentialFilter as ExponentialFilter,
@@ -66,6 +65,7 @@ from .blocks.sources import (
     Table as Table,
 )
 from .blocks.state_space import StateSpace as StateSpace
+from .blocks.tables import LookupTable as LookupTable, LookupTable2D as LookupTable2D
 from .blocks.transfer_function import TransferFunction as TransferFunction
 from .campaign.campaign import Campaign as Campaign
 from .campaign.designs.design import Design as Design, Grid as Grid, Points as Points

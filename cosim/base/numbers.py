@@ -7,6 +7,7 @@ from numbers import Real
 
 import numpy as np
 
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.types import Floats
 
 
@@ -33,4 +34,18 @@ def reals(value: object) -> Floats:
         return np.empty(0)
 
 
-__all__ = ["real", "reals"]
+def check_count(owner: object, name: str, most: int | None = None) -> None:
+    """Check that a setting of `owner` is a whole number, at least 1 and at most `most`.
+
+    Raises
+    ------
+    ModelError
+        If it is not.
+    """
+    value = getattr(owner, name)
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= (most or value):
+        limits = "a whole number, at least 1" if most is None else f"a whole number from 1 to {most:,}"
+        raise ModelError(f"{type(owner).__name__} has {name}={brief(value)}; it must be {limits}.")
+
+
+__all__ = ["check_count", "real", "reals"]

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import ClassVar
 
-import numpy as np
-
+from bayesftc.cosim.base.numbers import check_count
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.elementwise import Elementwise
 from bayesftc.cosim.errors import ModelError, did_you_mean
 from bayesftc.cosim.ops import both, either, isnan, maximum, minimum, negate, select
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.types import Kernel
 
 TRUE = 0.5
 """Above this a signal counts as true, below and where it is missing as false."""
@@ -71,21 +72,15 @@ def _largest(u, y):
     y[0] = largest
 
 
-@dataclass(frozen=True)
-class _Several(Block):
-    """Base of blocks that choose among the elements of ``u``.
+class _Extreme(Block):
+    """Base of blocks that choose among the elements of ``u``."""
 
-    Parameters
-    ----------
-    size : int
-        Number of elements.
-    """
-
-    size: int = 2
+    size: int
+    _kernel: ClassVar[Kernel]
+    result: ClassVar[str]
 
     def __post_init__(self) -> None:
-        if isinstance(self.size, bool) or not isinstance(self.size, int | np.integer) or self.size < 1:
-            raise ModelError(f"{type(self).__name__} has size={self.size!r}; it must be a whole number, at least 1.")
+        check_count(self, "size")
 
     @property
     def inputs(self) -> tuple[Port, ...]:
@@ -93,13 +88,22 @@ class _Several(Block):
         return (Port("u", (int(self.size),), description="What is compared"),)
 
     @property
+    def outputs(self) -> tuple[Port, ...]:
+        """Output ``y``."""
+        return (Port("y", description=self.result),)
+
+    @property
     def one_unit(self) -> tuple[str, ...]:
         """See `Block.one_unit`."""
         return ("u", "y")
 
+    def define(self, step: Fraction) -> Definition:
+        """See `Block.define`."""
+        return Definition(type(self)._kernel)
+
 
 @dataclass(frozen=True)
-class Minimum(_Several):
+class Minimum(_Extreme):
     """The smallest element of ``u``, of those that are there; NaN if all are missing.
 
     Parameters
@@ -108,18 +112,14 @@ class Minimum(_Several):
         Number of elements.
     """
 
-    @property
-    def outputs(self) -> tuple[Port, ...]:
-        """Output ``y``."""
-        return (Port("y", description="The smallest element"),)
+    _kernel: ClassVar[Kernel] = staticmethod(_least)
+    result: ClassVar[str] = "The smallest element"
 
-    def define(self, step: Fraction) -> Definition:
-        """See `Block.define`."""
-        return Definition(_least)
+    size: int = 2
 
 
 @dataclass(frozen=True)
-class Maximum(_Several):
+class Maximum(_Extreme):
     """The largest element of ``u``, of those that are there; NaN if all are missing.
 
     Parameters
@@ -128,19 +128,15 @@ class Maximum(_Several):
         Number of elements.
     """
 
-    @property
-    def outputs(self) -> tuple[Port, ...]:
-        """Output ``y``."""
-        return (Port("y", description="The largest element"),)
+    _kernel: ClassVar[Kernel] = staticmethod(_largest)
+    result: ClassVar[str] = "The largest element"
 
-    def define(self, step: Fraction) -> Definition:
-        """See `Block.define`."""
-        return Definition(_largest)
+    size: int = 2
 
 
 def _switch(condition, above, otherwise, threshold, y):
     for i in range(y.shape[0]):
-        y[i] = above[i] if condition[0] > threshold[0] else otherwise[i]
+        y[i] = select(condition[0] > threshold[0], above[i], otherwise[i])
 
 
 @dataclass(frozen=True)
@@ -154,6 +150,8 @@ class Switch(Elementwise):
     size : int
         Number of elements of ``above``, ``otherwise`` and ``y``.
     """
+
+    result: ClassVar[str] = "What the condition chooses"
 
     threshold: float = TRUE
     size: int = 1
@@ -229,10 +227,9 @@ class Logic(Block):
         alone = self.operation == "not"
         if self.size is None:
             object.__setattr__(self, "size", 1 if alone else 2)
-        size = self.size
-        if isinstance(size, bool) or not isinstance(size, int) or size < 1 or (alone and size > 1):
-            least = "1 for 'not'" if alone else "a whole number, at least 1"
-            raise ModelError(f"Logic has size={size!r}; it must be {least}.")
+        check_count(self, "size")
+        if alone and self.size != 1:
+            raise ModelError(f"Logic has size={self.size!r}; it must be 1 for 'not'.")
 
     @property
     def inputs(self) -> tuple[Port, ...]:

@@ -1,20 +1,16 @@
-"""Sources that excite or replay: pulses, a pseudo-random binary sequence, a chirp, a recording."""
+"""Sources that excite: pulses, a pseudo-random binary sequence, a chirp."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import log
-from pathlib import Path
 
 import numpy as np
 
-from bayesftc.cosim.base.numbers import reals
 from bayesftc.cosim.block import Definition
-from bayesftc.cosim.blocks.elementwise import place
 from bayesftc.cosim.blocks.sources import TAU, Source
-from bayesftc.cosim.errors import ModelError, RecordingError, did_you_mean
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import exp, floor, select, sin
 
 EDGE = 1e-9
@@ -75,15 +71,15 @@ TAPS = {3: 2, 4: 3, 5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9, 15: 14, 17: 14, 18: 11
 def _prbs(t, register, drawn, interval, tap, amplitude, offset, y):
     n = register.shape[0]
     passed = floor(t / interval[0] + EDGE)
-    new = select(passed > drawn[0], 1.0, 0.0)
-    drawn[0] = select(passed > drawn[0], passed, drawn[0])
+    next_bit = passed > drawn[0]
+    drawn[0] = select(next_bit, passed, drawn[0])
     other = 0.0
     for i in range(n):
-        other = other + select(tap[0] == i + 1, register[i], 0.0)
+        other = select(tap[0] == i + 1, register[i], other)
     first = register[n - 1] + other - 2.0 * register[n - 1] * other  # exclusive or
     for i in range(n - 1, 0, -1):
-        register[i] = select(new > 0.5, register[i - 1], register[i])
-    register[0] = select(new > 0.5, first, register[0])
+        register[i] = select(next_bit, register[i - 1], register[i])
+    register[0] = select(next_bit, first, register[0])
     y[0] = offset[0] + amplitude[0] * (2.0 * register[n - 1] - 1.0)
 
 
@@ -189,98 +185,4 @@ class Chirp(Source):
         return Definition(_exponential_chirp, parameters=parameters | {"growth": log(self.end / self.begin)})
 
 
-def _held_recording(t, times, values, y):
-    last = times.shape[0] - 1
-    y[0] = select(t >= times[last], values[last], values[place(times, t)])
-
-
-def _linear_recording(t, times, values, y):
-    last = times.shape[0] - 1
-    i = place(times, t)
-    share = (t - times[i]) / (times[i + 1] - times[i])
-    between = values[i] + share * (values[i + 1] - values[i])
-    y[0] = select(t >= times[last], values[last], select(t <= times[0], values[0], between))
-
-
-@dataclass(frozen=True)
-class Recorded(Source):
-    """A recorded signal: linear between its samples, or held from each to the next; constant outside.
-
-    `Table` has the same outputs for few points. This finds the samples of a long recording at once.
-
-    Parameters
-    ----------
-    times : sequence of float
-        Seconds, strictly rising; at least two.
-    values : sequence of float
-        As many values.
-    interpolate : bool
-        True for straight lines, False to hold each value until the next.
-    unit : str or None
-        Unit of the output.
-    """
-
-    times: Sequence[float] = field(metadata={"unit": "s"}, repr=False)
-    values: Sequence[float] = field(metadata={"unit": "{y}"}, repr=False)
-    interpolate: bool = True
-    unit: str | None = None
-
-    def __post_init__(self) -> None:
-        times, values = reals(self.times), reals(self.values)
-        if times.ndim != 1 or times.shape != values.shape or len(times) < 2:
-            raise ModelError(
-                f"Recorded needs as many times as values, at least two; it has {times.shape} and {values.shape}."
-            )
-        if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
-            raise ModelError(
-                "Recorded needs finite values at strictly rising times; sort the data and drop what is missing."
-            )
-        object.__setattr__(self, "times", tuple(times.tolist()))
-        object.__setattr__(self, "values", tuple(values.tolist()))
-
-    @classmethod
-    def read(
-        cls, file: str | Path, column: str, *, time: str = "time", interpolate: bool = True, unit: str | None = None
-    ) -> Recorded:
-        """Return the signal in a column of a CSV or Parquet file; rows without a sample are left out.
-
-        Parameters
-        ----------
-        file : str or Path
-            The file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
-        column : str
-            Name of the column.
-        time : str
-            Name of the column with the times in seconds.
-        interpolate, unit
-            As of the class.
-
-        Raises
-        ------
-        RecordingError
-            If the file cannot be read, has no such column, or has text in one of them.
-        ModelError
-            If fewer than two samples are left, or their times do not rise.
-        """
-        import pandas as pd
-
-        try:
-            table = pd.read_parquet(file) if Path(file).suffix == ".parquet" else pd.read_csv(file)
-        except Exception as error:  # noqa: BLE001 - of pandas, of a codec, of the system
-            raise RecordingError(f"{file} cannot be read as a table: {error}.") from None
-        for name in (time, column):
-            if name not in table:
-                raise RecordingError(f"{file} has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")
-        try:
-            rows = table[[time, column]].astype(float).dropna()
-        except (TypeError, ValueError) as error:
-            raise RecordingError(f"{file} has text in {time!r} or {column!r}: {error}.") from None
-        return cls(rows[time].tolist(), rows[column].tolist(), interpolate, unit)
-
-    def define(self, step: Fraction) -> Definition:
-        """See `Block.define`."""
-        parameters = {"times": np.array(self.times), "values": np.array(self.values)}
-        return Definition(_linear_recording if self.interpolate else _held_recording, parameters=parameters)
-
-
-__all__ = ["PRBS", "Chirp", "Pulse", "Recorded"]
+__all__ = ["PRBS", "Chirp", "Pulse"]

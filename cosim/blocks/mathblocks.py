@@ -1,4 +1,4 @@
-"""Small blocks that connect others: gain, sum, unit delay, saturation."""
+"""Small blocks that connect others: gain, sum, unit delay."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import isfinite
+from typing import ClassVar
 
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real, reals
 from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.blocks.elementwise import IN, SameUnit
 from bayesftc.cosim.errors import ModelError, brief
-from bayesftc.cosim.ops import isnan, maximum, minimum, select
 from bayesftc.cosim.ports import Port
-
-IN = "What comes in"
 
 
 def _gain(u, gain, offset, y):
@@ -121,11 +120,6 @@ class Sum(Block):
         return Definition(_sum, parameters={"signs": [1.0 if s == "+" else -1.0 for s in self.signs]})
 
 
-def _check_size(block: UnitDelay | Saturation) -> None:
-    if isinstance(block.size, bool) or not isinstance(block.size, int | np.integer) or block.size < 1:
-        raise ModelError(f"{type(block).__name__} has size={block.size!r}; it must be a whole number, at least 1.")
-
-
 def _delay_output(held, y):
     for i in range(y.shape[0]):
         y[i] = held[i]
@@ -137,79 +131,22 @@ def _delay_update(u, held):
 
 
 @dataclass(frozen=True)
-class UnitDelay(Block):
+class UnitDelay(SameUnit):
     """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements. It breaks algebraic loops."""
+
+    result: ClassVar[str] = "u of the step before"
 
     size: int = 1
     initial: float = 0.0
 
-    def __post_init__(self) -> None:
-        _check_size(self)
-
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u``, without direct feedthrough."""
-        return (Port("u", () if self.size == 1 else (self.size,), feedthrough=False, description=IN),)
-
-    @property
-    def outputs(self) -> tuple[Port, ...]:
-        """Output ``y``."""
-        return (Port("y", () if self.size == 1 else (self.size,), description="u of the step before"),)
-
-    @property
-    def one_unit(self) -> tuple[str, ...]:
-        """See `Block.one_unit`."""
-        return ("u", "y")
+        return (Port("u", self.shape, feedthrough=False, description=IN),)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
         return Definition(_delay_output, _delay_update, state={"held": np.full(self.size, self.initial)})
 
 
-def _saturation(u, low, high, y):
-    for i in range(y.shape[0]):
-        y[i] = select(isnan(u[i]), u[i], maximum(minimum(u[i], high[0]), low[0]))
-
-
-@dataclass(frozen=True)
-class Saturation(Block):
-    """Limits each of the ``size`` elements of ``u`` to [low, high]; a missing sample (NaN) stays missing.
-
-    Parameters
-    ----------
-    low, high : float
-        Limits of each element.
-    size : int
-        Number of elements.
-    """
-
-    low: float = field(metadata={"unit": "{u}"})
-    high: float = field(metadata={"unit": "{u}"})
-    size: int = 1
-
-    def __post_init__(self) -> None:
-        _check_size(self)
-        if not self.low <= self.high:
-            raise ModelError(f"Saturation has low={self.low!r} and high={self.high!r}; low must not be above high.")
-
-    @property
-    def inputs(self) -> tuple[Port, ...]:
-        """Input ``u``."""
-        return (Port("u", () if self.size == 1 else (self.size,), description=IN),)
-
-    @property
-    def outputs(self) -> tuple[Port, ...]:
-        """Output ``y``."""
-        return (Port("y", () if self.size == 1 else (self.size,), description="u within its limits"),)
-
-    @property
-    def one_unit(self) -> tuple[str, ...]:
-        """See `Block.one_unit`."""
-        return ("u", "y")
-
-    def define(self, step: Fraction) -> Definition:
-        """See `Block.define`."""
-        return Definition(_saturation, parameters={"low": self.low, "high": self.high})
-
-
-__all__ = ["Gain", "Saturation", "Sum", "UnitDelay"]
+__all__ = ["Gain", "Sum", "UnitDelay"]

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import ceil
+from typing import ClassVar
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import check_count
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.blocks.elementwise import Elementwise, SameUnit
 from bayesftc.cosim.errors import ModelError
@@ -53,6 +55,8 @@ class Integrator(Elementwise):
     size : int
         Number of elements.
     """
+
+    result: ClassVar[str] = "The integral"
 
     initial: float = field(default=0.0, metadata={"unit": "{y}"})
     low: float = field(default=-np.inf, metadata={"unit": "{y}"})
@@ -106,6 +110,8 @@ class ExponentialFilter(SameUnit):
         Number of elements.
     """
 
+    result: ClassVar[str] = "The filtered signal"
+
     time_constant: float
     size: int = 1
 
@@ -144,13 +150,14 @@ class MovingAverage(SameUnit):
         Number of elements.
     """
 
+    result: ClassVar[str] = "The mean of the window"
+
     samples: int
     size: int = 1
 
     def __post_init__(self) -> None:
         self._check()
-        if isinstance(self.samples, bool) or not isinstance(self.samples, int) or not 1 <= self.samples <= 10_000:
-            raise ModelError(f"MovingAverage has samples={self.samples!r}; it must be a whole number from 1 to 10,000.")
+        check_count(self, "samples", 10_000)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
@@ -180,6 +187,8 @@ class RateLimiter(SameUnit):
     size : int
         Number of elements.
     """
+
+    result: ClassVar[str] = "u, as fast as it may change"
 
     rising: float
     falling: float | None = None
@@ -221,6 +230,8 @@ class Hysteresis(Elementwise):
         Number of elements.
     """
 
+    result: ClassVar[str] = "high or low"
+
     on: float = field(metadata={"unit": "{u}"})
     off: float = field(metadata={"unit": "{u}"})
     high: float = field(default=1.0, metadata={"unit": "{y}"})
@@ -255,6 +266,8 @@ class SampleAndHold(SameUnit):
     size : int
         Number of elements.
     """
+
+    result: ClassVar[str] = "The last sample"
 
     initial: float = field(default=0.0, metadata={"unit": "{y}"})
     size: int = 1
@@ -293,6 +306,8 @@ class Counter(Elementwise):
         Number of elements.
     """
 
+    result: ClassVar[str] = "The number of rises"
+
     limit: float = np.inf
     size: int = 1
 
@@ -316,11 +331,11 @@ def _delay(u, delay, held, dt, y):
         for j in range(length - 1, 0, -1):
             held[i, j] = held[i, j - 1]
         held[i, 0] = u[i]
-        value = 0.0
+        later, earlier = 0.0, 0.0
         for j in range(length):
-            value = value + select(whole == j, select(share > 0.0, (1.0 - share) * held[i, j], held[i, j]), 0.0)
-            value = value + select(both(share > 0.0, whole + 1.0 == j), share * held[i, j], 0.0)
-        y[i] = value
+            later = select(whole == j, held[i, j], later)
+            earlier = select(whole + 1.0 == j, held[i, j], earlier)
+        y[i] = select(share > 0.0, later + share * (earlier - later), later)
 
 
 @dataclass(frozen=True)
@@ -336,6 +351,8 @@ class VariableDelay(SameUnit):
     size : int
         Number of elements.
     """
+
+    result: ClassVar[str] = "u of some time ago"
 
     longest: float = field(metadata={"unit": "s"})
     initial: float = field(default=0.0, metadata={"unit": "{y}"})

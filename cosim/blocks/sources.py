@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import isfinite, tau
+from pathlib import Path
 
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real, reals
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.blocks.tables import place
+from bayesftc.cosim.errors import ModelError, RecordingError, brief, did_you_mean
 from bayesftc.cosim.ops import select, sin
 from bayesftc.cosim.ports import Port
 
@@ -170,11 +172,9 @@ class Sine(Source):
 
 
 def _table(t, times, values, slopes, y):
-    # select() over all entries instead of a search, so that the same text can be traced.
-    value = values[0]
-    for i in range(times.shape[0]):
-        value = select(t >= times[i], values[i] + slopes[i] * (t - times[i]), value)
-    y[0] = value
+    i, last = place(times, t), times.shape[0] - 1
+    between = select(t >= times[0], values[i] + slopes[i] * (t - times[i]), values[0])
+    y[0] = select(t >= times[last], values[last], between)
 
 
 @dataclass(frozen=True)
@@ -210,6 +210,45 @@ class Table(Source):
             )
         object.__setattr__(self, "times", tuple(times.tolist()))
         object.__setattr__(self, "values", tuple(values.tolist()))
+
+    @classmethod
+    def read(
+        cls, file: str | Path, column: str, *, time: str = "time", interpolate: bool = True, unit: str | None = None
+    ) -> Table:
+        """Return the signal in a column of a CSV or Parquet file; rows without a sample are left out.
+
+        Parameters
+        ----------
+        file : str or Path
+            The file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
+        column : str
+            Name of the column.
+        time : str
+            Name of the column with the times in seconds.
+        interpolate, unit
+            As of the class.
+
+        Raises
+        ------
+        RecordingError
+            If the file cannot be read, has no such column, or has text in one of them.
+        ModelError
+            If no sample is left, or the times do not rise.
+        """
+        import pandas as pd
+
+        try:
+            table = pd.read_parquet(file) if Path(file).suffix == ".parquet" else pd.read_csv(file)
+        except Exception as error:  # noqa: BLE001 - of pandas, of a codec, of the system
+            raise RecordingError(f"{file} cannot be read as a table: {error}.") from None
+        for name in (time, column):
+            if name not in table:
+                raise RecordingError(f"{file} has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")
+        try:
+            rows = table[[time, column]].astype(float).dropna()
+        except (TypeError, ValueError) as error:
+            raise RecordingError(f"{file} has text in {time!r} or {column!r}: {error}.") from None
+        return cls(rows[time].tolist(), rows[column].tolist(), interpolate, unit)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -254,7 +254,7 @@ def compare(
         if not isinstance(name, str) or not isinstance(loop, Diagram):
             raise ModelError(f"compare has {name!r}: {loop!r}; give a mapping from names (texts) to diagrams.")
     check_pairs(loops)
-    if (len(seeds) if isinstance(seeds, Sequence) else seeds) == 1:
+    if (len(seeds) if np.ndim(seeds) else seeds) == 1:  # type: ignore[arg-type]
         raise ModelError("compare has one seed; intervals and tests need at least two. Give seeds=2 or more.")
     first = next(iter(loops.values()))
     record = _recorded(first)

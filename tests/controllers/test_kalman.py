@@ -66,7 +66,7 @@ def record(controller, rng, missing, steps):
     return [np.array(column) for column in zip(*rows, strict=True)]
 
 
-@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(problems())
 def test_belief_is_filterpys_for_every_goal_and_control_prior(problem):
     model, priors, missing, rng = problem

@@ -1,13 +1,12 @@
-"""Pulses, binary sequences, chirps, recordings: against SciPy and NumPy."""
+"""Pulses, binary sequences, chirps: against SciPy and NumPy."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.signal import chirp
 
 from bayesftc import cosim
 from bayesftc.cosim.blocks.excitation import TAPS
-from bayesftc.cosim.errors import ModelError, RecordingError
+from bayesftc.cosim.errors import ModelError
 
 both = pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 
@@ -54,29 +53,6 @@ def test_a_chirp_is_scipys(sweep, method, engine):
     np.testing.assert_allclose(y[150:250], y[200:300], atol=1e-9)  # 2 Hz from then on
 
 
-@both
-def test_a_recording_is_the_table_of_its_samples(engine, tmp_path):
-    rng = np.random.default_rng(0)
-    times, values = np.sort(rng.uniform(0.5, 9.0, 500)), rng.normal(size=500)
-    for interpolate in (True, False):
-        _, table = signal(cosim.Table(times, values, interpolate), 10.0, engine=engine)
-        _, recorded = signal(cosim.Recorded(times, values, interpolate), 10.0, engine=engine)
-        np.testing.assert_allclose(recorded, table, atol=1e-12)
-    rows = pd.DataFrame({"time": times, "v": np.where(np.arange(500) == 7, np.nan, values), "text": "x"})
-    rows.to_csv(tmp_path / "drive.csv")
-    rows.to_parquet(tmp_path / "drive.parquet")
-    for name in ("drive.csv", "drive.parquet"):
-        assert cosim.Recorded.read(tmp_path / name, "v", unit="m/s") == cosim.Recorded(
-            np.delete(times, 7), np.delete(values, 7), unit="m/s"
-        )
-    with pytest.raises(RecordingError, match=r"has no column 'w'; .* v\."):
-        cosim.Recorded.read(tmp_path / "drive.csv", "w")
-    with pytest.raises(RecordingError, match="has text in 'time' or 'text'"):
-        cosim.Recorded.read(tmp_path / "drive.csv", "text")
-    with pytest.raises(RecordingError, match=r"gone\.csv cannot be read as a table"):
-        cosim.Recorded.read(tmp_path / "gone.csv", "v")
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -85,8 +61,6 @@ def test_a_recording_is_the_table_of_its_samples(engine, tmp_path):
         (lambda: cosim.PRBS(1.0, 1.0, order=8), "order=8; it must be one of 3, 4"),
         (lambda: cosim.Chirp(1.0, 0.0, 1.0, 1.0), "begin=0.0; it must be positive"),
         (lambda: cosim.Chirp(1.0, 1.0, 2.0, 1.0, sweep="log"), "'linear' or 'exponential'"),
-        (lambda: cosim.Recorded([0.0, 1.0], [1.0]), "as many times as values"),
-        (lambda: cosim.Recorded([1.0, 0.0], [1.0, 2.0]), "strictly rising"),
     ],
 )
 def test_wrong_settings_are_refused_with_a_sentence(make, words):

@@ -4,10 +4,12 @@ import math
 import pickle
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import cosim
+from bayesftc.cosim.errors import RecordingError
 
 T = np.arange(81) / 20
 
@@ -119,3 +121,22 @@ def test_unit_and_pickle(block):
     copy = pickle.loads(pickle.dumps(block))
     assert copy == block
     assert hash(copy) == hash(block)
+
+
+def test_a_table_is_read_from_a_file_and_searched(tmp_path, run_both):
+    rng = np.random.default_rng(0)
+    times, values = np.sort(rng.uniform(0.5, 7.5, 500)), rng.normal(size=500)
+    rows = pd.DataFrame({"time": times, "v": np.where(np.arange(500) == 7, np.nan, values), "text": "x"})
+    rows.to_csv(tmp_path / "drive.csv")
+    rows.to_parquet(tmp_path / "drive.parquet")
+    kept = np.delete(times, 7), np.delete(values, 7)
+    for name in ("drive.csv", "drive.parquet"):
+        read = cosim.Table.read(tmp_path / name, "v", unit="m/s")
+        assert read == cosim.Table(*kept, unit="m/s")
+        np.testing.assert_allclose(signal(run_both, read), np.interp(T, *kept), atol=1e-9)
+    with pytest.raises(RecordingError, match=r"has no column 'w'; .* v\."):
+        cosim.Table.read(tmp_path / "drive.csv", "w")
+    with pytest.raises(RecordingError, match="has text in 'time' or 'text'"):
+        cosim.Table.read(tmp_path / "drive.csv", "text")
+    with pytest.raises(RecordingError, match=r"gone\.csv cannot be read as a table"):
+        cosim.Table.read(tmp_path / "gone.csv", "v")

@@ -107,7 +107,7 @@ def test_what_is_no_pair_is_refused(loops, sentence):
         cosim.compare(loops, duration=1.0, seeds=2)
 
 
-@pytest.mark.parametrize("seeds", [1, [7]])
+@pytest.mark.parametrize("seeds", [1, [7], np.array([7])])
 def test_one_seed_has_no_interval(seeds):
     with pytest.raises(ModelError, match="compare has one seed; intervals and tests need at least two"):
         cosim.compare({"a": loop_of(FixedPrecision()), "b": loop_of(SERFDI())}, duration=1.0, seeds=seeds)

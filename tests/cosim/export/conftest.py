@@ -102,7 +102,6 @@ BLOCKS = {
     "PRBS": cosim.PRBS(1.0, interval=0.2, order=5),
     "chirp": cosim.Chirp(1.0, 0.5, 2.0, 3.0),
     "exponential chirp": cosim.Chirp(1.0, 0.5, 2.0, 3.0, sweep="exponential"),
-    "recorded": cosim.Recorded([0.0, 1.0, 2.5], [1.0, -1.0, 4.0]),
     "transfer function": cosim.TransferFunction([1.0, 2.0], [1.0, 0.6, 1.0]),
     **{kind.__name__: kind(sensor=1, **SIZES.get(kind.__name__, {}), **WINDOW) for kind in cosim.FAULTS[:-1]},
     "RandomFaults": cosim.RandomFaults(channels=2, mean_time_to_fault=3.0, mean_time_to_recovery=2.0),
