@@ -98,6 +98,7 @@ from .diagram.closed_loop import closed_loop as closed_loop
 from .diagram.coupling import Coupling as Coupling
 from .diagram.diagram import Diagram as Diagram
 from .diagram.nodes import Node as Node, PortRef as PortRef
+from .diagram.subsystem import Subsystem as Subsystem
 from .errors import (
     AlgebraicLoopError as AlgebraicLoopError,
     BayesFTCError as BayesFTCError,

@@ -90,6 +90,7 @@ DOORS: dict[tuple[str, str], str] = {
     ("cosim.diagram.loop_methods", "cosim.control.linear_loop"): "Diagram.bode, Diagram.margins and the like",
     ("cosim.diagram.diagram", "cosim.diagram.schedule"): "Diagram.build",
     ("cosim.diagram.diagram", "cosim.run"): "Diagram.simulate, Diagram.start",
+    ("cosim.diagram.subsystem", "cosim.run"): "Subsystem.online",
     ("cosim.isolation.worker", "cosim.fmi.fmu"): "FMU(isolate=True): the process of its own makes the block",
     ("cosim.run.result", "cosim.judging"): "Result.plot, Result.plot_signals",
     ("scenario._files", "examples"): "scenario files by the name of an example",

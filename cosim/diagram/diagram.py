@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,6 +13,7 @@ from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.diagram.coupling import Coupling, Method
 from bayesftc.cosim.diagram.loop_methods import LoopMethods
 from bayesftc.cosim.diagram.nodes import Node, PortRef
+from bayesftc.cosim.diagram.subsystem import INSIDE, Boundary, Subsystem
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.run.interrupts import import_engine
@@ -75,13 +76,37 @@ class Diagram(LoopMethods):
         name = block.default_name if name is None else name
         if not isinstance(name, str) or not name or any(c.isspace() for c in name):
             raise ModelError(f"{name!r} cannot be a block's name: it must not be empty or contain spaces.")
-        if name in self._nodes:
-            raise ModelError(
-                f"The diagram already has a block {name!r}; give this {type(block).__name__} another name=..."
-            )
-        node = Node(name, block, whole_number(every, f"Block {name!r} has every="))
-        self._nodes[name] = node
+        every = whole_number(every, f"Block {name!r} has every=")
+        inside = block.diagram if isinstance(block, Subsystem) else None
+        node = Node(name, block.boundary if isinstance(block, Subsystem) else block, every)
+        inner = {n.name: Node(f"{name}.{n.name}", n.block, n.every * every) for n in inside.nodes} if inside else {}
+        for each in (node, *inner.values()):
+            if each.name in self._nodes:
+                raise ModelError(
+                    f"The diagram already has a block {each.name!r}; give this {type(block).__name__} another name=..."
+                )
+        self._nodes |= {each.name: each for each in (node, *inner.values())}
+        if isinstance(block, Subsystem):
+            self._connect_inside(node, block, inner)
         return node
+
+    def _connect_inside(self, boundary: Node, block: Subsystem, inner: Mapping[str, Node]) -> None:
+        """Copy the connections of a subsystem, and link its ports to those inside."""
+        for (target, port, element), (origin, taken) in block.diagram._sources.items():
+            self._sources[inner[target].name, port, element] = replace(origin, node=inner[origin.node.name]), taken
+        for name, references in block.fed.items():
+            link = boundary[name]
+            for reference in references:
+                for i, element in enumerate(reference.elements):
+                    self._sources[inner[reference.node.name].name, reference.port.name, element] = link, i
+        shown = [
+            (reference, e)
+            for references in block.shown.values()
+            for reference in references
+            for e in reference.elements
+        ]
+        for i, (reference, element) in enumerate(shown):
+            self._sources[boundary.name, INSIDE, i] = replace(reference, node=inner[reference.node.name]), element
 
     def connect(self, source: PortRef | Sequence[PortRef], target: PortRef) -> None:
         """Connect an output (or several, one after the other) to an input of the same size and unit.
@@ -140,8 +165,27 @@ class Diagram(LoopMethods):
         return self._nodes[name]
 
     def source_of(self, node: Node, port: Port, element: int) -> tuple[PortRef, int] | None:
-        """Return the source of one element of an input: the output and its element, or None."""
-        return self._sources.get((node.name, port.name, element))
+        """Return the source of one element of an input: the output and its element, or None.
+
+        Inside a subsystem it is the output outside that feeds it. If there is none, it is the unconnected input of the
+        subsystem.
+        """
+        *_, origin = (None, *self.origins_of(node, port, element))
+        return origin
+
+    def origins_of(self, node: Node, port: Port, element: int) -> Iterator[tuple[PortRef, int]]:
+        """Yield the port to which one element of an input is connected, and the next ones on the way through subsystems."""
+        origin = self._sources.get((node.name, port.name, element))
+        while origin is not None:
+            yield origin
+            reference, i = origin
+            boundary = reference.node.block
+            if not isinstance(boundary, Boundary):
+                return
+            place = (reference.port.name, i)
+            if reference.direction == "output":
+                place = (INSIDE, boundary.offset(reference.port) + i)
+            origin = self._sources.get((reference.node.name, *place))
 
     def rewired(self, blocks: Mapping[str, Block]) -> Diagram:
         """Return a diagram with the same names, rates, connections and coupling, but other blocks; built if this one is.
@@ -154,9 +198,14 @@ class Diagram(LoopMethods):
         Raises
         ------
         ConnectionError
-            If a block lacks a connected port, or has it with another size.
+            If a block lacks a connected port, or has it with another size, or is a subsystem.
         """
         other = Diagram(self.step)
+        if subsystems := [name for name, block in blocks.items() if isinstance(block, Subsystem)]:
+            raise ConnectionError(
+                f"A subsystem cannot replace {subsystems[0]!r}; replace blocks inside of it, such as "
+                f"'{subsystems[0]}.<block>', or write a function of the factors that makes the loop."
+            )
         for name, node in self._nodes.items():
             other.add(blocks[name], name, node.every)
         sizes = {name: {p.name: p.size for p in node.inputs} for name, node in self._nodes.items()}
@@ -164,8 +213,9 @@ class Diagram(LoopMethods):
         outputs = {name: {p.name: p for p in node.outputs} for name, node in other._nodes.items()}
         for (target, port, element), (source, taken) in self._sources.items():
             feeder = source.node.name
+            ports_of_source = outputs[feeder] if source.direction == "output" else inputs[feeder]
             for name, port_name, ports, size in (
-                (feeder, source.port.name, outputs[feeder], source.port.size),
+                (feeder, source.port.name, ports_of_source, source.port.size),
                 (target, port, inputs[target], sizes[target][port]),
             ):
                 new = ports.get(port_name)
@@ -175,8 +225,8 @@ class Diagram(LoopMethods):
                         f"{'is missing' if new is None else f'has size {new.size} instead of {size}'}. "
                         "To change sizes, write a function of the factors that makes the loop."
                     )
-            origin = outputs[feeder][source.port.name]
-            whole = PortRef(other._nodes[feeder], origin, "output", tuple(range(origin.size)))
+            origin = ports_of_source[source.port.name]
+            whole = PortRef(other._nodes[feeder], origin, source.direction, tuple(range(origin.size)))
             other._sources[target, port, element] = whole, taken
         if self._coupling is not None:
             other.build(self._coupling)

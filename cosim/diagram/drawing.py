@@ -7,6 +7,8 @@ from html import escape
 
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.subsystem import Boundary
 from bayesftc.cosim.ports import Port, listed
 
 MOST_BLOCKS = 60
@@ -53,16 +55,16 @@ def drawing(diagram: Diagram) -> str:
     Only connected ports are drawn. The tooltip of a block lists all ports, with sizes and units.
     """
     title = f"Diagram of {len(diagram.nodes)} blocks at {float(diagram.step):g} s"
-    if len(diagram.nodes) > MOST_BLOCKS:
-        rows = [
-            (node.name, type(node.block).__name__, listed(node.inputs), listed(node.outputs)) for node in diagram.nodes
-        ]
+    nodes = _outermost(diagram)
+    if len(nodes) > MOST_BLOCKS:
+        rows = [(node.name, _kind(node), *_listed(node)) for node in nodes]
         return table(title, rows, ("block", "kind", "inputs", "outputs"))
     wires = _wires(diagram)
     boxes = {}
-    for node in diagram.nodes:
-        kind = type(node.block).__name__ + (f", every {node.every} steps" if node.every > 1 else "")
-        hint = f"inputs: {listed(node.inputs)}\noutputs: {listed(node.outputs)}"
+    for node in nodes:
+        kind = _kind(node) + (f", every {node.every} steps" if node.every > 1 else "")
+        ports = _listed(node)
+        hint = f"inputs: {ports[0]}\noutputs: {ports[1]}"
         ins = _used(node.inputs, {w[3] for w in wires if w[2] == node.name})
         outs = _used(node.outputs, {w[1] for w in wires if w[0] == node.name})
         boxes[node.name] = _Box(node.name, kind, ins, outs, hint)
@@ -82,13 +84,31 @@ def drawing(diagram: Diagram) -> str:
     )
 
 
+def _outermost(diagram: Diagram) -> list[Node]:
+    """Return the blocks that are not inside a subsystem."""
+    inside = tuple(f"{node.name}." for node in diagram.nodes if isinstance(node.block, Boundary))
+    return [node for node in diagram.nodes if not node.name.startswith(inside)]
+
+
+def _inputs(node: Node) -> tuple[Port, ...]:
+    return node.block.free if isinstance(node.block, Boundary) else node.inputs
+
+
+def _kind(node: Node) -> str:
+    return "Subsystem" if isinstance(node.block, Boundary) else type(node.block).__name__
+
+
+def _listed(node: Node) -> tuple[str, str]:
+    return listed(_inputs(node)), listed(node.outputs)
+
+
 def _wires(diagram: Diagram) -> list[Wire]:
     """Return the connections, each once even if it has several elements."""
     wires: dict[Wire, None] = {}
-    for node in diagram.nodes:
-        for port in node.inputs:
+    for node in _outermost(diagram):
+        for port in _inputs(node):
             for i in range(port.size):
-                if (source := diagram.source_of(node, port, i)) is not None:
+                if (source := next(diagram.origins_of(node, port, i), None)) is not None:
                     wires[source[0].node.name, source[0].port.name, node.name, port.name] = None
     return list(wires)
 

@@ -32,7 +32,7 @@ class Feedthrough:
             for port in node.inputs:
                 for element in range(port.size if port.feedthrough else 0):
                     source = diagram.source_of(node, port, element)
-                    if source is not None:
+                    if source is not None and source[0].direction == "output":
                         output, j = source[0], place[source[0].node]
                         self._edges[j].setdefault(
                             i, (f"{output.node.name}.{output.port.name}", f"{node.name}.{port.name}")

@@ -115,7 +115,7 @@ def needed(diagram: Diagram) -> dict[str, tuple[Node, Port, int]]:
         for node in diagram.nodes
         for port in node.block.inputs
         for i, label in enumerate(labels(f"{node.name}.{port.name}", port.shape))
-        if port.draw is None and port.default is None and diagram.source_of(node, port, i) is None
+        if port.draw is None and port.default is None and next(diagram.origins_of(node, port, i), None) is None
     }
 
 

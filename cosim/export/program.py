@@ -14,13 +14,15 @@ import numpy as np
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
+from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE, Names, opened
 from bayesftc.cosim.diagram.schedule import Schedule
+from bayesftc.cosim.diagram.subsystem import Subsystem, with_inside
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.export.names import check, legal, unique
 from bayesftc.cosim.export.signals import OneElement, Place, Places, Signal, Tunable, signal_of, tunables_of
 from bayesftc.cosim.export.units import units_of
-from bayesftc.cosim.ports import labels
+from bayesftc.cosim.ports import Port, labels
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,14 @@ def program_of(
     diagram = _as_diagram(exported, dt)
     part, units = _part(diagram, blocks), units_of(diagram)
     alone = len(part.nodes) == 1
+    prefix = ""
+    if isinstance(exported, Subsystem):
+        prefix = f"{part.nodes[0].name}."
+        name = name or part.nodes[0].name
+        inputs, outputs = (
+            _within(part.nodes[0], inputs, exported.inputs),
+            _within(part.nodes[0], outputs, exported.outputs),
+        )
     input_places, output_places = _program_inputs(part, inputs), _named(_ports(part, "outputs"), outputs, "output")
     whole, _ = opened(part, [place for places in input_places.values() for place in places], "the exported blocks")
     schedule = whole.schedule
@@ -100,7 +110,7 @@ def program_of(
         schedule,
         tuple(signal_of(schedule, label, places, units) for label, places in input_places.items()),
         tuple(signal_of(schedule, label, places, units) for label, places in output_places.items()),
-        tuple(tunables_of(schedule, alone, units)),
+        tuple(replace(each, name=each.name.removeprefix(prefix)) for each in tunables_of(schedule, alone, units)),
     )
     named_sides = [
         (names, what) for names, what in ((inputs, "input"), (outputs, "output")) if isinstance(names, Mapping)
@@ -108,6 +118,15 @@ def program_of(
     return _with_names(
         program, [(new, what) for names, what in named_sides for old, new in names.items() if new != old]
     )
+
+
+def _within(subsystem: Node, names: Names | None, ports: Sequence[Port]) -> dict[str, str]:
+    """Return the names of signals of a subsystem in its diagram, each with its name in the export; by default of its ports."""
+    if names is None:
+        names = [port.name for port in ports]
+    given = [names] if isinstance(names, str) else names
+    renamed = given if isinstance(given, Mapping) else {name: name for name in given}
+    return {f"{subsystem.name}.{name}": new for name, new in renamed.items()}
 
 
 def _ports(part: Diagram, side: Literal["inputs", "outputs"]) -> dict[str, Places]:
@@ -162,7 +181,7 @@ def _as_diagram(exported: Block | Diagram, dt: float | str | Fraction | None) ->
 def _part(diagram: Diagram, blocks: Sequence[str] | str | None) -> Diagram:
     """Return a diagram of some blocks of another one, with the largest possible base step."""
     requested = [blocks] if isinstance(blocks, str) else list(diagram._nodes if blocks is None else blocks)
-    nodes = [diagram[name] for name in diagram._nodes if name in {diagram[each].name for each in requested}]
+    nodes = [diagram[name] for name in with_inside(diagram, requested)]
     if not nodes:
         raise ModelError("There is no block to export; name at least one.")
     for node in nodes:
@@ -174,15 +193,19 @@ def _part(diagram: Diagram, blocks: Sequence[str] | str | None) -> Diagram:
     every = gcd(*(node.every for node in nodes))
     part = Diagram(diagram.step * every)
     new = {node.name: part.add(node.block, node.name, node.every // every) for node in nodes}
-    for (name, port, element), (source, source_element) in diagram._sources.items():
-        if name in new and source.node.name in new:
-            part._sources[name, port, element] = new[source.node.name][source.port.name], source_element
+    for node in nodes:
+        for port in node.inputs:
+            for i in range(port.size):
+                # Of a subsystem whose ports are left out, the block on their other side counts.
+                origins = ((s, e) for s, e in diagram.origins_of(node, port, i) if s.node.name in new)
+                if (origin := next(origins, None)) is not None:
+                    part._sources[node.name, port.name, i] = new[origin[0].node.name][origin[0].port.name], origin[1]
     return part
 
 
 def _unfed(part: Diagram, label: str, places: Places) -> dict[str, Places]:
     """Return the unconnected part of an input: all of it as one signal, or its elements one by one."""
-    unfed = [place for place in places if part.source_of(*place) is None]
+    unfed = [place for place in places if next(part.origins_of(*place), None) is None]
     if len(unfed) == len(places):
         return {label: places}
     names = labels(label, places[0][1].shape)

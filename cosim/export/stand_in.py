@@ -12,6 +12,7 @@ from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import HandOn
+from bayesftc.cosim.diagram.subsystem import with_inside
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.ports import Port, labels
@@ -88,7 +89,7 @@ class StandIn:
 
     def _moves(self, node: Node, port: Port, i: int) -> bool:
         """Return whether an input changes by random numbers or a source outside the blocks."""
-        source = self.diagram.source_of(node, port, i)
+        source = next(self.diagram.origins_of(node, port, i), None)
         return port.draw is not None if source is None else source[0].node.name not in self.blocks
 
     def _check_step(self) -> None:
@@ -157,14 +158,14 @@ def _blocks_of(fmu: FMU, diagram: Diagram, blocks: Sequence[str] | str | None) -
                 raise ModelError(
                     f"The block {name!r} is an FMU itself; name the block from which {_file(fmu)} was exported."
                 )
-        return names
+        return tuple(with_inside(diagram, names))
     declared = fmu.description.blocks
     candidates = [node for node in diagram.nodes if not is_external(node)]
     if declared and all(any(node.name == name for node in candidates) for name in declared):
         return declared
     fitting = [node.name for node in candidates if _fits(fmu, node)]
     if len(fitting) == 1:
-        return (fitting[0],)
+        return tuple(with_inside(diagram, fitting))
     reason = "no block has its inputs and outputs"
     if fitting:
         reason = f"{', '.join(fitting[:-1])} and {fitting[-1]} have its inputs and outputs"
@@ -189,11 +190,12 @@ def _counterparts(fmu: FMU, nodes: Sequence[Node], side: str) -> tuple[dict[Plac
     }
     result: dict[Place, tuple[str, int]] = {}
     unmatched, declared = [], fmu.description.blocks
+    alone = _alone(blocks)
     for port in getattr(fmu, side):
         name = fmu.description.origins.get(port.name, port.name)
-        if len(blocks) == len(declared) == 1:  # a block that was exported alone may have another name here
+        if alone and _alone(declared):  # a block that was exported alone may have another name here
             name = name.removeprefix(f"{declared[0]}.")
-        names = (name, f"{blocks[0]}.{name}") if len(blocks) == 1 else (name,)
+        names = (name, f"{blocks[0]}.{name}") if alone else (name,)
         port_match = next((whole[n] for n in names if n in whole and whole[n][1].size == port.size), None)
         element_match = next((single[n] for n in names if n in single and port.size == 1), None)
         if port_match is not None:
@@ -205,8 +207,13 @@ def _counterparts(fmu: FMU, nodes: Sequence[Node], side: str) -> tuple[dict[Plac
     return result, unmatched
 
 
+def _alone(blocks: Sequence[str]) -> bool:
+    """Return whether there is one block, with those inside it if it is a subsystem."""
+    return bool(blocks) and all(name.startswith(f"{blocks[0]}.") for name in blocks[1:])
+
+
 def _label(blocks: Sequence[str], node: Node, port: Port) -> str:
-    return port.name if len(blocks) == 1 else f"{node.name}.{port.name}"
+    return port.name if _alone(blocks) else f"{node.name}.{port.name}"
 
 
 def _file(fmu: FMU) -> str:

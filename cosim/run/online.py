@@ -12,13 +12,16 @@ import numpy as np
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.diagram.contract import checked
-from bayesftc.cosim.diagram.memory import arrange, bind
+from bayesftc.cosim.diagram.memory import Slots, arrange, bind
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.run.interrupts import import_engine
 
 if TYPE_CHECKING:
     from bayesftc.cosim.block import Block
-    from bayesftc.cosim.types import Kernel
+    from bayesftc.cosim.types import Floats, Kernel
+
+Step = Callable[[float, int], None]
+"""A step function of time in seconds and of the step count."""
 
 
 class Outputs(dict[str, Any]):
@@ -64,7 +67,8 @@ class Online:
         kernels = [k for k in (self._definition.output, self._definition.update) if k is not None]
         self._inputs = {p.name: (p, self._view(p.name)) for p in block.inputs}
         self._outputs = {p.name: (p, self._view(p.name)) for p in block.outputs}
-        self._calls = [self._compiled(k) if compiled and self._definition.compiled else self._plain(k) for k in kernels]
+        made = compiled_step if compiled and self._definition.compiled else plain_step
+        self._calls = [made(k, self._slots, self._memory) for k in kernels]
         self._k = 0
 
     def __call__(self, **inputs: Any) -> Outputs:
@@ -112,26 +116,30 @@ class Online:
             raise ModelError(f"{self._title}: the input {name!r} has the shape {array.shape}; it must be {shape}.")
         return array
 
-    def _plain(self, kernel: Kernel) -> Callable[[float, int], Any]:
-        function = bind(kernel, self._slots, self._memory)
 
-        def call(t: float, k: int) -> None:
-            with np.errstate(all="ignore"):
-                function(t, k)
+def plain_step(kernel: Kernel, slots: Slots, memory: Floats) -> Step:
+    """Return a step function of time and step count, as plain Python, on the memory of a block."""
+    function = bind(kernel, slots, memory)
 
-        return call
+    def call(t: float, k: int) -> None:
+        with np.errstate(all="ignore"):
+            function(t, k)
 
-    def _compiled(self, kernel: Kernel) -> Callable[[float, int], Any]:
-        import_engine()
-        from bayesftc.cosim.stepping.machine.steps import compile_kernel
+    return call
 
-        address = [ctypes.c_int64(self._memory.ctypes.data + 8 * start) for start in self._slots.start.values()]
-        i64 = ctypes.c_int64
-        function = ctypes.CFUNCTYPE(ctypes.c_int32, i64, i64, i64, i64, ctypes.c_double, i64)(
-            compile_kernel(kernel, self._slots.sections)
-        )
 
-        def call(t: float, k: int) -> None:
-            function(*address, t, k)
+def compiled_step(kernel: Kernel, slots: Slots, memory: Floats) -> Step:
+    """Return a step function of time and step count, as machine code, on the memory of a block."""
+    import_engine()
+    from bayesftc.cosim.stepping.machine.steps import compile_kernel
 
-        return call
+    address = [ctypes.c_int64(memory.ctypes.data + 8 * start) for start in slots.start.values()]
+    i64 = ctypes.c_int64
+    function = ctypes.CFUNCTYPE(ctypes.c_int32, i64, i64, i64, i64, ctypes.c_double, i64)(
+        compile_kernel(kernel, slots.sections)
+    )
+
+    def call(t: float, k: int) -> None:
+        function(*address, t, k)
+
+    return call

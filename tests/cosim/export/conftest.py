@@ -59,7 +59,16 @@ def angles(x, y):
     y[1] = sin(x[0])
 
 
+def _subsystem():
+    inside = cosim.Diagram(DT)
+    gain, integral = inside.add(cosim.Gain(2.0), "gain"), inside.add(cosim.Integrator(low=-3.0), "integral", every=2)
+    total = inside.add(cosim.Sum("++"), "total")
+    inside.connect([gain["y"], integral["y"]], total["u"])
+    return cosim.Subsystem(inside, {"e": ["gain.u", "integral.u"]}, {"u": "total.y"})
+
+
 BLOCKS = {
+    "subsystem": _subsystem(),
     "gain": cosim.Gain([[1.0, -2.0], [0.5, 3.0]]),
     "sum": cosim.Sum("+-+"),
     "delay": cosim.UnitDelay(size=2, initial=3.0),

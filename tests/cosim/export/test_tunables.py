@@ -30,13 +30,30 @@ def with_setting(holder, path, values):
     return replace(holder, **{name: new})
 
 
+def replaced_inside(subsystem, name, block):
+    """Return the subsystem with another block inside."""
+    diagram = cosim.varied(subsystem.diagram, {name: block})
+    sides = (
+        {
+            port: [diagram[r.node.name][r.port.name][i] for r in references for i in r.elements]
+            for port, references in side.items()
+        }
+        for side in (subsystem.fed, subsystem.shown)
+    )
+    return cosim.Subsystem(diagram, *sides)
+
+
 def changed(block, tunable, rng):
     """Return other values of a tunable that the block allows, and the block that has them."""
     for _ in range(20):
         values = np.array(tunable.start) * rng.uniform(0.6, 1.3, len(tunable.start))
         values += (values == 0.0) * rng.uniform(0.1, 0.9, len(values))
         try:
-            return values, with_setting(block, tunable.setting, values)
+            if not isinstance(block, cosim.Subsystem):
+                return values, with_setting(block, tunable.setting, values)
+            inside = block.diagram[tunable.name.split(".")[0]]
+            other = with_setting(inside.block, tunable.setting, values)
+            return values, replaced_inside(block, inside.name, other)
         except cosim.ModelError:
             continue
     raise AssertionError(f"no other value of {tunable.name} is allowed")
