@@ -20,7 +20,7 @@ PUBLIC = {
 }
 
 
-LONG = {"detectability.md", "precision.md", "reproduce.md"}
+LONG = {"bring-your-own-fmu.md", "detectability.md", "precision.md", "reproduce.md"}
 """Pages whose snippets take long."""
 
 

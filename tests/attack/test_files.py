@@ -136,6 +136,7 @@ def test_scenarios(line, chance, count):
     check(line, ((f"{i}", Case(("run", "case.toml", "--json"), content)) for i, content in enumerate(files)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", few(250))
 def test_campaigns(line, chance, count):
     pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
@@ -152,6 +153,7 @@ def test_campaigns(line, chance, count):
     check(line, cases())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", few(300))
 def test_model_files_of_monitors(line, chance, count):
     data = recording(chance)
@@ -160,6 +162,7 @@ def test_model_files_of_monitors(line, chance, count):
     check(line, ((f"{i}", Case(arguments, content)) for i, content in enumerate(files)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", few(350))
 def test_recordings(line, chance, count):
     def cases():
@@ -194,6 +197,7 @@ def rewritten(text, rng):
     return ("\ufeff" if rng.random() < 0.5 else "") + text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", few(60))
 def test_what_means_the_same_gives_the_same_numbers(line, chance, count):
     for i in range(count):

@@ -72,7 +72,7 @@ def both(rng, i):
 COUNTS = [6, pytest.param(120, marks=pytest.mark.slow)]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 @pytest.mark.parametrize("kind", list(BEHAVIOUR))
 def test_without_hostility_it_runs(line, libraries, fmi, kind):
@@ -82,6 +82,7 @@ def test_without_hostility_it_runs(line, libraries, fmi, kind):
         assert (outcome.wrong, outcome.code) == ("", 0), outcome.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("what", ["archive", "description", "binary"])
 def test_hostile_files(line, libraries, chance, what, count):
@@ -103,6 +104,7 @@ def test_hostile_files(line, libraries, chance, what, count):
     assert not failures, "\n".join(failures)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [4, pytest.param(250, marks=pytest.mark.slow)])
 def test_hostile_behaviour(line, libraries, chance, count):
     everything = [

@@ -38,6 +38,7 @@ def untold(outcome):
     return [] if numbers["notes"] or numbers["stopped"] else bad
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [12, pytest.param(500, marks=pytest.mark.slow)])
 def test_extremes_in_every_place(line, chance, count):
     found = []
@@ -52,7 +53,7 @@ def test_extremes_in_every_place(line, chance, count):
     assert not found, "\n".join(found)
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.slow
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_two_sensors_that_agree_without_noise(line, learner):
     """Their samples are equal to the last bit, and the model believes in a variance of 1e-30."""

@@ -385,7 +385,7 @@ def test_a_folder_that_cannot_be_written_is_known_before_the_run(bayesftc_, tmp_
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "taken"]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("there", [False, True])
 @pytest.mark.parametrize("raised", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize("file", ["result.npz", "figures.json", "figure.png"])

@@ -19,7 +19,7 @@ def run(*arguments, folder, **options):
     return done
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("code", "old", "new", "words"),
     [
@@ -42,6 +42,7 @@ def test_an_error_is_one_sentence_on_stderr(tmp_path, code, old, new, words):
     assert [p.name for p in tmp_path.iterdir()] == ["car.toml"]
 
 
+@pytest.mark.slow
 def test_from_any_folder_twice_in_a_row(tmp_path):
     outputs = []
     for name in ("one", "two"):

@@ -45,6 +45,7 @@ def hidden(text, tmp_path):
     return done.stdout.strip()
 
 
+@pytest.mark.slow
 def test_all_modules_can_be_imported(tmp_path):
     assert int(hidden(ALL, tmp_path)) > 300
 

@@ -130,6 +130,7 @@ def check(folder, onsets):
     return rows
 
 
+@pytest.mark.slow
 def test_faults_of_the_made_up_drive_are_found():
     check(FOLDER / "data", onsets=5)
 

@@ -13,6 +13,7 @@ from bayesftc.reproduce.registry import EXPERIMENTS
 FEW = ("--runs", "2", "--paper-only", "--jobs", "2")
 
 
+@pytest.mark.slow
 def test_tracking_prints_its_table_and_writes_its_files(bayesftc_, tmp_path):
     earlier = tmp_path / "here" / "there"
     earlier.mkdir(parents=True)
@@ -103,6 +104,7 @@ def test_every_experiment_says_what_its_list_demands():
         _ = reproduce.nothing
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_ctrl_c_stops_at_once_and_leaves_nothing(stopped_by_ctrl_c, tmp_path):
     arguments = ["reproduce", "tracking", "--paper-only", "--runs", "20000", "--jobs", "2", "--out", "out"]

@@ -77,6 +77,7 @@ def test_report_has_what_the_file_promises(report):
     assert report["difference"]["mean"] == pytest.approx(report["auc"]["beta"] - report["auc"]["SER"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_same_bits_for_any_number_of_jobs(report):
     assert run(jobs=1) == report
 

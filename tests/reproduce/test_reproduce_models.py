@@ -172,6 +172,7 @@ def test_thresholds_allow_as_many_alarms_as_they_should(bench):
     assert alarms(detector.threshold) <= allowed < alarms(np.nextafter(detector.threshold, -np.inf))
 
 
+@pytest.mark.slow
 def test_the_actuator_is_blamed_where_it_does_less_than_it_is_told(bench):
     """And sensors are not: a learner with modes of the actuator tells a limit that the controller does not know of."""
     learner = _models.learners(True)["SwitchingPrecision, actuator modes"]

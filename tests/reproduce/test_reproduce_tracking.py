@@ -58,6 +58,7 @@ def without_speed(report):
     return {key: value for key, value in report.items() if key != "speed"}
 
 
+@pytest.mark.slow
 def test_report_has_what_the_file_promises(report):
     kinds = {f"{f}/{r}" for f in ("freeze", "injection", "drift") for r in ("constant", "ramp", "sine")}
     assert {"settings", "scenarios", "merit", "total_merit", "oracle", "over_oracle", "paper", "speed", "grid"} <= set(

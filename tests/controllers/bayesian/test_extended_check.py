@@ -165,6 +165,7 @@ def test_a_right_model_is_not_whatever_one_sensor_does(faults):
         assert diagnose(result, controller) is None
 
 
+@pytest.mark.slow
 def test_both_engines_have_the_same_bits():
     fault = [cosim.Injection(sensor=0, start=0.5, stop=2.0, magnitude=0.6)]
     fast, slow = (run(Pendulum(), fault, seed=1, engine=engine)[0] for engine in ("compiled", "interpreted"))

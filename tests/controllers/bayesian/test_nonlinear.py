@@ -113,7 +113,7 @@ LEARNERS = [
 ]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("belief", ["filtered", "joint"])
 @pytest.mark.parametrize("precision", LEARNERS, ids=lambda p: type(p).__name__)
 def test_for_a_linear_model_it_is_the_closed_form(belief, precision):
@@ -257,7 +257,7 @@ def test_no_optimiser_of_scipys_finds_less_in_the_same_basin(seed):
                 assert problem.cost(theirs) >= cost * (1.0 - 1e-8)
 
 
-@pytest.mark.parametrize("problems", [150, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("problems", [30, pytest.param(2000, marks=pytest.mark.slow)])
 def test_every_search_converges_and_how_often_a_better_minimum_lies_elsewhere(problems):
     """Two things that are not the same.
 

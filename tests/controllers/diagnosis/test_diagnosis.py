@@ -42,6 +42,7 @@ def test_a_wrong_model_of_the_car_is_named(wrong):
     assert finding.evidence > 10
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("case", [c for c in cases() if c.plant == "car" and not c.named], ids=lambda c: c.name)
 def test_a_right_model_is_not_blamed_whatever_one_sensor_does(case):
     finding, suspect = told(case, "fixed", 3)
@@ -161,7 +162,7 @@ def active_inference(model, **options):
     return controllers.UnbiasedActiveInference(law=law, model=model, control="law", belief_rate=10.0, **options)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("effect", "raised"), [(1.0, False), (-1.0, True), (0.4, True)])
 def test_active_inference_that_has_a_model_is_checked_as_an_estimator_is(effect, raised):
     model = replace(SERVO, B=effect * SERVO.B)

@@ -146,6 +146,7 @@ def test_units_and_order_of_the_sensors_do_not_matter():
         np.testing.assert_allclose(there((e * scale)[order]), expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_it_settles_where_scipys_minimiser_has_the_least_mean_free_energy():
     """Correlated errors of three sensors, one of which is silent half of the time."""
     rng = np.random.default_rng(7)

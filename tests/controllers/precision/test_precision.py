@@ -87,6 +87,7 @@ def run(precision, y, compiled=True, **options):
     return [step(y=row, goal=[20.0]) for row in y]
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
 def test_compiled_and_plain_agree_to_the_last_bit_and_stay_finite(precision):
     y = samples()
@@ -108,7 +109,7 @@ FORGETFUL = [
 ]
 
 
-@pytest.mark.sampled(10)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("precision", [*EXAMPLES, *FORGETFUL], ids=repr)
 def test_long_dropouts_are_survived(precision):
     """Both sensors fall silent for a long time and return: precisions stay positive, the belief finds the car again."""
@@ -137,6 +138,7 @@ def test_the_belief_is_filterpys_given_the_covariances_that_are_reported(precisi
         assert np.isinf(R[150, 0, 0])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("precision", FORGETFUL, ids=repr)
 def test_sensors_that_agree_exactly_for_ever_stay_finite(precision):
     model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], 0.02)
@@ -193,7 +195,7 @@ class AbsurdSamples(cosim.Block):
         return cosim.Definition(write_absurd_samples)
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("precision", [e for e in EXAMPLES if e.learner(MODEL).compiled], ids=repr)
 def test_a_million_steps_leave_beliefs_finite_and_covariances_positive_definite(precision):
     model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [[1.0, 0.6], [0.6, 4.0]], 0.02)
@@ -427,6 +429,7 @@ def all_controllers(precision):
             continue  # it does not take this learner
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("precision", [*EXAMPLES, SwitchingPrecision()], ids=repr)
 def test_what_is_in_scratch_space_before_a_step_function_means_nothing(precision, same_bits):
     found = list(all_controllers(precision))

@@ -89,7 +89,7 @@ def drive(kind, modes, offset=0.0, steps=500, start=200, stop=400, seed=0, compi
         x = A * x + B * (received if failed else u) + np.sqrt(Q) * rng.normal()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("kind", "offset"), [(type(mode).__name__, 0.0) for mode in MODES] + [("InputOffset", 6.0), (None, 6.0)]
 )

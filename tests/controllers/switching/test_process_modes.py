@@ -95,7 +95,7 @@ def error(precision, **events):
     return np.sqrt(np.mean(np.square(missed[230:])))
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("kick", "scale", "alike"),
     [(2.0, 50.0, 0.0), (2.0, 50.0, 0.2), (5.0, 50.0, 0.2), (7.0, 50.0, 0.0), (20.0, 300.0, 0.2)],
@@ -129,6 +129,7 @@ def test_a_fault_of_a_sensor_is_no_kick():
     assert np.max([out.process_mode_probability[1:].sum() for out in during]) < 0.25
 
 
+@pytest.mark.slow
 def test_a_plant_that_is_not_as_the_model_is_no_fault_of_the_sensors():
     """A hill that the model does not know of, or an engine of less than its force."""
     for wrong in ({"hill": 300.0}, {"share": 0.6}):

@@ -229,7 +229,7 @@ def car(kind, precision, steps=400, begins=150, ends=300, seed=0):
 NUMBERS = {type(mode).__name__: 1 + k for k, mode in enumerate(SwitchingPrecision().modes)}
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("kind", "mode"),
     [(name, name) for name in NUMBERS] + [("dither", "Frozen")],

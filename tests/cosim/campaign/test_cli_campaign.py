@@ -224,6 +224,7 @@ def test_a_scenario_is_told_from_a_campaign(bayesftc_, tmp_path):
     assert "is a scenario, not a campaign file" in re.sub(r"\s+", " ", done.stderr)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")
 def test_ctrl_c_keeps_what_is_done_and_goes_on(file, tmp_path, bayesftc_):
     file.write_text(FILE.replace("seeds = 3", "seeds = 400").replace("duration = 2.0", "duration = 200.0"))

@@ -114,6 +114,7 @@ def test_workers_need_no_file_of_the_clients(cluster, folder, car, tmp_path, sam
     assert {path.name for path in (folder / "cache" / "shipped").glob("*/*")} == {"own.fmu", "other.fmu"}
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_costs_no_run(cluster, car, living, same_bits):
     campaign = cosim.Campaign(car(), duration=20.0, seeds=80, record=["plant.v"], piece=4)
 
@@ -169,6 +170,7 @@ def test_a_run_that_takes_its_workers_down_has_failed(cluster, car):
     assert "has ended several workers of the Dask cluster" in table["reason"][2]
 
 
+@pytest.mark.slow
 def test_the_connection_to_the_scheduler(cluster, car, monkeypatch):
     monkeypatch.setattr("bayesftc.cosim.campaign.executors.dask.CONNECTING", 2)
     campaign = cosim.Campaign(car(), duration=20.0, seeds=2000, record=["plant.v"], piece=4)

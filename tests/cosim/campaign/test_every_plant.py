@@ -21,7 +21,7 @@ def with_noise(block, port, dt=0.02, every=1, size=10.0, slower=1):
     return diagram
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 @pytest.mark.parametrize(
     "options", [{}, {"timing": "sampled"}, {"isolate": True}, {"isolate": True, "timing": "sampled"}], ids=str
@@ -85,6 +85,7 @@ def test_one_step_and_large_seeds(campaign_as_alone):
         cosim.Campaign(diagram, duration=0.02, seeds=[2**63])
 
 
+@pytest.mark.slow
 def test_interpreted_blocks_beside_fmus(make_block, campaign_as_alone):
     def output(u, y):
         y[0] = float(np.tanh(u[0]))

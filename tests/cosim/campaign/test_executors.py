@@ -77,6 +77,7 @@ def alone(campaign):
     return cache(lambda kind: campaign(kind).run(executor=Threads(1)))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("executor", "kind"), [case(e, kind, slow=kind != "in process") for e in EXECUTORS for kind in KINDS]
 )
@@ -118,6 +119,7 @@ def crashing(car, lying, **options):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", [case(e, slow=True) for e in EXECUTORS[1:]])
 def test_a_run_that_ends_its_process_fails_alone(executor, car, lying, living, same_bits):
     before, crashes = living(), lying("2.0")[1]["SEGFAULT"]
@@ -152,6 +154,7 @@ def test_a_step_that_does_not_end_reaches_the_time_limit(car, lying, living):
     assert living() <= before
 
 
+@pytest.mark.slow
 def test_a_process_that_someone_kills_is_replaced(car, living, same_bits):
     campaign = cosim.Campaign(car(), duration=20.0, seeds=60, record=["plant.v"], piece=4)
     killed, before = set(), living()
@@ -186,7 +189,7 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
 @pytest.mark.parametrize("executor", [case(e) for e in EXECUTORS[1:]])
 def test_what_ends_the_client_ends_all(executor, name, living):

@@ -87,7 +87,7 @@ def drill(executor, marked, kills):
     assert not list(folder.iterdir())
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", EXECUTORS)
 def test_a_killed_client_leaves_nothing(executor, marked):
     drill(executor, marked, kills=2)

@@ -74,6 +74,7 @@ def expected(name):
     return by_python(block, inputs(block))
 
 
+@pytest.mark.sampled(2)
 def test_steps_are_those_of_python(exported, instance, name, fmi, expected, same_bits):
     it = instance(exported[name, fmi]).begin()
     same_bits(driven(it, BLOCKS[name]), expected)

@@ -5,6 +5,7 @@ from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given, settings, strategies as st
 
 from bayesftc import cosim
@@ -18,6 +19,7 @@ def flat(values):
     return np.concatenate([np.zeros(0), *values])
 
 
+@pytest.mark.sampled(24)
 def test_what_changes_an_output_is_among_its_dependencies(block, sample_time, compiled):
     rng = np.random.default_rng(11)
     c = compiled(block, dt=sample_time(block))

@@ -3,12 +3,14 @@
 import inspect
 
 import numpy as np
+import pytest
 
 from bayesftc import controllers, cosim
 
 BASES = {cosim.Block, cosim.Fault, cosim.Source}
 
 
+@pytest.mark.sampled(24)
 def test_the_same_bits_as_plain_python(block, sample_time, random_inputs, compiled, same_bits):
     rng = np.random.default_rng(3)
     plain, c = block.online(sample_time(block), compiled=False), compiled(block, dt=sample_time(block))
@@ -20,6 +22,7 @@ def test_the_same_bits_as_plain_python(block, sample_time, random_inputs, compil
             same_bits(got[name], np.ravel(value), name)
 
 
+@pytest.mark.sampled(30)
 def test_the_same_bits_where_samples_are_absurd_or_the_belief_is_lost(
     block, sample_time, random_inputs, compiled, same_bits
 ):

@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["controller", "paper"])
 @pytest.mark.parametrize("dialect", ["c99", "c11", "c++11"])
 def test_no_warning_in_any_dialect(folder, c_compiler, name, dialect):
@@ -68,6 +68,7 @@ def test_fast_mathematics_is_refused(folder, c_compiler, option):
     assert "a NaN is a missing sample" in done.stderr
 
 
+@pytest.mark.slow
 def test_digits_do_not_hang_on_flags(folder, c_compiler):
     """Neither fused products nor gcc's 0.0 - n for -n change them: without any flag the example says the same."""
     said = set()

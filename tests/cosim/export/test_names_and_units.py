@@ -101,6 +101,7 @@ def test_any_file_name_has_a_name_in_c(stem, expected):
 CLASHING = "x h i c u program begin tune initial model instance fmi2 math stdint memcpy PROGRAM model_step exit main"
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("clashing", CLASHING.split())
 def test_no_name_of_a_file_clashes_with_other_c(clashing, c_compiler, tmp_path):
     (source, header) = cosim.export_c(cosim.UnitDelay(), tmp_path, name=clashing, dt=0.1)
@@ -122,6 +123,7 @@ def test_no_name_of_a_file_clashes_with_other_c(clashing, c_compiler, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["model", "x", "initial", "2 Regler ü"])
 def test_an_fmu_may_be_called_anything(name, c_compiler, tmp_path):
     path = cosim.export_fmu(cosim.UnitDelay(), tmp_path / f"{name}.fmu", dt=0.1)
@@ -196,6 +198,7 @@ def test_every_port_says_what_it_is(block):
         assert port.description or port.draw, port.name
 
 
+@pytest.mark.sampled(30)
 def test_every_tunable_says_what_it_is(block, sample_time):
     for tunable in program_of(block, dt=sample_time(block)).tunables:
         assert not re.fullmatch(r"\w+ of \w+", tunable.description), (

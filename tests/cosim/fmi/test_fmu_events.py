@@ -393,7 +393,7 @@ def test_iterated_steps_repeat_their_events_and_ticks(clocked, clocks):
         assert runs[0]["a.ticks"][-1] == 8
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("flags", [EVENTS, 'hasEventMode="true" canHandleVariableCommunicationStepSize="true"'])
 @pytest.mark.parametrize("options", [{}, {"timing": "sampled"}, {"isolate": True}], ids=str)
 def test_campaigns_begin_with_the_first_event_again(clocked, campaign_as_alone, flags, options):

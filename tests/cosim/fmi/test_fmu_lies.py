@@ -137,6 +137,7 @@ def test_steps_that_are_discarded_for_ever(lying, fmi, isolate):
     assert len(error.result.time) == 6
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 @pytest.mark.parametrize(("way", "status"), [("BAD_STATUS", 77), ("MINUS_ONE", -1)])
 @EVERYWHERE
@@ -322,6 +323,7 @@ def test_value_references_that_two_variables_share(tmp_path):
 # --- promises -----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 @WHERE
 @pytest.mark.parametrize("fmi", FMI)
@@ -349,6 +351,7 @@ def test_no_promise_is_made_that_is_broken(lying, fmi, isolate):
 # --- what it prints, and how long it may take ---------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 @pytest.mark.parametrize("fmi", FMI)
 def test_what_an_isolated_fmu_prints_is_logged(lying, fmi, capfd, caplog, engine):

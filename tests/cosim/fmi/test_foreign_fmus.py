@@ -190,6 +190,7 @@ def test_our_controller_in_the_loop(lag, tool):
     assert np.sqrt(np.mean(error[20:] ** 2)) < 0.3  # it follows, though a sensor is frozen
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("tool", EXPORTERS)
 @pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize("mode", ["raise", "refuse"])
@@ -253,6 +254,7 @@ def test_a_crash_of_an_isolated_fmu_leaves_the_host_alive(lag, tool):
     assert len(caught.value.result["p.y"]) == 11
 
 
+@pytest.mark.slow
 def test_a_step_that_never_ends(lag):
     diagram = cosim.Diagram(dt=H)
     diagram.add(FMU(lag("pythonfmu"), parameters={"mode": "hang"}, isolate=True, time_limit=2.0), "p")
@@ -376,6 +378,7 @@ def test_a_model_in_an_ssp(pendulum, tmp_path):
     assert dict(opened["p"].block.parameters) == {"u": 0.5}  # the solver is the tool's, so SSP does not say it
 
 
+@pytest.mark.slow
 def test_a_controller_designed_from_nothing_but_the_model(pendulum):
     """The pendulum is held where it would not stay, with one of three sensors frozen; where it hangs is its rest."""
     controller = controllers.design(FMU(pendulum), measured="y", actuated="u", dt=0.05, sensors=3, sensor_std=0.02)

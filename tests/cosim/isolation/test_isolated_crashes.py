@@ -134,6 +134,7 @@ def test_what_an_fmu_has_started_ends_with_it(lying, nothing_left, until):
     until(lambda: not sleepers())
 
 
+@pytest.mark.slow
 def test_a_crash_is_seen_and_all_is_ended_where_a_child_holds_everything_open(lying, nothing_left, until):
     started = time.monotonic()
     with pytest.raises(FMUCrashed, match=r"crashed in its step: its process was killed by a segmentation fault"):
@@ -171,6 +172,7 @@ def test_what_an_fmu_does_to_its_connections(engine, lying, nothing_left):
     np.testing.assert_allclose(found, v[: len(found)], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_after_a_crash_the_session_begins_anew(lying, nothing_left):
     with alone(lying, "SEGFAULT").start(engine="interpreted") as session:
         begin = session.save_state()
@@ -191,6 +193,7 @@ def test_slow_steps_within_the_limit_are_waited_for(engine, lying):
     assert len(result.time) == 8
 
 
+@pytest.mark.slow
 def test_failures_and_messages_are_those_in_process(lying, caplog, car):
     path, ways = lying("2.0")
     for way in ("DISCARD", "FATAL", "INFINITE"):

@@ -102,7 +102,8 @@ def test_states_stay_with_the_fmu_and_go_on_elsewhere_as_bytes(fmi, same_bits, n
         same_bits(session.advance(1.0)["car.v"], first)
 
 
-@pytest.mark.parametrize("engine", ["interpreted", pytest.param("compiled", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 def test_coupled_tightly_and_in_steps_of_their_own(engine, same_bits, nothing_left, car):
     ways = [cosim.Coupling("iterated", tolerance=1e-12), cosim.Coupling("jacobi", step_error=1e-3)]
     for way in ways:

@@ -103,6 +103,7 @@ def test_a_fork_does_not_end_it(nothing_left, car):
     instance.close()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 def test_a_fork_that_uses_it_is_refused_and_does_not_end_it(engine, nothing_left, car):
     diagram = cosim.Diagram(dt=0.02)
@@ -147,7 +148,7 @@ def _in_a_fork(engine, session, tell, car, cruise):
     tell((said, session.advance(2.0)["car.v"], cruise(car()).simulate(2.0, engine=engine)["car.v"]))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_parent_and_fork_go_on_at_once_and_know_nothing_of_each_other(engine, nothing_left, same_bits, car, cruise):
     """As a pool of `multiprocessing` that forks does it, while the parent's run goes on."""
@@ -172,7 +173,7 @@ def test_parent_and_fork_go_on_at_once_and_know_nothing_of_each_other(engine, no
     same_bits(anew, whole[:101], "the fork's own")
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_reset_takes_the_process_again_and_gives_the_bits_of_a_new_one(
     engine, nothing_left, same_bits, car, cruise, children
@@ -201,6 +202,7 @@ def test_a_reset_takes_the_process_again_and_gives_the_bits_of_a_new_one(
     assert os.sched_getaffinity(0) == everywhere
 
 
+@pytest.mark.slow
 def test_repeated_runs_take_one_process(nothing_left, same_bits, car, cruise, children):
     before, seen = children(), set()
     runs = []

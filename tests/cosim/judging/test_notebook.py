@@ -35,6 +35,7 @@ def pictures(cell):
     return sum("image/png" in output.get("data", {}) for output in cell)
 
 
+@pytest.mark.slow
 def test_a_figure_shows_once_with_and_without_pyplot(outputs):
     assert [pictures(cell) for cell in outputs[1:4]] == [1, 1, 0]
     assert outputs[4][0]["text"] == "[]\n"

@@ -529,6 +529,7 @@ print(json.dumps([STATISTICS, (r["b.y"] / r["b.z"]).tolist(), r["b.y"].tolist()]
 """
 
 
+@pytest.mark.slow
 def test_across_processes(python, tmp_path):
     cache, other = tmp_path / "cache", tmp_path / "other.py"
 
@@ -714,7 +715,7 @@ _compiler.is_own = lambda path: path.suffix != SUFFIX and is_own(path)
 """
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".py", ".nbi", ".nbc"])
 def test_files_that_others_have_left_are_made_anew(python, tmp_path, suffix):
     """The folder is the user's own now, but was open to others before."""

@@ -184,7 +184,7 @@ def faulty(m, faults, steps=500, seed=0):
     return rows, np.array(speeds)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("m", "faults"),
     [

@@ -437,6 +437,7 @@ def drill(path, kills, chance):
     return done
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="needs POSIX")
 def test_kill_9_at_any_moment(tmp_path):
     drill(tmp_path / "s", 3, random.Random(os.getpid()))

@@ -36,7 +36,7 @@ def test_a_model_of_elements_of_arrays(mixer):
             controllers.LinearModel.from_fmu(plant, **{"measured": "y", "actuated": "u", "dt": 0.1} | settings)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [("y", "u"), (["y[0]", "y[1]", "y[2]"], ["u[0]", "u[1]", "u[2]"])])
 def test_a_designed_controller_keeps_a_goal_while_a_sensor_of_an_element_fails(mixer, names):
     """Three coupled tanks in one array, each with two sensors; one sensor of the second is offset."""

@@ -52,7 +52,7 @@ def rewritten(path, target, before, after):
     return target
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize(
     ("own", "rtol", "told"), [("", None, -1.0), ("", 1e-3, 1e-3), ("1e-5", None, 1e-5), ("1e-5", 0.5, 0.5)]
@@ -68,7 +68,7 @@ def test_a_co_simulation_is_told_the_tolerance(breadth, run_both, tmp_path, own,
     np.testing.assert_allclose(run_both(diagram, 1)["told.y"][-1], told, rtol=1e-13)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize("n", [2, 3])
 def test_an_input_that_nothing_feeds_keeps_its_start_value(breadth, run_both, tmp_path, n, isolate):
@@ -213,6 +213,7 @@ def test_descriptions_of_arrays_that_lie_end_in_a_sentence(breadth, alone, tmp_p
         alone(FMU(tmp_path / "lie.fmu", parameters=values, validate=False), 0.1).simulate(0.1, engine="interpreted")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("isolate", [False, True])
 def test_campaigns_of_arrays(mixer, breadth, isolate, campaign_as_alone):
     diagram = cosim.Diagram(0.1)

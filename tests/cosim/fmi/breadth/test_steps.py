@@ -152,7 +152,7 @@ def test_discarded_steps_that_cannot_go_on_end_in_a_sentence(breadth, alone, eng
             ramp(alone, path, **parameters).simulate(1, engine=engine)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 @pytest.mark.parametrize("isolate", [False, True])
 def test_an_fmu_may_end_the_run(breadth, alone, isolate, engine):

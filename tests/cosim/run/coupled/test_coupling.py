@@ -461,6 +461,7 @@ def any_diagram(seed):
     return diagram
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(25))
 def test_any_diagram_gives_the_same_bits_in_both_engines_and_goes_back(seed, run_both, same_bits):
     method = ["iterated", "iterated", "jacobi", "gauss-seidel"][seed % 4]
