@@ -282,7 +282,8 @@ def test_every_search_converges_and_how_often_a_better_minimum_lies_elsewhere(pr
     print(f"Of {problems} searches {len(unconverged)} have not converged.")  # noqa: T201
     print(f"Of {len(elsewhere)} problems {share:.3f} have a better minimum in another basin.")  # noqa: T201
     assert not unconverged
-    assert 0.0 < share < 0.2
+    assert share < 0.2
+    assert share > 0.0 or problems < 1000  # among a few problems there may be none
 
 
 def test_disturbances_of_a_linear_model_are_no_goals():
