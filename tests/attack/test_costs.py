@@ -72,13 +72,13 @@ def named(cases):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("text", named(SCENARIOS))
 def test_scenarios(line, text):
     check(line, Case(("run", "case.toml", "--json"), {"case.toml": text}))
 
 
-@pytest.mark.slow
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("text", named(CAMPAIGNS))
 def test_campaigns(line, text):
     pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
@@ -92,7 +92,7 @@ def test_campaigns(line, text):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("text", named(RECORDINGS))
 def test_recordings(line, text):
     check(

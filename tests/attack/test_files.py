@@ -86,7 +86,7 @@ CELLS = (
 
 
 def few(slow):
-    return [12, pytest.param(slow, marks=pytest.mark.slow)]
+    return [4, pytest.param(slow, marks=pytest.mark.slow)]
 
 
 def check(line, cases):
@@ -136,7 +136,6 @@ def test_scenarios(line, chance, count):
     check(line, ((f"{i}", Case(("run", "case.toml", "--json"), content)) for i, content in enumerate(files)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("count", few(250))
 def test_campaigns(line, chance, count):
     pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
@@ -153,7 +152,6 @@ def test_campaigns(line, chance, count):
     check(line, cases())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("count", few(300))
 def test_model_files_of_monitors(line, chance, count):
     data = recording(chance)
@@ -162,7 +160,6 @@ def test_model_files_of_monitors(line, chance, count):
     check(line, ((f"{i}", Case(arguments, content)) for i, content in enumerate(files)))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("count", few(350))
 def test_recordings(line, chance, count):
     def cases():
@@ -197,7 +194,6 @@ def rewritten(text, rng):
     return ("\ufeff" if rng.random() < 0.5 else "") + text
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("count", few(60))
 def test_what_means_the_same_gives_the_same_numbers(line, chance, count):
     for i in range(count):

@@ -78,7 +78,7 @@ def interrupted(folder, command, seconds):
     return f"it left {left + alive}" if left or alive else ""
 
 
-@pytest.mark.slow
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("count", [1, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("command", list(COMMANDS))
 def test_ctrl_c_at_random_moments(tmp_path, chance, command, count):

@@ -38,8 +38,7 @@ def untold(outcome):
     return [] if numbers["notes"] or numbers["stopped"] else bad
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [12, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [3, pytest.param(500, marks=pytest.mark.slow)])
 def test_extremes_in_every_place(line, chance, count):
     found = []
     documents = [(text, list(places(text))) for text in (LOOP, *(scenario(chance) for _ in range(count // 20)))]
@@ -53,7 +52,7 @@ def test_extremes_in_every_place(line, chance, count):
     assert not found, "\n".join(found)
 
 
-@pytest.mark.slow
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_two_sensors_that_agree_without_noise(line, learner):
     """Their samples are equal to the last bit, and the model believes in a variance of 1e-30."""
