@@ -24,6 +24,7 @@ from .blocks.elementwise import (
     Sign as Sign,
 )
 from .blocks.excitation import PRBS as PRBS, Chirp as Chirp, Pulse as Pulse
+from .blocks.faults.conditions import When as When, when as when
 from .blocks.faults.kinds import (
     FAULTS as FAULTS,
     Bias as Bias,

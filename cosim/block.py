@@ -110,6 +110,11 @@ class Block:
         return ()
 
     @property
+    def named_sources(self) -> Mapping[str, str]:
+        """Names of signals (``plant.v``) for scalar inputs: a diagram feeds the inputs from these, if nothing is connected."""
+        return {}
+
+    @property
     def only_recorded(self) -> int:
         """How many numbers at the end of the outputs are only recorded: nothing depends on them, and they may be NaN."""
         return 0

@@ -104,7 +104,8 @@ def closed_loop(
         raise StepSizeError(f"{type(controller).__name__} has no sample time; give closed_loop(dt=...) in seconds.")
     diagram = Diagram(step)
     goals = [diagram.add(block, name) for name, block in _references(reference)]
-    plant = plant.watching(_names(measured, "measured"))
+    chains = [faults, *(input_faults.values() if isinstance(input_faults, Mapping) else ())]
+    plant = plant.watching([*_names(measured, "measured"), *_compared("plant", chains)])
     node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
     outputs = [node[name] for name in _names(measured, "measured")]
     sensors = _fitted(sensors, sum(map(len, outputs)))
@@ -199,6 +200,13 @@ def fault_block(fault: Fault, of: str = "") -> str:
 def noise_block(name: str) -> str:
     """Return the name of the noise block of an input."""
     return f"{_plain(name)}_noise"
+
+
+def _compared(block: str, chains: Sequence[Fault | Sequence[Fault]]) -> list[str]:
+    """Return the variables of a block on which faults have conditions."""
+    faults = [fault for chain in chains for fault in ([chain] if isinstance(chain, Fault) else chain)]
+    signals = [signal for fault in faults if isinstance(fault, Fault) for signal in fault.named_sources.values()]
+    return [signal.removeprefix(f"{block}.") for signal in signals if signal.startswith(f"{block}.")]
 
 
 def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], of: str = "") -> PortRef:

@@ -175,7 +175,7 @@ class Diagram(LoopMethods):
 
     def origins_of(self, node: Node, port: Port, element: int) -> Iterator[tuple[PortRef, int]]:
         """Yield the port to which one element of an input is connected, and the next ones on the way through subsystems."""
-        origin = self._sources.get((node.name, port.name, element))
+        origin = self._sources.get((node.name, port.name, element)) or self._by_name(node, port)
         while origin is not None:
             yield origin
             reference, i = origin
@@ -186,6 +186,42 @@ class Diagram(LoopMethods):
             if reference.direction == "output":
                 place = (INSIDE, boundary.offset(reference.port) + i)
             origin = self._sources.get((reference.node.name, *place))
+
+    def connections(self) -> Iterator[tuple[tuple[str, str, int], tuple[PortRef, int]]]:
+        """Yield each connected element of an input (block, port, element) and its source, also those by name."""
+        yield from self._sources.items()
+        for node in self.nodes:
+            for name in node.block.named_sources:
+                place = (node.name, name, 0)
+                if place not in self._sources and (source := self._by_name(node, node.port(name))):
+                    yield place, source
+
+    def _by_name(self, node: Node, port: Port) -> tuple[PortRef, int] | None:
+        """Return the output and its element that feed an input by name; inside a subsystem, a block inside comes first."""
+        signal = node.block.named_sources.get(port.name)
+        if signal is None:
+            return None
+        around = [n.name for n in self.nodes if isinstance(n.block, Boundary) and node.name.startswith(f"{n.name}.")]
+        found = (self.find(f"{name}.{signal}") for name in sorted(around, key=len, reverse=True))
+        return next(filter(None, found), None) or self.find(signal)
+
+    def find(self, signal: str) -> tuple[PortRef, int] | None:
+        """Return the output and the element of a scalar signal, such as ``sensors.y[1]``; None if there is none of this name.
+
+        The signal of an input is its source.
+        """
+        for name, node in self._nodes.items():
+            if signal.startswith(f"{name}."):
+                try:
+                    found = node[signal.removeprefix(f"{name}.")]
+                except UnknownNameError:
+                    continue
+                if len(found) == 1:
+                    element = found.elements[0]
+                    if found.direction == "input":
+                        return self._sources.get((name, found.port.name, element))
+                    return PortRef(node, found.port, "output", tuple(range(found.port.size))), element
+        return None
 
     def rewired(self, blocks: Mapping[str, Block]) -> Diagram:
         """Return a diagram with the same names, rates, connections and coupling, but other blocks; built if this one is.

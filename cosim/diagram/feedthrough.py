@@ -90,10 +90,16 @@ class Feedthrough:
         direct = [
             self._nodes[i].name for i in sorted(set(loop)) if getattr(self._nodes[i].block, "timing", "") == "direct"
         ]
+        named = [
+            self._nodes[b].name
+            for a, b in pairwise(loop)
+            if self._edges[a][b][1].rpartition(".")[2] in self._nodes[b].block.named_sources
+        ]
         return (
             "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
             + "\n".join(lines)
             + "\nPut a UnitDelay into one of these connections, declare an input feedthrough=False if that is true, or solve "
             "the loop at each step with build(coupling='iterated')."
+            + (f" A condition of {named[0]!r} can read the step before: when(..., delayed=True)." if named else "")
             + (f" {direct[0]!r} with timing='plant' has outputs for the inputs of the step before." if direct else "")
         )

@@ -133,7 +133,7 @@ def opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]], who: str) 
         if any(port.name == output.name for output in node.block.outputs):
             targets = [
                 target
-                for target, (source, element) in diagram._sources.items()
+                for target, (source, element) in diagram.connections()
                 if source.node is node and source.port.name == port.name and element == i
             ]
         for target in targets:

@@ -28,8 +28,8 @@ from bayesftc.cosim.diagram.feedthrough import Feedthrough
 from bayesftc.cosim.diagram.groups import Group, Grouping, element_name
 from bayesftc.cosim.diagram.memory import Slots, arrange
 from bayesftc.cosim.diagram.nodes import Node
-from bayesftc.cosim.errors import ModelError, StepSizeError, UnconnectedInputError
-from bayesftc.cosim.ports import Port
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnconnectedInputError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port, labels
 from bayesftc.cosim.types import Floats, Kernel
 
 NOT_FINITE = 1_000_000
@@ -229,6 +229,8 @@ class Schedule:
                         for e in unfed
                     ]
                 elif unfed and port.default is None:
+                    if signal := node.block.named_sources.get(port.name):
+                        raise _unknown_signal(diagram, node, signal)
                     element = f"[{unfed[0]}]" if len(unfed) < port.size else ""
                     raise UnconnectedInputError(
                         f"The input {node.name}.{port.name}{element} has no source and no start value; connect an output to it."
@@ -338,6 +340,21 @@ def _check_sample_time(node: Node, step: Fraction) -> None:
             f"Block {node.name!r} must run every {show(required)} s, but the diagram runs it every {show(step)} s; "
             "change the diagram's dt, the block's every=, or the block's own sample time."
         )
+
+
+def _unknown_signal(diagram: Diagram, node: Node, signal: str) -> UnknownNameError:
+    """Return the error about a named source that does not exist."""
+    names = (
+        name
+        for each in diagram.nodes
+        for port in (*each.outputs, *each.inputs)
+        for name in labels(f"{each.name}.{port.name}", port.shape)
+    )
+    known = [name for name in names if diagram.find(name)]
+    return UnknownNameError(
+        f"{type(node.block).__name__} {node.name!r} reads the signal {signal!r}, but the diagram has no number of that name; "
+        f"{did_you_mean(signal, known)}"
+    )
 
 
 def _check_signal_names(nodes: tuple[Node, ...]) -> None:

@@ -121,7 +121,7 @@ class StandIn:
 
     def unheard(self) -> str:
         """Return an output that other blocks of the diagram use and the FMU lacks, or nothing."""
-        for (name, _, _), (source, element) in self.diagram._sources.items():
+        for (name, _, _), (source, element) in self.diagram.connections():
             used = source.node.name, source.port.name, element
             if name not in self.blocks and source.node.name in self.blocks and used not in self.out:
                 return labels(f"{used[0]}.{used[1]}", source.port.shape)[element]
@@ -133,11 +133,11 @@ class StandIn:
         nodes = {n.name: whole.add(n.block, n.name, n.every) for n in old.nodes if n.name not in self.blocks}
         live = {}
         for place in self.into:
-            fed_by = old._sources.get(place)
+            fed_by = next(old.origins_of(old[place[0]], old[place[0]].port(place[1]), place[2]), None)
             if fed_by is not None and fed_by[0].node.name in nodes:
                 live[place] = nodes[fed_by[0].node.name], fed_by[0].port.name, fed_by[1]
         after, order = self.place(whole, fed, live), list(self.out)
-        for (name, port, element), (source, source_element) in old._sources.items():
+        for (name, port, element), (source, source_element) in old.connections():
             if name in nodes:
                 if source.node.name in nodes:
                     whole._sources[name, port, element] = nodes[source.node.name][source.port.name], source_element

@@ -34,7 +34,7 @@ def units_of(diagram: Diagram) -> Units:
         sharing = [(node.name, name) for name in node.block.one_unit]
         for key in sharing[1:]:
             join(sharing[0], key)
-    for (name, input_name, _), (source, _) in diagram._sources.items():
+    for (name, input_name, _), (source, _) in diagram.connections():
         if (
             groups.get((name, input_name)) is None
             or (source.node.name, source.port.name) not in groups[name, input_name]

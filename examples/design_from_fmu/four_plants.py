@@ -172,11 +172,11 @@ def main(
         for way in WAYS:
             loop = make_loop(case, way)
             record = [f"plant.{case.goal}", "reference.y"]
-            errors = []
+            errors, (start, stop) = [], case.fault.times
             for seed in range(runs):
                 result = loop.simulate(case.duration, seed=seed, record=record, engine=engine)
                 error = result[f"plant.{case.goal}"] - result["reference.y"]
-                failing = (result.time >= case.fault.start) & (result.time < case.fault.stop)
+                failing = (result.time >= start) & (result.time < stop)
                 errors.append(float(np.sqrt(np.mean(error[failing] ** 2))))
                 if seed == 0:
                     traces[case.name, way] = result.time, result[f"plant.{case.goal}"], result["reference.y"]

@@ -91,12 +91,12 @@ def main(
             except MissingTool as missing:
                 print(f"{case.tool:40}{missing}")
                 continue
-            shown, probabilities = "", ""
+            (start, stop), shown, probabilities = case.fault.times, "", ""
             for way in WAYS:
                 loop, errors = make_loop(case, file, way), []
                 for seed in range(runs):
                     result = loop.simulate(case.duration, seed=seed, engine=engine)
-                    failing = (result.time >= case.fault.start) & (result.time < case.fault.stop)
+                    failing = (result.time >= start) & (result.time < stop)
                     error = result[f"plant.{case.measured}"] - result["reference.y"]
                     errors.append(float(np.sqrt(np.mean(error[failing] ** 2))))
                     if way == "fault-tolerant":

@@ -1,4 +1,4 @@
-"""The base of all faults: channel, time window, ports and state."""
+"""The base of all faults: channel, window, ports and state."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
+from functools import partial
 from math import inf, isfinite
 from typing import Any, ClassVar, Literal
 
@@ -16,8 +17,10 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.faults import kernels
+from bayesftc.cosim.blocks.faults.conditions import When, Window, conditional
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.types import Kernel
 
 DRAWS: Mapping[str, Literal["uniform", "normal"]] = {
     "transition": "uniform",
@@ -39,8 +42,14 @@ class Fault(Block):
     ----------
     sensor : int
         Number of the channel, from 0; 0 for a scalar input of a plant.
-    start, stop : float
-        Seconds. The fault can be present while start <= t < stop.
+    start, stop : float or When
+        Seconds: the fault can be present while start <= t < stop. Or conditions on a signal, such as
+        ``cosim.when("plant.v", ">", 22.0)``: it can be present from the step at which the start is fulfilled, until the one at
+        which the stop is. It can begin again each time the start is fulfilled anew. A stop that is fulfilled prevents it.
+    duration : float
+        Seconds from the start to the end of the fault, rounded to whole steps, at least one; a stop may end it before.
+    latching : bool
+        Whether the fault remains when the condition of its start is no longer fulfilled, until its stop or duration.
     mean_time_to_fault, mean_time_to_recovery : float, optional
         Seconds, both or neither. If given, the fault begins and ends at random in that window: at every step with the
         probabilities step / mean_time_to_fault and step / mean_time_to_recovery. Else it is present in the whole window.
@@ -61,8 +70,10 @@ class Fault(Block):
     remembers: ClassVar[bool] = False
 
     sensor: int = 0
-    start: float = field(default=0.0, metadata={"unit": "s"})
-    stop: float = field(default=inf, metadata={"unit": "s"})
+    start: float | When = field(default=0.0, metadata={"unit": "s"})
+    stop: float | When = field(default=inf, metadata={"unit": "s"})
+    duration: float = field(default=inf, metadata={"unit": "s"})
+    latching: bool = True
     mean_time_to_fault: float | None = None
     mean_time_to_recovery: float | None = None
     channels: int | None = None
@@ -79,11 +90,18 @@ class Fault(Block):
                 f"{kind} refers to sensor {self.sensor}, but there are {self.channels}, numbered from 0; "
                 f"use a number up to {self.channels - 1}."
             )
-        start = real(self.start)
-        if not isfinite(start) or not start < real(self.stop):
+        start, stop = self.times
+        if not isfinite(start) or not start < stop:
             raise ModelError(
                 f"{kind} has start={brief(self.start)} and stop={brief(self.stop)}; the start must be finite and before "
-                "the stop."
+                "the stop. Each is a number of seconds, or a condition such as cosim.when('plant.v', '>', 22.0)."
+            )
+        if not real(self.duration) > 0:
+            raise ModelError(f"{kind} has duration={brief(self.duration)}; it must be a positive number of seconds.")
+        if not isinstance(self.latching, bool) or not (self.latching or isinstance(self.start, When)):
+            raise ModelError(
+                f"{kind} has latching={brief(self.latching)} and start={brief(self.start)}; latching must be True or False, "
+                "and False only where the start is a condition, such as cosim.when('plant.v', '>', 22.0)."
             )
         if (self.mean_time_to_fault is None) != (self.mean_time_to_recovery is None):
             raise ModelError(
@@ -130,9 +148,44 @@ class Fault(Block):
 
     @property
     def inputs(self) -> tuple[Port, ...]:
-        """Input ``u``, and the random inputs of this fault."""
-        used = (*self.draws, *(() if self.mean_time_to_fault is None else ("transition",)))
-        return (self.signal, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+        """Input ``u``, the signals of conditions, and the random inputs of this fault."""
+        used = {*self.drawn, *(() if self.mean_time_to_fault is None else ("transition",))}
+        signals = (
+            Port(
+                f"{name}_signal",
+                feedthrough=not condition.delayed,
+                description=f"The signal that decides on the {name}",
+            )
+            for name, condition in self._conditions.items()
+        )
+        return (self.signal, *signals, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """The random numbers that a faulty value needs."""
+        return self.draws
+
+    @property
+    def named_sources(self) -> Mapping[str, str]:
+        """See `Block.named_sources`: the signals of conditions."""
+        return {f"{name}_signal": condition.signal for name, condition in self._conditions.items()}
+
+    @property
+    def _conditions(self) -> dict[str, When]:
+        """The conditions among start and stop."""
+        return {name: each for name, each in (("start", self.start), ("stop", self.stop)) if isinstance(each, When)}
+
+    @property
+    def _window(self) -> Window:
+        if not self._conditions and self.duration == inf:
+            return Window(kernels.scheduled, {"window": self.times})
+        return conditional(self._conditions, self.times, self.duration, self.latching)
+
+    @property
+    def times(self) -> tuple[float, float]:
+        """Earliest start and latest stop, in seconds; 0 and infinity for conditions. The duration does not count here."""
+        start, stop = self.start, self.stop
+        return 0.0 if isinstance(start, When) else real(start), inf if isinstance(stop, When) else real(stop)
 
     @property
     def signal(self) -> Port:
@@ -154,15 +207,48 @@ class Fault(Block):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        parameters: dict[str, ArrayLike] = {
-            **self.common_parameters(step),
-            "settings": [[*self.numbers(step), 0.0]],
-        }
-        memory = {"memory": np.zeros((1, self.memory(step)))}
-        kernel, records = kernels.one_kind(self.kernel()), {"draws": kernels.ONE, "course": kernels.COURSE}
-        if self.remembers:
-            return Definition(kernel, state={**STATE, **memory}, parameters=parameters, records=records)
-        return Definition(kernel, state=STATE, parameters={**parameters, **memory}, records=records)
+        settings, memory = [[*self.numbers(step), 0.0]], np.zeros((1, self.memory(step)))
+        records = {"draws": kernels.ONE, "course": kernels.COURSE}
+        return self.assembled(
+            partial(kernels.one_kind, self.kernel()), step, {"settings": settings}, memory, self.remembers, records
+        )
+
+    def assembled(
+        self,
+        kernel: Callable[[Kernel], Kernel],
+        step: Fraction,
+        parameters: Mapping[str, ArrayLike],
+        memory: ArrayLike,
+        remembers: bool,
+        records: Mapping[str, tuple[Any, ...]],
+        **state: ArrayLike,
+    ) -> Definition:
+        """Return the definition with the window of the fault.
+
+        Parameters
+        ----------
+        kernel : callable
+            Returns the step function, given the function that states whether the window is open.
+        step : Fraction
+            Sample time in seconds.
+        parameters, records, **state : mappings
+            Those of the kinds.
+        memory : array
+            The memory of the value functions; a state if one of them `remembers`.
+        """
+        window, kept = self._window, {"memory": memory}
+        return Definition(
+            kernel(window.inside),
+            window.update,
+            state={**STATE, **state, **window.state, **(kept if remembers else {})},
+            parameters={
+                **self.common_parameters(step),
+                **window.parameters,
+                **parameters,
+                **({} if remembers else kept),
+            },
+            records={**records, **window.records},
+        )
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -188,7 +274,6 @@ class Fault(Block):
         inputs = {port.name for port in self.inputs}
         return {
             "channel": self.sensor,
-            "window": [self.start, self.stop],
             "hazard": hazard,
             "step": float(step),
             **{name: 0.5 for name in DRAWS if name not in inputs},  # a constant replaces each number that is not drawn

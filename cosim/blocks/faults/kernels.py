@@ -118,16 +118,21 @@ def without_memory(kind: Value) -> Value:
     return value
 
 
-def gate(t, transition, course):
+def scheduled(t, window):
+    """Return 1 within the window of a fault, start <= t < stop, else 0; `conditions.triggered` is that of a condition."""
+    return select(both(t >= window[0], t < window[1]), 1.0, 0.0)
+
+
+def gate(inside, transition, course):
     """Determine whether the fault is present.
 
-    Within the window (start <= t < stop) the fault begins with probability ``hazard[0]`` and ends with ``hazard[1]`` at each
-    step. A scheduled fault has 1 and 0. ``age`` counts the steps since the onset.
+    Inside the window the fault begins with probability ``hazard[0]`` and ends with ``hazard[1]`` at each step. A fault that is
+    not random has 1 and 0. ``age`` counts the steps since the onset.
     """
-    window, hazard, _, on, age = course
+    hazard, _, on, age = course
     stays = select(transition[0] < hazard[1], 0.0, 1.0)
     comes = select(transition[0] < hazard[0], 1.0, 0.0)
-    present = select(both(t >= window[0], t < window[1]), select(on[0] > HALF, stays, comes), 0.0)
+    present = select(inside > HALF, select(on[0] > HALF, stays, comes), 0.0)
     age[0] = select(both(present > HALF, on[0] > HALF), age[0] + 1.0, 0.0)
     on[0] = present
 
@@ -156,9 +161,8 @@ class Draws(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Window of the fault, probabilities of begin and end, step size, whether the fault is present, and since how many steps."""
+    """Probabilities of begin and end, step size, whether the fault is present, and since how many steps."""
 
-    window: Floats
     hazard: Floats
     step: Floats
     on: Floats
@@ -179,12 +183,15 @@ ONE, SEVERAL = named_alike(Draws, pick="chance"), named_alike(Draws)
 
 
 @cache
-def one_kind(kind: Value) -> Kernel:
-    """Return the step function of a fault of one kind, which has a memory; ``settings`` and ``memory`` have one row."""
+def one_kind(kind: Value, inside: Value) -> Kernel:
+    """Return the step function of a fault of one kind, which has a memory; ``settings`` and ``memory`` have one row.
 
-    def fault(t, k, u, channel, draws, course, settings, memory, held, y, active):
+    ``inside(t, window)`` states whether the window of the fault is open.
+    """
+
+    def fault(t, k, u, channel, draws, window, course, settings, memory, held, y, active):
         on, age = course.on, course.age
-        gate(t, draws.transition, course)
+        gate(inside(t, window), draws.transition, course)
         sample = element(u, channel)
         before = select(k == 0, sample, held[0])
         value = kind(sample, before, age[0] * course.step[0], draws.chance[0], draws.noise[0], settings[0], memory[0])
@@ -196,14 +203,14 @@ def one_kind(kind: Value) -> Kernel:
 
 
 @cache
-def several_kinds(kinds: tuple[Value, ...]) -> Kernel:
+def several_kinds(kinds: tuple[Value, ...], inside: Value) -> Kernel:
     """Return the step function of a fault whose kind is drawn at every onset; ``settings`` and ``memory`` have a row for each."""
     value_of = _numbered(kinds, len(kinds) - 1)
 
-    def fault(t, k, u, channel, draws, course, mixture, held, y, active, kind):
+    def fault(t, k, u, channel, draws, window, course, mixture, held, y, active, kind):
         on, age = course.on, course.age
         shares, chosen, settings, memory = mixture
-        gate(t, draws.transition, course)
+        gate(inside(t, window), draws.transition, course)
         sample = element(u, channel)
         before = select(k == 0, sample, held[0])
         drawn = 0.0

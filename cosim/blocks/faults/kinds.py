@@ -28,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
+from functools import partial
 from math import expm1, inf
 
 import numpy as np
@@ -35,7 +36,7 @@ import numpy as np
 from bayesftc.cosim.base.numbers import reals
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.blocks.faults import kernels
-from bayesftc.cosim.blocks.faults.base import DRAWS, STATE, Fault
+from bayesftc.cosim.blocks.faults.base import Fault
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
@@ -386,11 +387,9 @@ class RandomFaults(Fault):
         return tuple(value for kind in self.kinds for value in kind.settings)
 
     @property
-    def inputs(self) -> tuple[Port, ...]:
-        """Input ``u``, and the random inputs of all kinds."""
-        used = {"pick", "transition"} if self.mean_time_to_fault is not None else {"pick"}
-        used |= {name for kind in self.kinds for name in kind.draws}
-        return (self.signal, *(Port(n, draw=draw) for n, draw in DRAWS.items() if n in used))
+    def drawn(self) -> tuple[str, ...]:
+        """See `Fault.drawn`: those of all kinds, and one for the choice of the kind."""
+        return "pick", *(name for kind in self.kinds for name in kind.draws)
 
     @property
     def outputs(self) -> tuple[Port, ...]:
@@ -403,18 +402,12 @@ class RandomFaults(Fault):
         for row, kind in zip(settings, self.kinds, strict=True):
             row[: len(kind.settings)] = kind.numbers(step)
         weights = np.ones(len(self.kinds)) if self.weights is None else np.asarray(self.weights)
-        parameters = {
-            **self.common_parameters(step),
-            "settings": settings,
-            "shares": np.cumsum(weights) / np.cumsum(weights)[-1],
-        }
+        parameters = {"settings": settings, "shares": np.cumsum(weights) / np.cumsum(weights)[-1]}
         memory = np.zeros((len(self.kinds), max(kind.memory(step) for kind in self.kinds)))
-        kernel = kernels.several_kinds(tuple(kind.kernel() for kind in self.kinds))
-        state = {**STATE, "chosen": 0.0}
+        kernel = partial(kernels.several_kinds, tuple(kind.kernel() for kind in self.kinds))
         records = {"draws": kernels.SEVERAL, "course": kernels.COURSE, "mixture": kernels.KINDS}
-        if any(kind.remembers for kind in self.kinds):
-            return Definition(kernel, state={**state, "memory": memory}, parameters=parameters, records=records)
-        return Definition(kernel, state=state, parameters={**parameters, "memory": memory}, records=records)
+        remembers = any(kind.remembers for kind in self.kinds)
+        return self.assembled(kernel, step, parameters, memory, remembers, records, chosen=0.0)
 
 
 FAULTS: tuple[type[Fault], ...] = (

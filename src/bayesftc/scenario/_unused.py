@@ -52,7 +52,7 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
     points = [{line_of(name, loop.content): value for name, value in p.items()} for p in campaign.job.plan.points]
     of_campaign = [name for name in points[0] if name in OF_CAMPAIGNS]
     starts = {
-        place: [point.get(f"{place}.start", start) for point in points]
+        place: [_earliest(point.get(f"{place}.start", start)) for point in points]
         for place, start in _starts(scenario)
         if not any(place.startswith(name) for name in points[0])  # a factor replaces the whole fault
     }
@@ -68,14 +68,18 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
 
 
 def _starts(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """Yield the place of each fault in the file, and its start."""
+    """Yield the place of each fault in the file, and its earliest start."""
     lists: Mapping[str, Iterable[Any]] = {
         "faults": scenario.faults,
         **{f"input_faults.{name}": faults for name, faults in scenario.input_faults.items()},
     }
     for name, faults in lists.items():
         for i, fault in enumerate(faults):
-            yield f"{name}[{i}]", fault.start
+            yield f"{name}[{i}]", fault.times[0]
+
+
+def _earliest(start: Any) -> float:
+    return 0.0 if isinstance(start, Mapping) else start  # a table is a condition
 
 
 def _late(root: Place, starts: Mapping[str, list[float]], end: Fraction) -> Iterator[str]:

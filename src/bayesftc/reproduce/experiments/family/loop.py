@@ -65,7 +65,8 @@ def faulty_samples(case: Case, time: Floats) -> np.ndarray[Any, np.dtype[np.bool
     """Return whether a fault was present at each sample, of shape (steps, sensors)."""
     truth = np.zeros((len(time), case.sensors * len(PLANTS[case.plant].measured)), bool)
     for gone in case.missing:
-        truth[(gone.start <= time) & (time < gone.stop), gone.sensor] = True
+        start, stop = gone.times
+        truth[(start <= time) & (time < stop), gone.sensor] = True
     return truth
 
 

@@ -23,7 +23,8 @@ class RandomFault:
     def truth(self, time: Floats, sensors: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """Return whether the fault was present at each sample, of shape (steps, sensors)."""
         fault, faulty = self.faults[0], np.zeros((len(time), sensors), bool)
-        faulty[:, fault.sensor] = (fault.start <= time) & (time < fault.stop)
+        start, stop = fault.times
+        faulty[:, fault.sensor] = (start <= time) & (time < stop)
         return faulty
 
 
