@@ -58,7 +58,7 @@ class When:
             raise ModelError(
                 f"A condition has signal={brief(self.signal)}; it must be the name of a signal with its block, such as 'plant.v'."
             )
-        if self.relation not in RELATIONS:
+        if self.relation not in tuple(RELATIONS):
             raise ModelError(
                 f"The condition on {self.signal} has relation={brief(self.relation)}; it must be one of {' '.join(RELATIONS)}."
             )

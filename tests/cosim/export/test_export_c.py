@@ -1,11 +1,13 @@
 """The C of step functions: the bits of plain Python, for every kind of block, and sentences for what has no C."""
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
+from bayesftc.cosim.export.program import program_of
 
 BASES = {cosim.Block, cosim.Fault, cosim.Source}
 
@@ -38,6 +40,23 @@ def test_the_same_bits_where_samples_are_absurd_or_the_belief_is_lost(
         expected, got = plain(**inputs), c(**inputs)
         for name, value in expected.items():
             same_bits(got[name], np.ravel(value), name)
+
+
+def test_every_fault_on_a_condition_is_that_at_a_time(blocks, compiled_together, tmp_path, random_inputs, same_bits):
+    """Also the C of a fault whose condition is fulfilled from step 30 to step 90: the times of the faults in `BLOCKS`."""
+    at_a_time = [blocks[kind.__name__] for kind in cosim.FAULTS]
+    conditions = {"start": cosim.when("plant.v", ">=", 1.0), "stop": cosim.when("plant.v", "<", 1.0)}
+    programs = [
+        program_of(replace(fault, name=f"f{i}", **conditions), dt="1/10") for i, fault in enumerate(at_a_time[:-1])
+    ]
+    for fault, c in zip(at_a_time, compiled_together(tmp_path, programs), strict=False):
+        rng = np.random.default_rng(5)
+        plain = fault.online("1/10", compiled=False)
+        for k in range(120):
+            inputs, signal = random_inputs(fault, rng), float(30 <= k < 90)
+            expected, got = plain(**inputs), c(**inputs, start_signal=signal, stop_signal=signal)
+            for name, value in expected.items():
+                same_bits(got[name], np.ravel(value), name)
 
 
 def test_every_kind_of_block_is_among_them(blocks):
