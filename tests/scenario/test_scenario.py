@@ -72,6 +72,18 @@ def test_every_fault_can_be_said(write, fault):
     assert type(scenario.faults[0]) is fault
 
 
+def test_faults_on_a_condition(write, same_bits):
+    start = "start = { signal = 'plant.v', relation = '>', value = 22 }"
+    stop = "stop = { signal = 'controller.u', relation = '<', value = 0.0, delayed = true }\nduration = 2"
+    scenario = load_scenario(write(("start = 6.0", start), ("stop = 14.0", f"{stop}\nlatching = false")))
+    condition, other = cosim.when("plant.v", ">", 22.0), cosim.when("controller.u", "<", 0.0, delayed=True)
+    assert scenario.faults == [cosim.Freeze(start=condition, stop=other, duration=2.0, latching=False)]
+    result = short(load_scenario(write(("start = 6.0", start), ("stop = 14.0", "duration = 2"))), duration=4.0)
+    first = int(np.argmax(result["plant.v"] > 22.0))
+    assert 0 < first < 100
+    same_bits(result["freeze_0.active"], (np.abs(np.arange(201) - first - 49.5) < 50).astype(float))
+
+
 @pytest.mark.parametrize("learner", LEARNERS, ids=lambda c: c.__name__)
 @pytest.mark.parametrize("spelling", ["{}", "lower"])
 def test_every_learner_can_be_said(write, learner, spelling):
@@ -278,6 +290,20 @@ WRONG = {
         ('"SwitchingPrecision"', '"GammaPrecision"\nforgetting = 1.5'), ModelError, ["controller.precision", "forgetting=1.5"],
     ),
     "window": (("stop = 14.0", "stop = 4.0"), ModelError, ["faults[0]", "stop=4.0"]),
+    "text for a condition": (
+        ("start = 6.0", "start = 'plant.v > 22'"), ScenarioError,
+        ["faults[0].start", "a number or a table with the settings of When (signal, relation, value)"],
+    ),
+    "relation": (
+        ("start = 6.0", "start = { signal = 'plant.v', relation = '=>', value = 22 }"), ModelError, ["faults[0].start", "'=>'"],
+    ),
+    "entry of a condition": (
+        ("start = 6.0", "start = { signal = 'plant.v', relaton = '>', value = 22 }"), ScenarioError, ["did you mean 'relation'"],
+    ),
+    "signal of a condition": (
+        ("start = 6.0", "start = { signal = 'plant.w', relation = '>', value = 22 }"), UnknownNameError,
+        ["'freeze_0'", "'plant.w'", "did you mean 'plant.v'"],
+    ),
     "matrix": (("A = [[0.999]]", "A = [[0.999, 1.0]]"), ModelError, ["'model'", "square"]),
 }  # fmt: skip
 

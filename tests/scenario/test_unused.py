@@ -55,6 +55,7 @@ def test_sensors_and_variables_that_nobody_reads_are_said(car):
     [
         ('"faults[0].start" = [2.5, 3.0]', ["'faults[0]' starts at 2.5 s, but the run ends at 2 s"]),
         ('"faults[0].start" = [0.5, 3.0]', []),
+        ('"faults[0].start" = [2.5, { signal = "plant.v", relation = ">", value = 22.0 }]', []),
         ('"sensors.std" = [0.5, 1.0]', ["'faults[0]' starts at 6 s"]),
         ('faults = { none = [], one = [{ kind = "Freeze", start = 0.5 }] }', []),
         ('"simulation.seed" = [1, 2]', ["the factor 'simulation.seed' has no effect", "'faults[0]' starts at 6 s"]),

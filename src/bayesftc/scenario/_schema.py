@@ -196,7 +196,11 @@ def _tables(hint: Any, value: object) -> list[str]:
         return []
     of_many = _is_sequence(hint)
     if len(classes) == 1:
-        return [f"{'a list of tables' if of_many else 'a table'} with the settings of {classes[0].__name__}"]
+        needed = ", ".join(name for name, required in _settings(classes[0]).items() if required)
+        return [
+            f"{'a list of tables' if of_many else 'a table'} with the settings of {classes[0].__name__}"
+            + (f" ({needed})" if needed else "")
+        ]
     names = {_folded(cls.__name__): cls.__name__ for cls in classes}
     first = value[0] if isinstance(value, Sequence) and not isinstance(value, str) and value else value
     first = first.get("kind") if isinstance(first, Mapping) else first

@@ -58,7 +58,8 @@ def car(tmp_path_factory):
     ("kind", "fmi"),
     [
         *((k, "3.0") for k in ("lqg", "PID", "RandomFaults", *PLANTS)),
-        *((k, "2.0") for k in ("lqg", "RandomFaults", "delay")),
+        *((k, "2.0") for k in ("lqg", "RandomFaults", "delay", "random faults on a delayed condition")),
+        ("fault on a condition", "3.0"),
     ],
 )
 def test_the_same_bits_as_the_block_missing_samples_and_noise_included(kind, fmi, blocks, tmp_path):
@@ -98,6 +99,21 @@ def test_blocks_that_are_fused_are_one_fmu(tmp_path, car):
     found = cosim.verify_fmu(path, loop, duration=16.0, engine="interpreted")
     assert found.agrees(), found
     assert found.verdict().startswith("front.fmu does what sensors, freeze_0 and controller do: the same numbers")
+
+
+def test_conditions_of_faults_are_inside_where_their_signals_are(tmp_path):
+    fault = cosim.Freeze(start=cosim.when("plant.v", ">", 22.0), stop=cosim.when("sensors.y[1]", "<", 19.0))
+    loop = cruise_control(controllers.GammaPrecision(forgetting=0.95), fault)
+    path = cosim.export_fmu(loop, tmp_path / "front.fmu", fmi="3.0", blocks=["sensors", "freeze_0"])
+    description = cosim.FMU(path).description.variables
+    assert {v.name: v.start for v in description if v.name.endswith("value")} == {
+        "freeze_0.start.value": 22.0,
+        "freeze_0.stop.value": 19.0,
+    }
+    assert [port.name for port in cosim.FMU(path).inputs] == ["sensors.u", "sensors.noise", "freeze_0.start_signal"]
+    found = cosim.verify_fmu(path, loop, duration=8.0, engine="interpreted")
+    assert found.agrees(), found
+    assert found.in_loop
 
 
 def test_blocks_of_several_rates_are_one_fmu(tmp_path):
