@@ -133,7 +133,7 @@ class Occasion(NamedTuple):
 
 
 def holds(condition):
-    """Return 1 if a condition is fulfilled, else 0, also for a missing sample."""
+    """Return 1 if a condition is fulfilled, else 0; a missing sample fulfils none."""
     signal, value, relation = condition
     now = signal[0]
     beyond = select(now > value[0], relation[2], 0.0)
