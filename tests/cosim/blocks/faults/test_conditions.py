@@ -262,6 +262,29 @@ def test_connected_by_hand(run_both):
     assert np.argmax(run_both(diagram, 0.2)["bias_0.active"]) == 5
 
 
+def test_in_a_subsystem_blocks_inside_come_first(run_both):
+    """The ramp inside has the name of another one outside; the step is outside only."""
+    inside = cosim.Diagram(DT)
+    ramp = inside.add(cosim.Ramp(10.0), "ramp")
+    fault = cosim.Bias(
+        magnitude=1.0, channels=1, start=cosim.when("ramp.y", ">=", 1.0), stop=cosim.when("step.y", ">", 0.5)
+    )
+    inside.connect(ramp["y"], inside.add(fault)["u"])
+    outside = cosim.Diagram(DT)
+    outside.add(cosim.Ramp(-1.0), "ramp")
+    outside.add(cosim.Step(time=0.16, after=1.0), "step")
+    outside.add(cosim.Subsystem(inside, inputs={}, outputs={"y": "bias_0.y"}), "part")
+    active = run_both(outside, 0.2)["part.bias_0.active"]
+    assert_array_equal(np.flatnonzero(active), [5, 6, 7])
+    varied = cosim.varied(outside, {"part.bias_0.start.value": 1.4})
+    assert_array_equal(np.flatnonzero(run_both(varied, 0.2)["part.bias_0.active"]), [7])
+    free = cosim.Subsystem(inside, outputs={"y": "bias_0.y"})  # by default, what is not found inside is an input
+    assert [port.name for port in free.inputs] == ["stop_signal"]
+    step = free.online()
+    values = [step(stop_signal=float(k == 7)).y[0] for k in range(9)]
+    assert_array_equal(np.round(values, 9), [0.0, 0.2, 0.4, 0.6, 0.8, 2.0, 2.2, 1.4, 1.6])
+
+
 def test_python_control_gets_the_same_loop():
     import control
 
