@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 PENDING = "pending"
 """Status of unfinished runs in a dataset."""
+PATIENCE = 10.0
+"""Seconds in which a writer on a busy machine lets the files stand as they are once."""
 
 
 class StoredCampaign:
@@ -193,7 +196,8 @@ class StoredCampaign:
 
     def _read(self) -> Part:
         """Return all rows as one part; parts are newer than the whole file."""
-        for _ in range(20):  # a writer may be joining the parts, and then removes them
+        end = monotonic() + PATIENCE
+        while monotonic() < end:  # a writer may be joining the parts, and then removes them
             try:
                 indices = self._part_indices()
                 parts = [self._part(self._pieces[i]) for i in indices]
@@ -205,7 +209,7 @@ class StoredCampaign:
                 seconds = {piece: taken for part in parts for piece, taken in part.seconds.items()}
                 return Part(rows, seconds, {piece: sizes for part in parts for piece, sizes in part.sizes.items()})
             except FileNotFoundError:
-                continue
+                sleep(0.01)
             except OSError as error:
                 raise StoreError(f"The campaign {self.path} cannot be read: {error.strerror or error}.") from None
         raise StoreError(
