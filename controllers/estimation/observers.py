@@ -109,13 +109,13 @@ def _filter(model: LinearModel) -> tuple[Floats, Floats, Floats, int] | None:
         try:
             noise = Q + more * size * np.eye(len(A))
             P = steady_covariance(replace(model, process_covariance=noise))
-        except ModelError:
+            S = C @ P @ C.T + R
+            root, gain = np.linalg.cholesky(S), np.linalg.solve(S, C @ P).T
+        except (ModelError, np.linalg.LinAlgError):  # the second where P is so large that R is lost in the rounding
             continue
-        S = C @ P @ C.T + R
-        gain = np.linalg.solve(S, C @ P).T
         slowest = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
         settling = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
-        best = np.asarray(gain), np.asarray(np.linalg.cholesky(S)), noise, max(settling, 1)
+        best = np.asarray(gain), np.asarray(root), noise, max(settling, 1)
         if settling <= LONGEST_REST:
             break
     return best

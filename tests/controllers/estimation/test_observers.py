@@ -1,0 +1,28 @@
+"""Observers of a model at the limits of rounding."""
+
+import numpy as np
+import pytest
+
+from bayesftc import controllers
+from bayesftc.controllers.estimation.observers import observers
+
+
+@pytest.mark.parametrize("pole", [0.999, 1.5, 1e6, 1e9, 1e18, 1e30])
+def test_a_pole_of_any_size_gives_finite_observers_or_none(pole):
+    model = controllers.LinearModel(
+        [[pole]], [[2e-4]], [[1.0], [1.0]], process_covariance=0.001, sensor_covariance=1.0, dt=0.02
+    )
+    found = observers(model)
+    if found is None:
+        assert pole > 1e6
+    else:
+        assert np.isfinite(found.correction).all()
+        assert np.abs(np.linalg.eigvals(model.matrix("A") - found.gain[0] @ model.matrix("C"))).max() < 1.0
+
+
+def test_a_noise_that_rounding_loses_gives_none():
+    """Two equal sensors: of their innovations' covariance P [[1, 1], [1, 1]] + R only the first part is left."""
+    model = controllers.LinearModel(
+        [[1e18]], [[2e-4]], [[1.0], [1.0]], process_covariance=0.001, sensor_covariance=1.0, dt=0.02
+    )
+    assert observers(model, ((0, 1),)) is None
