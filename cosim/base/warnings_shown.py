@@ -16,9 +16,15 @@ def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the innermost line outside this package, or at the outermost line if there is none."""
     level = 1
     frame: FrameType | None = sys._getframe()
-    while frame is not None and frame.f_code.co_filename.startswith(_PACKAGE):
-        frame, level = frame.f_back, level + 1
+    while frame is not None and (frame.f_code.co_filename.startswith(_PACKAGE) or _imports(frame)):
+        frame, level = frame.f_back, level + (not _imports(frame))
     warnings.warn(text, category, stacklevel=level)
+
+
+def _imports(frame: FrameType) -> bool:
+    """Return whether a frame belongs to the import of a module. `warnings.warn` does not count such frames."""
+    name = frame.f_code.co_filename
+    return "importlib" in name and "_bootstrap" in name
 
 
 __all__ = ["warn_user"]

@@ -426,6 +426,7 @@ def test_a_numba_that_is_not_known_is_told_at_once(python, tmp_path, other, reas
     assert not plain
     assert len(told) == 1
     assert re.search(reason, told[0][0])
+    assert told[0][1] == "<string>"
     assert len(values) == 1
 
 
