@@ -17,7 +17,8 @@ def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
     level = 1
     frame: FrameType | None = sys._getframe()
     while frame is not None and (frame.f_code.co_filename.startswith(_PACKAGE) or _imports(frame)):
-        frame, level = frame.f_back, level + (not _imports(frame))
+        level += not _imports(frame)
+        frame = frame.f_back
     warnings.warn(text, category, stacklevel=level)
 
 
