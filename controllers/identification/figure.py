@@ -8,6 +8,7 @@ import numpy as np
 
 from bayesftc.cosim.judging.panels import thin
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, SENSOR_COLOURS
+from bayesftc.cosim.statistics._whiteness import LAGS, autocorrelation
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,8 +24,6 @@ def draw(identified: Identification, figure: Figure) -> Figure:
 
     The grey band has 95 % of the autocorrelations of white noise.
     """
-    from bayesftc.controllers.identification.identify import LAGS, autocorrelation
-
     count = len(identified.outputs)
     figure.set_size_inches(9.0, 2.2 * count + 2.4)
     figure.set_layout_engine("constrained")

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,23 +17,16 @@ from bayesftc.controllers.identification.subspace import PASTS, identify_innovat
 from bayesftc.controllers.models.checks import as_number
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import PoorFitWarning
-from bayesftc.cosim.base.timebase import rational_step
-from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
-from bayesftc.cosim.run.result import Result
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.run.tables import named_columns, read_table, sample_time
+from bayesftc.cosim.statistics._whiteness import FEW, LAGS, whiteness
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
-
-LAGS = 20
-"""Largest lag of the residuals' autocorrelations."""
 
 WORSE = 1.2
 """Ratio of errors on held-out data to those of a long autoregression from which on there is a warning."""
-
-FEW = 2 * LAGS
-"""Least number of samples of each output for the tests."""
 
 GAPS = 0.5
 """If less than this share of the stretches for a prediction is complete, gaps are bridged and not left out."""
@@ -120,9 +112,9 @@ def identify(
     past: int | None,
 ) -> Identification:
     """Identify the model of a recording; see `LinearModel.identify`."""
-    table = _table(data)
-    names_in, names_out = _columns(table, inputs, "input"), _columns(table, outputs, "output")
-    step = _step(table, time, dt)
+    table = read_table(data, "identify()")
+    names_in, names_out = named_columns(table, inputs, "input"), named_columns(table, outputs, "output")
+    step = sample_time(table, time, dt)
     u, y = (table[names].to_numpy(dtype=np.float64) for names in (names_in, names_out))
     share = as_number("identify() has held_out", held_out, above=0, below=1)
     for name, value in (("order", order), ("past", past)):
@@ -269,7 +261,7 @@ def _validated(
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")  # about means without numbers
         simulated_fit = 100 * (1 - np.sqrt(np.nanmean((measured - simulated[begin:]) ** 2, axis=0)) / spread)
-    tests = [_whiteness(residuals[:, i]) for i in range(len(outputs))]
+    tests = [whiteness(residuals[:, i]) for i in range(len(outputs))]
     poor = list(doubts)
     for i, name in enumerate(outputs):
         floor = 1e-9 * spread[i]
@@ -356,100 +348,7 @@ def _first_state(A: Floats, B: Floats, C: Floats, u: Floats, y: Floats) -> Float
     return np.append(state, 1.0)
 
 
-def _whiteness(residual: Floats) -> tuple[float, float]:
-    """Return the probability that white noise is as correlated in time as the residual, and the largest autocorrelation."""
-    from scipy.stats import chi2
-
-    correlations, pairs = autocorrelation(residual)
-    n, present = int(np.isfinite(residual).sum()), pairs > 0
-    statistic = (n + 2) / n * float(np.sum(pairs[present] * correlations[present] ** 2))
-    return float(chi2.sf(statistic, present.sum())), float(np.abs(correlations[pairs >= FEW]).max(initial=0.0))
-
-
-def autocorrelation(residual: Floats) -> tuple[Floats, np.ndarray[tuple[int], np.dtype[np.int64]]]:
-    """Return the autocorrelations at the lags 1 to `LAGS` (0 without samples), and the number of pairs of samples of each."""
-    present = np.isfinite(residual)
-    e = np.where(present, residual - np.nanmean(residual), 0.0)
-    power = float(e @ e) / max(present.sum(), 1)
-    products = np.array([float(e[lag:] @ e[:-lag]) for lag in range(1, LAGS + 1)])
-    pairs = np.array([int((present[lag:] & present[:-lag]).sum()) for lag in range(1, LAGS + 1)])
-    return products / np.maximum(pairs, 1) / (power if power > 0 else 1.0), pairs
-
-
 # --- the recording ---------------------------------------------------------------------------------------------------
-
-
-def _table(data: Any) -> pd.DataFrame:
-    import pandas as pd
-
-    if isinstance(data, Result):
-        return data.to_pandas().reset_index()
-    if isinstance(data, pd.DataFrame):
-        named = data.index.name is not None and data.index.name not in data.columns
-        return data.reset_index() if named else data
-    if not isinstance(data, str | PathLike):
-        raise ModelError(
-            f"identify() has data of the type {type(data).__name__}; give a Result, a table of pandas or the path of a CSV file."
-        )
-    try:
-        return pd.read_csv(data)
-    except (OSError, ValueError) as error:
-        message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
-        raise ModelError(f"The recording {data} cannot be read: {message}; give a CSV file with a header.") from None
-
-
-def _columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: str) -> list[str]:
-    names = [names_given] if isinstance(names_given, str) else list(names_given)
-    if not names or len(set(names)) < len(names):
-        raise ModelError(f"{kind}s={names_given!r}; give at least one column, each once.")
-    columns = []
-    for name in names:
-        several = [column for column in map(str, table.columns) if column.startswith(f"{name}[")]
-        if name in table.columns:
-            columns.append(name)
-        elif several:  # a vector signal
-            columns += several
-        else:
-            raise UnknownNameError(
-                f"The recording has no {kind} {name!r}; {did_you_mean(name, list(map(str, table.columns)))}"
-            )
-    if not len(table):
-        raise ModelError("The recording has no rows.")
-    for name in columns:
-        if list(table.columns).count(name) > 1:
-            raise ModelError(f"The recording has several columns {name!r}; give each another name.")
-        if table[name].dtype.kind not in "fiub":
-            raise ModelError(f"The column {name!r} contains text; give numbers, and empty cells for missing samples.")
-        if np.isinf(table[name].to_numpy(dtype=np.float64)).any():
-            raise ModelError(f"The column {name!r} contains infinite values; give empty cells for missing samples.")
-    return columns
-
-
-def _step(table: pd.DataFrame, time: str, dt: float | str | Fraction | None) -> Fraction:
-    """Return the sample time, given or from the column of times."""
-    if dt is not None:
-        return rational_step(dt)
-    if time not in table.columns:
-        raise StepSizeError(
-            f"The recording has no column {time!r}; give the name of the column of times (time=...), or dt= in seconds."
-        )
-    if list(table.columns).count(time) > 1 or table[time].dtype.kind not in "fiu":
-        raise StepSizeError(
-            f"The column {time!r} does not contain numbers. Convert the times to seconds, or give dt= in seconds."
-        )
-    t = table[time].to_numpy(dtype=np.float64)
-    steps = np.diff(t)
-    if len(steps) == 0 or not np.isfinite(steps).all() or steps.min() <= 0:
-        raise StepSizeError(
-            f"The times in {time!r} do not increase from row to row; sort the recording, or give dt= in seconds."
-        )
-    mean = float(t[-1] - t[0]) / len(steps)
-    if np.abs(steps - mean).max() > 0.01 * mean:
-        raise StepSizeError(
-            f"The times in {time!r} are not evenly spaced: steps are from {steps.min():g} to {steps.max():g} s. Resample the "
-            "recording, with empty rows where nothing was recorded."
-        )
-    return Fraction(f"{mean:.6g}")
 
 
 def _centre(rows: Floats, names: Sequence[str]) -> tuple[Floats, Floats]:

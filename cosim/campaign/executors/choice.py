@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from bayesftc.cosim.block import Block
@@ -29,7 +29,7 @@ def choose_executor(job: Job) -> tuple[Executor, str]:
     """
     if cores() == 1:
         return Threads(), "Threads: this process may use one core."
-    against = next(_against_threads(job), None)
+    against = next(against_threads(job.diagram(0), _blocks(job)), None)
     if against is None:
         return Threads(), "Threads: all blocks are compiled, and no FMU needs a separate process."
     executor = Processes()
@@ -40,14 +40,21 @@ def choose_executor(job: Job) -> tuple[Executor, str]:
     return executor, f"Processes: {against}."
 
 
-def _against_threads(job: Job) -> Iterator[str]:
-    """Yield the reasons against threads."""
-    diagram = job.diagram(0)
-    schedule = diagram.schedule
+def against_threads(diagram: Diagram, further: Iterable[tuple[str, Block]] = ()) -> Iterator[str]:
+    """Yield the reasons why threads cannot run a diagram side by side.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        The diagram; it is built.
+    further : iterable of (str, Block)
+        Names and blocks that take a place in it.
+    """
+    schedule = diagram.build().schedule
     for node, definition in zip(schedule.nodes, schedule.definitions, strict=True):
         if definition is not None and not definition.compiled:
             yield f"the block {node.name!r} computes in Python, which runs one thread at a time"
-    for name, block in _blocks(job, diagram):
+    for name, block in (*((node.name, node.block) for node in diagram.nodes), *further):
         if isinstance(block, FMU) and not block.isolate:
             if block.description.capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
                 yield f"the FMU {name!r} allows only one instance per process"
@@ -55,13 +62,11 @@ def _against_threads(job: Job) -> Iterator[str]:
                 yield f"the FMU {name!r} computes in Python, which runs one thread at a time"
 
 
-def _blocks(job: Job, diagram: Diagram) -> Iterator[tuple[str, Block]]:
-    for node in diagram.nodes:
-        yield node.name, node.block
+def _blocks(job: Job) -> Iterator[tuple[str, Block]]:
     for point in job.plan.points:
         for name, value in point.items():
             if isinstance(value, Block):
                 yield name, value
 
 
-__all__ = ["choose_executor"]
+__all__ = ["against_threads", "choose_executor"]

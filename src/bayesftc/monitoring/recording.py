@@ -180,8 +180,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         inside = at >= 0
         y[at[inside], i] = values[inside]
         replaced.append(int(inside.sum() - np.isfinite(y[:, i]).sum()))
-        interval = float(np.median(np.diff(time))) if len(time) > 1 else float("inf")
-        loss.append(float(np.clip(1.0 - float(step) / interval, LEAST_LOSS, MOST_LOSS)))
+        loss.append(expected_loss(time, step))
     ends: Floats = start + np.arange(1.0, steps + 1.0) * float(step)
     u = np.zeros((steps, max(len(inputs), 1)))
     for j, signal in enumerate(inputs.values()):
@@ -191,6 +190,12 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
     return Recording(start, step, tuple(sensors), y, u, tuple(loss), resolution, tuple(replaced), units, *of_inputs)
+
+
+def expected_loss(time: Floats, step: Fraction) -> float:
+    """Return the share of steps at which a healthy sensor has no sample, from the times of its samples in seconds."""
+    interval = float(np.median(np.diff(time))) if len(time) > 1 else float("inf")
+    return float(np.clip(1.0 - float(step) / interval, LEAST_LOSS, MOST_LOSS))
 
 
 def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tuple[float, float]:

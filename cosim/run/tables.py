@@ -1,0 +1,143 @@
+"""Tables of recorded signals: reading them, their columns and their times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.run.result import Result
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def read_table(data: Any, user: str) -> pd.DataFrame:
+    """Return a recording as a table with a column for each signal.
+
+    Parameters
+    ----------
+    data : Result, pandas.DataFrame, str or path
+        Signals, a table, or a CSV or Parquet file (``.parquet``).
+    user : str
+        Who needs it, as the beginning of an error.
+
+    Raises
+    ------
+    ModelError
+        If it is something else, or the file cannot be read.
+    """
+    import pandas as pd
+
+    if isinstance(data, Result):
+        return data.to_pandas().reset_index()
+    if isinstance(data, pd.DataFrame):
+        named = data.index.name is not None and data.index.name not in data.columns
+        return data.reset_index() if named else data
+    if not isinstance(data, str | PathLike):
+        raise ModelError(
+            f"{user} has data of the type {type(data).__name__}; give a Result, a table of pandas or the path of a CSV file."
+        )
+    try:
+        return pd.read_parquet(data) if Path(data).suffix == ".parquet" else pd.read_csv(data)
+    except (OSError, ValueError) as error:
+        message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
+        raise ModelError(f"The recording {data} cannot be read: {message}; give a CSV file with a header.") from None
+
+
+def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: str) -> list[str]:
+    """Return the columns of numbers with these names; of a vector signal, the columns of its elements.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        The recording.
+    names_given : str or sequence of str
+        Names of columns or of vector signals, each once.
+    kind : str
+        What they are, for errors: ``"input"``.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such column.
+    ModelError
+        If a column has text or infinite values, a name is given twice, or there are no rows.
+    """
+    names = [names_given] if isinstance(names_given, str) else list(names_given)
+    if not names or len(set(names)) < len(names):
+        raise ModelError(f"{kind}s={names_given!r}; give at least one column, each once.")
+    columns = []
+    for name in names:
+        several = [column for column in map(str, table.columns) if column.startswith(f"{name}[")]
+        if name in table.columns:
+            columns.append(name)
+        elif several:  # a vector signal
+            columns += several
+        else:
+            raise UnknownNameError(
+                f"The recording has no {kind} {name!r}; {did_you_mean(name, list(map(str, table.columns)))}"
+            )
+    if not len(table):
+        raise ModelError("The recording has no rows.")
+    for name in columns:
+        if list(table.columns).count(name) > 1:
+            raise ModelError(f"The recording has several columns {name!r}; give each another name.")
+        if table[name].dtype.kind not in "fiub":
+            raise ModelError(f"The column {name!r} contains text; give numbers, and empty cells for missing samples.")
+        if np.isinf(table[name].to_numpy(dtype=np.float64)).any():
+            raise ModelError(f"The column {name!r} contains infinite values; give empty cells for missing samples.")
+    return columns
+
+
+def sample_time(table: pd.DataFrame, time: str, dt: float | str | Fraction | None) -> Fraction:
+    """Return the sample time in seconds: the given one, or that of the evenly spaced times in a column.
+
+    Raises
+    ------
+    StepSizeError
+        If `dt` is not positive, or without it the times are missing or not evenly spaced (within 1 %).
+    """
+    if dt is not None:
+        return rational_step(dt)
+    t = times_of(table, time)
+    steps = np.diff(t)
+    mean = float(t[-1] - t[0]) / len(steps)
+    if np.abs(steps - mean).max() > 0.01 * mean:
+        raise StepSizeError(
+            f"The times in {time!r} are not evenly spaced: steps are from {steps.min():g} to {steps.max():g} s. Resample the "
+            "recording, with empty rows where nothing was recorded."
+        )
+    return Fraction(f"{mean:.6g}")
+
+
+def times_of(table: pd.DataFrame, time: str) -> Floats:
+    """Return the times of the rows in seconds.
+
+    Raises
+    ------
+    StepSizeError
+        If there is no such column, or its numbers do not increase.
+    """
+    if time not in table.columns:
+        raise StepSizeError(
+            f"The recording has no column {time!r}; give the name of the column of times (time=...), or dt= in seconds."
+        )
+    if list(table.columns).count(time) > 1 or table[time].dtype.kind not in "fiu":
+        raise StepSizeError(
+            f"The column {time!r} does not contain numbers. Convert the times to seconds, or give dt= in seconds."
+        )
+    t = table[time].to_numpy(dtype=np.float64)
+    steps = np.diff(t)
+    if len(steps) == 0 or not np.isfinite(steps).all() or steps.min() <= 0:
+        raise StepSizeError(
+            f"The times in {time!r} do not increase from row to row; sort the recording, or give dt= in seconds."
+        )
+    return t
