@@ -122,6 +122,10 @@ from .errors import (
 )
 from .export.exporting import export_c as export_c, export_fmu as export_fmu
 from .export.verification import Deviation as Deviation, Verification as Verification, verify_fmu as verify_fmu
+from .fitting.fit import fit as fit
+from .fitting.fitted import FittedFMU as FittedFMU
+from .fitting.settings import FitSettings as FitSettings
+from .fitting.uncertainty import Combination as Combination
 from .fmi.equations import Jacobians as Jacobians, ModelEquations as ModelEquations
 from .fmi.fmu import FMU as FMU
 from .judging.alarms import Alarms as Alarms, alarm_threshold as alarm_threshold, judge_alarms as judge_alarms

@@ -51,6 +51,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.campaign.executors",),
     ("cosim.campaign",),
     ("cosim.statistics",),
+    ("cosim.fitting",),
     ("cosim.comparison",),
     ("cosim",),
     ("controllers.linalg",),
@@ -93,6 +94,7 @@ DOORS: dict[tuple[str, str], str] = {
     ("cosim.diagram.subsystem", "cosim.run"): "Subsystem.online",
     ("cosim.isolation.worker", "cosim.fmi.fmu"): "FMU(isolate=True): the process of its own makes the block",
     ("cosim.run.result", "cosim.judging"): "Result.plot, Result.plot_signals",
+    ("cosim.fitting.fit", "monitoring.healthy"): "fit: the learner that weighs samples",
     ("scenario._files", "examples"): "scenario files by the name of an example",
     ("controllers.models.linear", "controllers.identification.identify"): "LinearModel.identify",
 }

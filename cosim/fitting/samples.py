@@ -1,0 +1,140 @@
+"""A recording at evenly spaced steps: inputs of an FMU, and the sensors of its outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.errors import ModelError, RecordingError
+from bayesftc.cosim.run.tables import named_columns, read_table, sample_time, times_of
+from bayesftc.cosim.types import Floats
+
+MOST_STEPS = 20_000_000
+"""Largest number of steps: a longer recording more likely has a wrong unit of time."""
+
+Columns = str | Sequence[str] | Mapping[str, str | Sequence[str]]
+"""Variables of an FMU with their columns; a variable alone has the column of its name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """A recording, a row for each step.
+
+    Attributes
+    ----------
+    step : Fraction
+        Seconds between two steps.
+    start : float
+        Time of the first step in the recording, in seconds.
+    inputs : mapping of str to ndarray, steps x columns
+        Values of each input, held until the next sample.
+    sensors : mapping of str to tuple of str
+        The columns of each output.
+    y : ndarray, steps x sensors
+        Samples of all sensors, in this order; NaN where there is none.
+    """
+
+    step: Fraction
+    start: float
+    inputs: Mapping[str, Floats]
+    sensors: Mapping[str, tuple[str, ...]]
+    y: Floats
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of all sensors."""
+        return tuple(name for names in self.sensors.values() for name in names)
+
+    @property
+    def output_of(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """For each sensor, the number of its output."""
+        return np.repeat(np.arange(len(self.sensors)), [len(names) for names in self.sensors.values()])
+
+    @property
+    def time(self) -> Floats:
+        """Times of the steps in the recording, in seconds."""
+        return np.asarray(self.start + np.arange(len(self.y)) * float(self.step), dtype=np.float64)
+
+
+def sample(recording: Any, inputs: Columns, outputs: Columns, time: str, dt: float | str | Fraction | None) -> Samples:
+    """Read a recording and bring its rows to steps. Nothing is interpolated: each row goes to the nearest step.
+
+    Without `dt` the times must be evenly spaced. With `dt` there may be gaps, and of several rows at a step the last one counts.
+    With `dt` and no column of times there is a row for each step.
+
+    Raises
+    ------
+    RecordingError, ModelError, UnknownNameError, StepSizeError
+        If the recording cannot be used.
+    """
+    table = read_table(recording, "fit()")
+    read, sensed = _by_variable(inputs, "inputs"), _by_variable(outputs, "outputs")
+    if not sensed:
+        raise ModelError("fit() has no outputs; name at least one output of the FMU, with its columns.")
+    into = {name: named_columns(table, columns, "input") for name, columns in read.items()}
+    out = {name: tuple(named_columns(table, columns, "output")) for name, columns in sensed.items()}
+    step = sample_time(table, time, dt)
+    rows, start = np.arange(len(table)), 0.0
+    if time in table.columns:
+        t = times_of(table, time)
+        start, rows = float(t[0]), _nearest(t, step)
+    steps = int(rows[-1]) + 1
+    given = {name: _at(rows, steps, table[columns].to_numpy(dtype=np.float64)) for name, columns in into.items()}
+    y = _at(rows, steps, table[[c for columns in out.values() for c in columns]].to_numpy(dtype=np.float64))
+    return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y)
+
+
+def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
+    if isinstance(given, str):
+        given = [given]
+    if not isinstance(given, Mapping):
+        given = {name: name for name in given}
+    found = {name: [columns] if isinstance(columns, str) else list(columns) for name, columns in given.items()}
+    for name, columns in found.items():
+        if not all(isinstance(text, str) for text in (name, *columns)):
+            raise ModelError(f"fit() has {what}={given!r}; give names of variables with names of columns.")
+    every = [column for columns in found.values() for column in columns] if what == "outputs" else []
+    for column in every:
+        if every.count(column) > 1:
+            raise ModelError(f"The column {column!r} is given for the outputs twice; give each column once.")
+    return found
+
+
+def _nearest(t: Floats, step: Fraction) -> np.ndarray[Any, np.dtype[np.int64]]:
+    span = float(t[-1] - t[0])
+    if span / float(step) > MOST_STEPS:
+        raise RecordingError(
+            f"The recording of {span:g} s has more than {MOST_STEPS:,} steps of {float(step):g} s. Check that its times are in "
+            "seconds."
+        )
+    if span < float(step):
+        raise RecordingError(
+            f"The recording of {span:g} s is shorter than a step of {float(step):g} s. Give a smaller dt."
+        )
+    return np.asarray(np.rint((t - t[0]) / float(step)), dtype=np.int64)
+
+
+def _at(rows: np.ndarray[Any, np.dtype[np.int64]], steps: int, values: Floats) -> Floats:
+    """Return the values at their steps, NaN elsewhere; the last finite one of each step counts."""
+    placed = np.full((steps, values.shape[1]), np.nan)
+    for j, column in enumerate(values.T):
+        there = np.isfinite(column)
+        placed[rows[there], j] = column[there]
+    return placed
+
+
+def _held(values: Floats, names: Sequence[str]) -> Floats:
+    """Return inputs that keep their last value where there is no sample."""
+    there = np.isfinite(values)
+    for name, column in zip(names, there.T, strict=True):
+        if not column[0]:
+            raise RecordingError(
+                f"The input {name!r} has no value in the first row, so that the run cannot begin. Remove the rows before its "
+                "first value."
+            )
+    last = np.maximum.accumulate(np.where(there, np.arange(len(values))[:, None], 0), axis=0)
+    return np.take_along_axis(values, last, axis=0)

@@ -1,0 +1,161 @@
+"""The search for parameters: many points of the ranges, then least squares (trust region) from the best of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from bayesftc.cosim.base.numbers import reals
+from bayesftc.cosim.campaign.designs.samples import SobolSequence
+from bayesftc.cosim.errors import ModelError, SimulationError, brief
+from bayesftc.cosim.fitting.settings import FitSettings
+from bayesftc.cosim.fitting.simulator import Simulator
+from bayesftc.cosim.types import Floats
+
+FAR = 1e6
+"""Residual, in standard deviations, of each sample of a failed run: such a step is rejected."""
+
+Loss = Literal["linear", "soft_l1"]
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """The ranges of the parameters. The search is in the unit cube: a place is between 0 and 1 of each range."""
+
+    names: tuple[str, ...]
+    low: Floats
+    high: Floats
+
+    @classmethod
+    def of(cls, ranges: Mapping[str, Any]) -> Box:
+        """Return the box of ranges by name.
+
+        Raises
+        ------
+        ModelError
+            If there is none, or one is not two rising finite numbers.
+        """
+        if not isinstance(ranges, Mapping) or not ranges:
+            raise ModelError(
+                f"fit() has parameters={brief(ranges)}; give a range for each name, as {{'m': (80, 120)}}."
+            )
+        for name, given in ranges.items():
+            bounds = reals(given)
+            if bounds.shape != (2,) or not np.isfinite(bounds).all() or not bounds[0] < bounds[1]:
+                raise ModelError(
+                    f"The parameter {name!r} has the range {brief(given)}; give (low, high) with low < high."
+                )
+        bounds = np.array([reals(given) for given in ranges.values()])
+        return cls(tuple(ranges), bounds[:, 0], bounds[:, 1])
+
+    @property
+    def width(self) -> Floats:
+        """Widths of the ranges."""
+        return np.asarray(self.high - self.low)
+
+    def at(self, place: Floats) -> dict[str, float]:
+        """Return the parameters at a place."""
+        return dict(zip(self.names, (self.low + self.width * place).tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The least squares of a fit.
+
+    Attributes
+    ----------
+    simulator, box, settings
+        What runs, within which ranges, and how it is searched.
+    y : ndarray, rows x sensors
+        The samples that are fitted.
+    output_of : ndarray, sensors
+        The number of each sensor's output.
+    scale : ndarray, rows x sensors
+        What a residual is multiplied with: the root of the sample's weight, divided by the sensor's noise.
+    """
+
+    simulator: Simulator
+    box: Box
+    settings: FitSettings
+    y: Floats
+    output_of: Any
+    scale: Floats
+
+    def weighted(self, weights: Floats, noise: Floats) -> Problem:
+        """Return the problem with these weights (rows x sensors) and standard deviations (sensors)."""
+        return replace(self, scale=np.sqrt(weights) / noise)
+
+    def runs(self, places: Floats) -> list[Floats | str]:
+        """Return the outputs at each of some places (points x parameters), or why the run failed."""
+        return self.simulator.runs([self.box.at(place) for place in places], len(self.y))
+
+    def residuals(self, outputs: Floats | str) -> Floats:
+        """Return the weighted residuals of a run, all sensors at a step side by side."""
+        if isinstance(outputs, str):
+            return np.where(self.scale > 0, FAR, 0.0).ravel()
+        return np.where(self.scale > 0, (np.nan_to_num(self.y) - outputs[:, self.output_of]) * self.scale, 0.0).ravel()
+
+    def jacobian(self, place: Floats) -> Floats:
+        """Return the derivatives of the residuals by the place, as central differences; all runs on all cores."""
+        size = len(place)
+        h = self.settings.difference * np.eye(size)
+        ends = np.clip(np.concatenate([place + h, place - h]), 0.0, 1.0)
+        runs = self.runs(ends)
+        if any(isinstance(run, str) for run in runs):  # one-sided where one end has failed
+            middle = self.runs(place[None])[0]
+            ends = np.array([place if isinstance(run, str) else end for end, run in zip(ends, runs, strict=True)])
+            runs = [middle if isinstance(run, str) else run for run in runs]
+        columns = []
+        for i in range(size):
+            distance = ends[i, i] - ends[size + i, i]
+            rise = self.residuals(runs[i]) - self.residuals(runs[size + i])
+            columns.append(rise / distance if distance else np.zeros(self.y.size))
+        return np.column_stack(columns)
+
+    def descend(self, place: Floats, loss: Loss, *, coarse: bool = False) -> Any:
+        """Return scipy's result of least squares from a place."""
+        from scipy.optimize import least_squares
+
+        tolerance = 1e-3 if coarse else 1e-8
+        return least_squares(
+            lambda z: self.residuals(self.runs(z[None])[0]),
+            place,
+            jac=self.jacobian,
+            bounds=(0.0, 1.0),
+            method="trf",
+            loss=loss,
+            ftol=tolerance,
+            xtol=tolerance,
+            max_nfev=self.settings.steps,
+        )
+
+    def search(self, known: Floats, loss: Loss) -> Floats:
+        """Return the best place: of the least squares from the best points of the ranges, and from a known place.
+
+        Raises
+        ------
+        SimulationError
+            If the FMU runs at none of the points.
+        """
+        box, settings = self.box, self.settings
+        ranges = dict(zip(box.names, zip(box.low, box.high, strict=True), strict=True))
+        design = SobolSequence(ranges, count=settings.screened, seed=settings.seed)
+        places = np.concatenate([known[None], design.unit_points()])
+        runs = self.runs(places)
+        reasons = [run for run in runs if isinstance(run, str)]
+        if len(reasons) == len(runs):
+            raise SimulationError(
+                f"The FMU runs at none of {len(runs)} points of the ranges. At the first: {reasons[0]}"
+            )
+        costs = [_cost(self.residuals(run), loss) for run in runs]
+        best = np.argsort(costs, kind="stable")[: settings.starts]
+        ends = [self.descend(place, loss, coarse=True) for place in places[best]]
+        return np.asarray(min(ends, key=lambda end: float(end.cost)).x)
+
+
+def _cost(residuals: Floats, loss: Loss) -> float:
+    squares = residuals**2
+    return float(np.sum(squares if loss == "linear" else 2.0 * (np.sqrt(1.0 + squares) - 1.0)))

@@ -1,0 +1,87 @@
+"""What a fit lacks, as sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from bayesftc.cosim.fitting.uncertainty import Combination
+from bayesftc.cosim.judging.metrics import periods
+from bayesftc.cosim.judging.signals import Flags
+from bayesftc.cosim.types import Floats
+
+UNKNOWN = 12**-0.5
+"""Standard deviation of a uniform distribution over a range: with more, the recording says less than the range does."""
+
+LEFT_OUT = 0.01
+"""Share of a sensor's samples from which on a sentence states that they do not count."""
+
+WORSE = 1.5
+"""Ratio of the error in the held-out part to that in the fitted part from which on there is a sentence."""
+
+MATTERS = 0.1
+"""Least share of a parameter in a combination that a sentence names."""
+
+
+def at_bounds(places: Mapping[str, float], parameters: Mapping[str, float], margin: float) -> Iterator[str]:
+    """Give a sentence for each parameter at a bound of its range; `places` are between 0 and 1."""
+    for name, place in places.items():
+        if min(place, 1.0 - place) < margin:
+            end = "lower" if place < 0.5 else "upper"
+            yield (
+                f"{name} = {parameters[name]:.6g} is at the {end} bound of its range, and so has no standard error. "
+                "Widen the range."
+            )
+
+
+def undetermined(profile: Sequence[Combination], widths: Mapping[str, float]) -> Iterator[str]:
+    """Give a sentence for each combination that the recording does not determine."""
+    for combination in profile:
+        if combination.std <= UNKNOWN:
+            continue
+        changes = [
+            f"{name} by {share * widths[name]:+.3g}"
+            for name, share in combination.direction.items()
+            if abs(share) > MATTERS
+        ]
+        what = "cannot be determined" if len(changes) == 1 else "cannot be told apart"
+        names = " and ".join(change.split(" by ")[0] for change in changes)
+        yield (
+            f"{names} {what}: the outputs hardly change if one changes {' and '.join(changes)}. Fix one of them, or record "
+            "another motion."
+        )
+
+
+def correlated(columns: Sequence[str], found: Sequence[bool], white: Floats, used: Floats) -> Iterator[str]:
+    """Give a sentence if residuals are correlated; `white` and `used` are standard errors without and with that."""
+    names = [column for column, is_correlated in zip(columns, found, strict=True) if is_correlated]
+    if names:
+        with np.errstate(all="ignore"):
+            factor = float(np.nanmax(used / white)) if np.isfinite(used / white).any() else np.nan
+        yield (
+            f"The residuals of {', '.join(names)} are not white: the noise is coloured, or the FMU differs from the plant. The "
+            f"standard errors take this into account (up to {factor:.2g} times those of white noise), but not a systematic error."
+        )
+
+
+def left_out(columns: Sequence[str], weights: Floats, present: Flags, time: Floats) -> Iterator[str]:
+    """Give a sentence for each sensor of which samples do not count."""
+    for i, column in enumerate(columns):
+        out = (weights[:, i] < 0.5) & present[:, i]
+        if out.sum() > LEFT_OUT * present[:, i].sum():
+            begin, end = max(periods(out | ~present[:, i]), key=lambda span: int(out[slice(*span)].sum()))
+            yield (
+                f"{column}: {out.sum() / present[:, i].sum():.0%} of its samples are probably faulty and do not count; the "
+                f"longest stretch is from {time[begin]:g} to {time[end - 1]:g} s."
+            )
+
+
+def held_out_worse(rms: Mapping[str, float], held_out: Mapping[str, float]) -> Iterator[str]:
+    """Give a sentence for each sensor whose error is larger in the held-out part."""
+    for column, value in held_out.items():
+        if value > WORSE * rms[column]:
+            yield (
+                f"{column}: in the held-out part the error is {value / rms[column]:.2g} times that in the fitted part. The FMU "
+                "differs from the plant, or the plant has changed."
+            )

@@ -1,0 +1,107 @@
+"""How well a recording determines the parameters: standard errors, correlations, and what cannot be told apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesftc.cosim.statistics._whiteness import FEW, whiteness
+from bayesftc.cosim.types import Floats
+
+LEAST = 1e-12
+"""Smallest singular value, as a share of the largest: below is rounding. The standard error is then very large, not infinite."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A direction in which the parameters can change together; its standard error, in units of the ranges' widths.
+
+    Attributes
+    ----------
+    std : float
+        Standard error along the direction. A uniform distribution over a range has 0.29.
+    direction : dict of str to float
+        The share of each parameter, in units of its range; the squares sum to 1.
+    """
+
+    std: float
+    direction: dict[str, float]
+
+
+def is_correlated(residuals: Floats, white: float) -> list[bool]:
+    """Return for each sensor whether its residuals depend on those before them, or on those of another sensor.
+
+    The test in time is that of Ljung and Box. Residuals of two sensors are correlated if their correlation is beyond what white
+    noise exceeds with the probability `white`.
+
+    Parameters
+    ----------
+    residuals : ndarray, rows x sensors
+        NaN where a sample does not count.
+    white : float
+        Probability below which they are correlated.
+    """
+    from scipy.stats import norm
+
+    count = residuals.shape[1]
+    many = [int(np.isfinite(column).sum()) >= FEW and np.nanstd(column) > 0 for column in residuals.T]
+    found = [many[i] and whiteness(residuals[:, i])[0] < white for i in range(count)]
+    for i in range(count):
+        for j in range(i):
+            both = np.isfinite(residuals[:, i]) & np.isfinite(residuals[:, j])
+            if many[i] and many[j] and both.sum() >= FEW:
+                shared = np.corrcoef(residuals[both, i], residuals[both, j])[0, 1]
+                if 2 * norm.sf(abs(shared) * np.sqrt(both.sum())) < white:
+                    found[i] = found[j] = True
+    return found
+
+
+def covariance(jacobian: Floats, residuals: Floats, *, correlated: bool) -> Floats:
+    """Return the covariance of the parameters at the optimum.
+
+    With independent residuals of variance 1 it is the inverse of the Gauss-Newton matrix. Otherwise it is the sandwich with the
+    long-run covariance of the scores (Newey and West, Econometrica 55, 1987; the number of lags by Andrews, Econometrica 59,
+    1991). It holds for residuals that are correlated in time and between sensors.
+
+    Parameters
+    ----------
+    jacobian : ndarray, rows x sensors x parameters
+        Derivatives of the weighted residuals.
+    residuals : ndarray, rows x sensors
+        The weighted residuals.
+    correlated : bool
+        Whether they are correlated.
+    """
+    _, sizes, axes = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[2]), full_matrices=False)
+    sizes = np.maximum(sizes, LEAST * max(float(sizes[0]), np.finfo(float).tiny ** 0.25))
+    inverse = (axes.T / sizes**2) @ axes
+    if not correlated:
+        return np.asarray(inverse)
+    scores = np.einsum("kcp,kc->kp", jacobian, residuals) @ inverse
+    return long_run(scores)
+
+
+def long_run(scores: Floats) -> Floats:
+    """Return the covariance of the sum of a series (rows x columns) that is correlated in time."""
+    rows = len(scores)
+    now, before = scores[1:], scores[:-1]
+    power = np.sum(before**2, axis=0)
+    r = np.clip(np.sum(now * before, axis=0) / np.where(power > 0, power, 1.0), -0.99, 0.99)
+    alpha = float(np.mean(4 * r**2 / ((1 - r) * (1 + r)) ** 2))
+    lags = min(int(1.1447 * (alpha * rows) ** (1 / 3)), rows // 4)
+    total = scores.T @ scores
+    for lag in range(1, lags + 1):
+        product = (1 - lag / (lags + 1)) * scores[lag:].T @ scores[:-lag]
+        total = total + product + product.T
+    return np.asarray(total)
+
+
+def combinations(names: tuple[str, ...], covariance: Floats) -> tuple[Combination, ...]:
+    """Return the principal directions of a covariance in units of the ranges, the least determined first."""
+    variances, axes = np.linalg.eigh(covariance)
+    found = []
+    for variance, axis in sorted(zip(variances, axes.T, strict=True), key=lambda pair: -pair[0]):
+        signed = axis * np.sign(axis[np.abs(axis).argmax()])
+        found.append(Combination(float(np.sqrt(max(variance, 0.0))), dict(zip(names, signed.tolist(), strict=True))))
+    return tuple(found)
