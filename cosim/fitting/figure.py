@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,18 +41,11 @@ def plot_fit(fitted: FittedFMU, figure: Figure | None = None) -> Figure:
             error = y - fitted.fitted[:, j]
             if (counts & np.isfinite(error)).any():
                 limit = max(limit, 2.0 * float(np.nanpercentile(np.abs(error[counts]), SHARE)))
-            style: dict[str, Any] = {
-                "ls": "",
-                "marker": MARKERS[(i - first) % len(MARKERS)],
-                "ms": 2,
-                "color": colour,
-                "alpha": 0.5,
-            }
+            marker = MARKERS[(i - first) % len(MARKERS)]
             for axis, values in ((above, y), (below, error)):
-                axis.plot(*thin(fitted.time, np.where(counts, values, np.nan)), label=column, color=colour, **style)
-                axis.plot(
-                    *thin(fitted.time, np.where(counts, np.nan, values)), ls="", marker="x", ms=3, color="0.6", zorder=1
-                )
+                good, bad = (np.where(counts == is_counted, values, np.nan) for is_counted in (True, False))
+                axis.plot(*thin(fitted.time, good), marker, ms=2, color=colour, alpha=0.5, label=column)
+                axis.plot(*thin(fitted.time, bad), "x", ms=3, color="0.6", zorder=1)
         above.plot(*thin(fitted.time, fitted.fitted[:, j]), color=BLACK, lw=1.2, label="fit")
         below.axhline(0.0, color=BLACK, lw=0.8)
         if limit > 0:

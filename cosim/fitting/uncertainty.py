@@ -12,6 +12,9 @@ from bayesftc.cosim.types import Floats
 LEAST = 1e-12
 """Smallest singular value, as a share of the largest: below is rounding. The standard error is then very large, not infinite."""
 
+STRONGEST = 0.97
+"""Largest coefficient of the prewhitening, as its authors recommend."""
+
 
 @dataclass(frozen=True)
 class Combination:
@@ -83,18 +86,27 @@ def covariance(jacobian: Floats, residuals: Floats, *, correlated: bool) -> Floa
 
 
 def long_run(scores: Floats) -> Floats:
-    """Return the covariance of the sum of a series (rows x columns) that is correlated in time."""
-    rows = len(scores)
-    now, before = scores[1:], scores[:-1]
-    power = np.sum(before**2, axis=0)
-    r = np.clip(np.sum(now * before, axis=0) / np.where(power > 0, power, 1.0), -0.99, 0.99)
-    alpha = float(np.mean(4 * r**2 / ((1 - r) * (1 + r)) ** 2))
-    lags = min(int(1.1447 * (alpha * rows) ** (1 / 3)), rows // 4)
-    total = scores.T @ scores
+    """Return the covariance of the sum of a series (rows x columns) that is correlated in time.
+
+    Prewhitened by an autoregression of order one (Andrews and Monahan, Econometrica 60, 1992), without which the sum over lags
+    is too small for strongly correlated series.
+    """
+    r = np.clip(_autoregression(scores), -STRONGEST, STRONGEST)
+    innovations = np.concatenate([scores[:1], scores[1:] - r * scores[:-1]])
+    rho = _autoregression(innovations)
+    alpha = float(np.mean(4 * rho**2 / ((1 - rho) * (1 + rho)) ** 2))
+    lags = min(int(1.1447 * (alpha * len(scores)) ** (1 / 3)), len(scores) // 4)
+    total = innovations.T @ innovations
     for lag in range(1, lags + 1):
-        product = (1 - lag / (lags + 1)) * scores[lag:].T @ scores[:-lag]
+        product = (1 - lag / (lags + 1)) * innovations[lag:].T @ innovations[:-lag]
         total = total + product + product.T
-    return np.asarray(total)
+    return np.asarray(total / np.outer(1 - r, 1 - r))
+
+
+def _autoregression(series: Floats) -> Floats:
+    """Return each column's coefficient of an autoregression of order one."""
+    power = np.sum(series[:-1] ** 2, axis=0)
+    return np.asarray(np.sum(series[1:] * series[:-1], axis=0) / np.where(power > 0, power, 1.0))
 
 
 def combinations(names: tuple[str, ...], covariance: Floats) -> tuple[Combination, ...]:

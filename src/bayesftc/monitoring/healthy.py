@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,11 @@ import numpy as np
 from bayesftc.controllers.learning.resolution import find_resolution
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.fit.fit import fit_model
 from bayesftc.monitoring.recording import Recording, expected_loss
 from bayesftc.monitoring.run import monitor_recording
-
-Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 LAG = 16
 """Samples between which the model's error must have changed to be distinguished from noise."""
@@ -26,15 +27,18 @@ SPREAD = 0.6745
 """Median of the magnitude of a standard normal number."""
 
 FINEST = 1e-9
-"""Least noise, as a share of the samples' spread, for recordings without noise."""
+"""Least noise, as a share of the samples' range, for recordings without noise."""
+
+Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 
 def healthy(y: Floats, predicted: Floats, dt: float) -> Floats:
     """Return the probability of each sample that its sensor is healthy, by the learner of the monitor.
 
-    The model's error is a random walk that all sensors of the output share. Its change in a step and the noise of each sensor
-    are estimated from the residuals' differences, by medians, which faults in fewer than half of the samples hardly move. From
-    the onset of an alarm on, samples have the probability 0: the learner has seen the fault only later.
+    The state is the output: it changes as predicted, and by a random walk, the error of the model, which all sensors share. The
+    size of the walk and the sensors' noise are estimated from the differences of the residuals, by medians, which faults in
+    fewer than half of the samples hardly move. Of two or more sensors, noise that is coloured or shared is estimated as by
+    `bayesftc monitor --fit`. From the onset of a fault up to its alarm, the probability is 0: the learner has noticed it late.
 
     Parameters
     ----------
@@ -48,38 +52,61 @@ def healthy(y: Floats, predicted: Floats, dt: float) -> Floats:
     Returns
     -------
     ndarray, steps x sensors
-        Probabilities; 0 where there is no sample.
+        Probabilities; 0 where there is no sample. Those of a sensor with few samples are 1.
     """
+    present = np.isfinite(y)
+    probability = present.astype(float)
+    judged = np.flatnonzero(present.sum(axis=0) > LAG)
+    if len(judged):
+        probability[:, judged] *= _judged(y[:, judged], predicted, dt)
+    return probability
+
+
+def _judged(y: Floats, predicted: Floats, dt: float) -> Floats:
     step = rational_step(dt)
     present = [np.flatnonzero(column) for column in np.isfinite(y).T]
-    weights = np.zeros(y.shape)
-    used = [i for i, there in enumerate(present) if len(there) > LAG]
-    if not used:
-        return np.asarray(np.isfinite(y).astype(float))
-    y, present = y[:, used], [present[i] for i in used]
-    resolution = [find_resolution(column) for column in y.T]
-    walks, noises = zip(*map(_walk_and_noise, y.T, present, [predicted] * len(used), resolution), strict=True)
+    resolution = tuple(find_resolution(column) for column in y.T)
+    sensors = tuple(f"sensor {i}" for i in range(len(present)))
     recording = Recording(
         start=0.0,
         dt=step,
-        sensors=tuple(f"sensor {i}" for i in used),
+        sensors=sensors,
         y=y,
         u=np.diff(predicted, append=predicted[-1:])[:, None],
         loss=tuple(expected_loss(np.asarray(there * float(step)), step) for there in present),
-        resolution=tuple(resolution),
-        replaced=(0,) * len(used),
-        units=("",) * len(used),
+        resolution=resolution,
+        replaced=(0,) * len(sensors),
+        units=("",) * len(sensors),
     )
-    model = LinearModel([[1.0]], [[1.0]], [[1.0]] * len(used), min(walks), np.diag(noises), dt=step)
-    first = predicted[0] + np.nanmedian((y - predicted[:, None])[:LAG])
-    monitored = monitor_recording(recording, model, initial_mean=float(first), initial_covariance=[[max(noises)]])
+    walks, noises = zip(*map(_walk_and_noise, y.T, present, [predicted] * len(present), resolution), strict=True)
+    model = _model(recording, y - predicted[:, None], min(walks), np.array(noises))
+    start = [predicted[0] + np.nanmedian((y - predicted[:, None])[:LAG]), *np.zeros(model.states - 1)]
+    A, Q = model.matrix("A"), model.matrix("process_covariance")
+    covariance = np.diag([max(noises), *(np.diag(Q) / (1.0 - np.diag(A) ** 2 + WANDER**4))[1:]])
+    monitored = monitor_recording(recording, model, initial_mean=tuple(start), initial_covariance=covariance)
     probability = monitored.mode_probability[:, :, 0].copy()
     for event in monitored.events:
         if event.onset is not None:
-            hidden = (monitored.time >= event.onset) & (monitored.time < event.start)
-            probability[hidden, recording.sensors.index(event.sensor)] = 0.0
-    weights[:, used] = np.where(np.isfinite(y), probability, 0.0)
-    return weights
+            unnoticed = (monitored.time >= event.onset) & (monitored.time < event.start)
+            probability[unnoticed, sensors.index(event.sensor)] = 0.0
+    return probability
+
+
+def _model(recording: Recording, residuals: Floats, walk: float, noises: Floats) -> LinearModel:
+    """Return the model of the output, with errors of the sensors if there are enough sensors to see them."""
+
+    def walking(variances: Floats) -> LinearModel:
+        return LinearModel([[1.0]], [[1.0]], [[1.0]] * len(noises), walk, np.diag(variances), dt=recording.dt)
+
+    try:
+        fitted = fit_model(replace(recording, y=residuals, resolution=(0.0,) * len(noises)))
+    except RecordingError:  # a single sensor, or few samples: white noise
+        return walking(noises)
+    model = walking(np.square([sensor.std for sensor in fitted.sensors.values()]))
+    for errors in fitted.errors:
+        places = [recording.sensors.index(name) for name in errors.sensors or ()]
+        model = model.with_sensor_errors(errors.std, errors.time_constant, places, common=errors.common)
+    return model
 
 
 def _walk_and_noise(samples: Floats, there: Indices, predicted: Floats, resolution: float) -> tuple[float, float]:
@@ -90,6 +117,6 @@ def _walk_and_noise(samples: Floats, there: Indices, predicted: Floats, resoluti
     error = (samples - predicted)[there]
     near, far = ((np.median(np.abs(error[lag:] - error[:-lag])) / SPREAD) ** 2 for lag in (1, LAG))
     walk = max((far - near) / (LAG - 1), 0.0)
-    least = max(resolution**2 / 12, (FINEST * np.ptp(samples[there])) ** 2, np.finfo(float).tiny)
+    least = max(resolution**2 / 12, (FINEST * np.ptp(samples[there])) ** 2, 1e-150)
     noise = max((near - walk) / 2, least)
     return max(float(walk) / float(np.median(np.diff(there))), WANDER**2 * noise), float(noise)
