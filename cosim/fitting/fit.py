@@ -133,11 +133,10 @@ def fit(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """The end of a search: the place, weights and noise with which it was found, the run, and the problem's derivatives."""
+    """The end of a search: the place, the weights of the samples, the run, and the derivatives of the weighted residuals."""
 
     place: Floats
     weights: Floats
-    noise: Floats
     outputs: Floats
     jacobian: Floats
     residuals: Floats
@@ -155,9 +154,8 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
     outputs = _run(problem, place, len(samples.y))
     if weigh:
         noise = np.maximum(_spread((samples.y - outputs[:, samples.output_of])[:rows]), least)
-        place = problem.weighted(weights[:rows], noise).descend(place, loss).x
+        place = problem.weighted(weights[:rows], noise).descend(place, loss, coarse=True).x
         outputs = _run(problem, place, len(samples.y))
-    settled = False
     for _ in range(settings.rounds):
         if weigh:
             weights = _weights(weigh, samples, outputs)
@@ -168,9 +166,7 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
         settled = float(np.linalg.norm(end.jac @ (place - before))) < settings.settled
         if settled:
             break
-    noise = np.maximum(_noise(samples, outputs, weights, rows, len(place)), least)
-    final = problem.weighted(weights[:rows], noise)
-    return _Found(place, weights, noise, outputs, final.jacobian(place), final.residuals(outputs[:rows]), settled)
+    return _Found(place, weights, outputs, end.jac, end.fun, settled)
 
 
 def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> FittedFMU:

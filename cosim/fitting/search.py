@@ -98,32 +98,52 @@ class Problem:
             return np.where(self.scale > 0, FAR, 0.0).ravel()
         return np.where(self.scale > 0, (np.nan_to_num(self.y) - outputs[:, self.output_of]) * self.scale, 0.0).ravel()
 
-    def jacobian(self, place: Floats) -> Floats:
-        """Return the derivatives of the residuals by the place, as central differences; all runs on all cores."""
-        size = len(place)
-        h = self.settings.difference * np.eye(size)
-        ends = np.clip(np.concatenate([place + h, place - h]), 0.0, 1.0)
+    def jacobian(self, place: Floats, outputs: Floats | str, *, central: bool) -> Floats:
+        """Return the derivatives of the residuals by the place, as differences; all runs on all cores.
+
+        Parameters
+        ----------
+        place : ndarray
+            The place.
+        outputs : ndarray or str
+            The run there.
+        central : bool
+            Whether differences are central. One-sided ones take half as many runs, and suffice on the way.
+        """
+        size, h = len(place), self.settings.difference
+        inward = np.where(place > 0.5, -h, h)
+        steps = [np.diag(inward), *([np.diag(-inward)] if central else [])]
+        ends = np.clip(place + np.concatenate(steps), 0.0, 1.0)
         runs = self.runs(ends)
-        if any(isinstance(run, str) for run in runs):  # one-sided where one end has failed
-            middle = self.runs(place[None])[0]
-            ends = np.array([place if isinstance(run, str) else end for end, run in zip(ends, runs, strict=True)])
-            runs = [middle if isinstance(run, str) else run for run in runs]
         columns = []
         for i in range(size):
-            distance = ends[i, i] - ends[size + i, i]
-            rise = self.residuals(runs[i]) - self.residuals(runs[size + i])
-            columns.append(rise / distance if distance else np.zeros(self.y.size))
+            near, far = (
+                ((ends[k, i], runs[k]) for k in (i, i - size))
+                if central
+                else ((ends[i, i], runs[i]), (place[i], outputs))
+            )
+            # An end where the run has failed is replaced by the place itself.
+            (a, run), (b, other) = ((place[i], outputs) if isinstance(r, str) else (z, r) for z, r in (near, far))
+            columns.append((self.residuals(run) - self.residuals(other)) / (a - b) if a != b else np.zeros(self.y.size))
         return np.column_stack(columns)
 
     def descend(self, place: Floats, loss: Loss, *, coarse: bool = False) -> Any:
-        """Return scipy's result of least squares from a place."""
+        """Return scipy's result of least squares from a place, by default with all digits that matter."""
         from scipy.optimize import least_squares
+
+        last: dict[bytes, Floats | str] = {}  # the run at the last place, which a derivative needs again
+
+        def outputs(z: Floats) -> Floats | str:
+            if z.tobytes() not in last:
+                last.clear()
+                (last[z.tobytes()],) = self.runs(z[None])
+            return last[z.tobytes()]
 
         tolerance = 1e-3 if coarse else 1e-8
         return least_squares(
-            lambda z: self.residuals(self.runs(z[None])[0]),
+            lambda z: self.residuals(outputs(z)),
             place,
-            jac=self.jacobian,
+            jac=lambda z: self.jacobian(z, outputs(z), central=not coarse),
             bounds=(0.0, 1.0),
             method="trf",
             loss=loss,
