@@ -432,6 +432,8 @@ class LinearModel:
         ------
         ModelError
             If there are too few samples (the message gives the number needed), or an input or output is constant.
+        RecordingError
+            If the file cannot be read.
         StepSizeError
             If the times are not evenly spaced.
 

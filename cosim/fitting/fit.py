@@ -192,7 +192,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         *sentences.at_bounds(dict(zip(box.names, found.place.tolist(), strict=True)), values, margin),
         *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
         *sentences.correlated(columns, correlated, white, std),
-        *sentences.left_out(columns, found.weights, np.isfinite(samples.y), samples.time),
+        *sentences.left_out(samples.sensors, found.weights, np.isfinite(samples.y), samples.time),
         *sentences.held_out_worse(rms, rest),
     ]
     if not found.settled:

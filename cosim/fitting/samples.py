@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.errors import ModelError, RecordingError
+from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.run.tables import named_columns, read_table, sample_time, times_of
 from bayesftc.cosim.types import Floats
 
@@ -93,10 +93,13 @@ def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
         given = [given]
     if not isinstance(given, Mapping):
         given = {name: name for name in given}
-    found = {name: [columns] if isinstance(columns, str) else list(columns) for name, columns in given.items()}
-    for name, columns in found.items():
-        if not all(isinstance(text, str) for text in (name, *columns)):
-            raise ModelError(f"fit() has {what}={given!r}; give names of variables with names of columns.")
+    found = {}
+    for name, columns in given.items():
+        found[name] = (
+            [columns] if isinstance(columns, str) else list(columns) if isinstance(columns, Iterable) else [columns]
+        )
+        if not all(isinstance(text, str) for text in (name, *found[name])):
+            raise ModelError(f"fit() has {what}={brief(given)}; give names of variables with names of columns.")
     every = [column for columns in found.values() for column in columns] if what == "outputs" else []
     for column in every:
         if every.count(column) > 1:

@@ -65,15 +65,18 @@ def correlated(columns: Sequence[str], found: Sequence[bool], white: Floats, use
         )
 
 
-def left_out(columns: Sequence[str], weights: Floats, present: Flags, time: Floats) -> Iterator[str]:
-    """Give a sentence for each sensor of which samples do not count."""
-    for i, column in enumerate(columns):
+def left_out(sensors: Mapping[str, Sequence[str]], weights: Floats, present: Flags, time: Floats) -> Iterator[str]:
+    """Give a sentence for each sensor of which samples do not count; `sensors` are those of each output."""
+    alone = [len(columns) == 1 for columns in sensors.values() for _ in columns]
+    for i, column in enumerate(column for columns in sensors.values() for column in columns):
         out = (weights[:, i] < 0.5) & present[:, i]
         if out.sum() > LEFT_OUT * present[:, i].sum():
             begin, end = max(periods(out | ~present[:, i]), key=lambda span: int(out[slice(*span)].sum()))
             yield (
                 f"{column}: {out.sum() / present[:, i].sum():.0%} of its samples are probably faulty and do not count; the "
                 f"longest stretch is from {time[begin]:g} to {time[end - 1]:g} s."
+                + " A single sensor does not show whether it or the FMU is wrong: see the figure."
+                * alone[i]
             )
 
 

@@ -77,9 +77,9 @@ def covariance(jacobian: Floats, residuals: Floats, *, correlated: bool) -> Floa
         Whether they are correlated.
     """
     _, sizes, axes = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[2]), full_matrices=False)
-    sizes = np.maximum(sizes, LEAST * max(float(sizes[0]), np.finfo(float).tiny ** 0.25))
-    inverse = (axes.T / sizes**2) @ axes
-    if not correlated:
+    least = LEAST * max(float(sizes[0]), np.finfo(float).tiny ** 0.25)
+    inverse = (axes.T / np.maximum(sizes, least) ** 2) @ axes
+    if not correlated or sizes[-1] <= least:  # the scores of a parameter without effect are 0, and would look certain
         return np.asarray(inverse)
     scores = np.einsum("kcp,kc->kp", jacobian, residuals) @ inverse
     return long_run(scores)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.timebase import rational_step
-from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, RecordingError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.run.result import Result
 from bayesftc.cosim.types import Floats
 
@@ -32,7 +32,9 @@ def read_table(data: Any, user: str) -> pd.DataFrame:
     Raises
     ------
     ModelError
-        If it is something else, or the file cannot be read.
+        If it is something else.
+    RecordingError
+        If the file cannot be read.
     """
     import pandas as pd
 
@@ -49,7 +51,9 @@ def read_table(data: Any, user: str) -> pd.DataFrame:
         return pd.read_parquet(data) if Path(data).suffix == ".parquet" else pd.read_csv(data)
     except (OSError, ValueError) as error:
         message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
-        raise ModelError(f"The recording {data} cannot be read: {message}; give a CSV file with a header.") from None
+        raise RecordingError(
+            f"The recording {data} cannot be read: {message}; give a CSV file with a header, or a Parquet file."
+        ) from None
 
 
 def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: str) -> list[str]:
@@ -86,7 +90,7 @@ def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: s
                 f"The recording has no {kind} {name!r}; {did_you_mean(name, list(map(str, table.columns)))}"
             )
     if not len(table):
-        raise ModelError("The recording has no rows.")
+        raise ModelError("The recording has no rows. Check the file, or what the table was made of.")
     for name in columns:
         if list(table.columns).count(name) > 1:
             raise ModelError(f"The recording has several columns {name!r}; give each another name.")

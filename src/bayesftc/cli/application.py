@@ -26,6 +26,7 @@ COMMANDS = {
     "example": "Print a shipped file (scenario, campaign, monitor) to start from: bayesftc example cruise_control > car.toml.",
     "calibrate": "Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file.",
     "monitor": "Find faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large.",
+    "fit": "Fit parameters of an FMU to a recording with gaps and faults: values, standard errors, what it cannot determine.",
     "reproduce": """Run the paper's experiments and print our numbers beside the paper's. Further experiments go beyond the paper.
 
 \b

@@ -23,6 +23,9 @@ WANDER = 0.01
 """Least change of the model's error in a step, in standard deviations of the noise: no model is exact, and 10,000 samples of an
 error that wanders by one standard deviation are no fault."""
 
+LASTING = 100
+"""Samples from which on an error of a sensor lasts: then it is at most as large as the noise. A larger one is a fault."""
+
 SPREAD = 0.6745
 """Median of the magnitude of a standard normal number."""
 
@@ -103,9 +106,15 @@ def _model(recording: Recording, residuals: Floats, walk: float, noises: Floats)
     except RecordingError:  # a single sensor, or few samples: white noise
         return walking(noises)
     model = walking(np.square([sensor.std for sensor in fitted.sensors.values()]))
-    for errors in fitted.errors:
-        places = [recording.sensors.index(name) for name in errors.sensors or ()]
-        model = model.with_sensor_errors(errors.std, errors.time_constant, places, common=errors.common)
+    lasting = LASTING * float(recording.dt)
+    noise = {name: sensor.std**2 for name, sensor in fitted.sensors.items()}
+    for errors in sorted(fitted.errors, key=lambda errors: float(np.max(errors.time_constant))):
+        names, std = list(errors.sensors or ()), float(np.max(errors.std))
+        if np.max(errors.time_constant) > lasting:
+            std = min(std, *(noise[name] ** 0.5 for name in names))
+        noise |= {name: noise[name] + std**2 for name in names}
+        places = [recording.sensors.index(name) for name in names]
+        model = model.with_sensor_errors(std, errors.time_constant, places, common=errors.common)
     return model
 
 

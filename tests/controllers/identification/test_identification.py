@@ -15,7 +15,7 @@ from bayesftc.controllers.identification.excitation import order_of_excitation
 from bayesftc.controllers.identification.gaps import identify_with_gaps
 from bayesftc.controllers.identification.gaps_kernels import smooth
 from bayesftc.controllers.identification.independent_noise import independent_noise
-from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
+from bayesftc.cosim.errors import ModelError, RecordingError, StepSizeError, UnknownNameError
 
 A = np.array([[0.9, 0.2], [-0.2, 0.8]])
 UNSTABLE = np.array([[1.1, 0.2], [0.0, 0.9]])
@@ -370,7 +370,7 @@ def test_what_is_no_recording(tmp_path):
     twice = pd.DataFrame(np.ones((3, 3)), columns=["time", "u", "u"])
     with pytest.raises(ModelError, match="several columns 'u'"):
         LinearModel.identify(twice, inputs="u", outputs="u")
-    with pytest.raises(ModelError, match=r"cannot be read: No such file or directory; give"):
+    with pytest.raises(RecordingError, match=r"cannot be read: No such file or directory; give"):
         LinearModel.identify(tmp_path / "none.csv", inputs="u", outputs="y")
     with pytest.raises(ModelError, match="of the type int; give a Result"):
         LinearModel.identify(3, inputs="u", outputs="y")
