@@ -24,6 +24,7 @@ BARS = {
     "coupled.engine", "coupled.difference",
     "model_exchange.free_cvode_over_fmpy", "model_exchange.driven_cvode_over_fmpy",
     "full_loop.engine", "full_loop.engine_over_user", "full_loop.difference", "full_loop.rmse_ratio",
+    "fit.seconds", "fit.over_fmpy", "fit.difference",
     "campaign.threads", "campaign.scaling", "campaign.overhead", "campaign.over_user", "campaign.large", "campaign.large_memory",
     "report.report", "report.report_memory",
     "executors.dask_over_process",

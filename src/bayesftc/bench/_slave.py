@@ -1,4 +1,4 @@
-"""The shipped car as an fmpy slave, as a user of fmpy would use it."""
+"""A shipped plant as an fmpy slave, as a user of fmpy would use it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Unpacked:
             guid=self.description.guid,
             unzipDirectory=str(self.folder),
             modelIdentifier=self.description.coSimulation.modelIdentifier,
-            instanceName="car",
+            instanceName="plant",
         )
         slave.instantiate()
         slave.setupExperiment(startTime=0.0)
@@ -47,11 +47,11 @@ class Unpacked:
 
 
 @contextmanager
-def unpacked_car() -> Iterator[Unpacked]:
-    """Unpack the shipped FMU with fmpy into a temporary folder."""
+def unpacked_fmu(name: str = CAR) -> Iterator[Unpacked]:
+    """Unpack a shipped FMU with fmpy into a temporary folder."""
     import fmpy
 
-    path = str(fmus.path(CAR))
+    path = str(fmus.path(name))
     description = fmpy.read_model_description(path)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         fmpy.extract(path, unzipdir=folder)

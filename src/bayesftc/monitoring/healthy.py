@@ -126,6 +126,6 @@ def _walk_and_noise(samples: Floats, there: Indices, predicted: Floats, resoluti
     error = (samples - predicted)[there]
     near, far = ((np.median(np.abs(error[lag:] - error[:-lag])) / SPREAD) ** 2 for lag in (1, LAG))
     walk = max((far - near) / (LAG - 1), 0.0)
-    least = max(resolution**2 / 12, (FINEST * np.ptp(samples[there])) ** 2, 1e-150)
+    least = max(resolution**2 / 12, (FINEST * np.ptp(samples[there])) ** 2, 1e-90)  # models refuse smaller variances
     noise = max((near - walk) / 2, least)
     return max(float(walk) / float(np.median(np.diff(there))), WANDER**2 * noise), float(noise)

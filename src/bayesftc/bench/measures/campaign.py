@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.bench._child import repeated
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
-from bayesftc.bench._slave import unpacked_car
+from bayesftc.bench._slave import unpacked_fmu
 from bayesftc.bench._user_loop import user_loop
 from bayesftc.bench.measures.full_loop import EXPERIMENT, SETTING, full_diagram
 
@@ -113,7 +113,7 @@ def _user_rate(pool: ProcessPoolExecutor, runs: int, workers: int) -> float:
 def _user_runs(seeds: Sequence[int]) -> list[float]:
     """Return the tracking error of each run of the user's loop."""
     errors = []
-    with unpacked_car() as car:
+    with unpacked_fmu() as car:
         for seed in seeds:
             noise = np.random.default_rng(seed).standard_normal((EXPERIMENT + 1, 3))
             recording = user_loop(car, EXPERIMENT, noise, SETTING)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
-from bayesftc.bench._slave import CAR, Unpacked, unpacked_car
+from bayesftc.bench._slave import CAR, Unpacked, unpacked_fmu
 from bayesftc.bench._user_loop import COLUMNS, Setting, user_loop
 from bayesftc.cosim.types import Floats
 
@@ -81,7 +81,7 @@ def measure(quick: bool = False) -> Section:
     # A million steps record 64 MB. With far more, the speed of the system's memory allocation would be measured.
     fast, slow, rounds, runs = (20_000, 300, 2, 2) if quick else (1_000_000, 20_000, 11, 100)
     diagram = full_diagram()
-    with unpacked_car() as car:
+    with unpacked_fmu() as car:
         same = np.abs(
             engine_recording(diagram, EXPERIMENT, 1) - user_loop(car, EXPERIMENT, own_noise(EXPERIMENT, 1), SETTING)
         )
@@ -122,7 +122,7 @@ def _engine_rate(diagram: Diagram, steps: int) -> float:
 
 def user_rate(steps: int) -> float:
     """Return the steps per second of the user's loop."""
-    with unpacked_car() as car:
+    with unpacked_fmu() as car:
         return _user_rate(car, steps)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
-from bayesftc.bench._slave import CAR, Unpacked, unpacked_car
+from bayesftc.bench._slave import CAR, Unpacked, unpacked_fmu
 from bayesftc.cosim.types import Floats
 
 STEP = 0.02
@@ -115,7 +115,7 @@ def measure(quick: bool = False) -> Section:
 
     fast, slow, rounds = (20_000, 2_000, 2) if quick else (10_000_000, 100_000, 7)
     with ExitStack() as stack:
-        car = stack.enter_context(unpacked_car())
+        car = stack.enter_context(unpacked_fmu())
         loops, reason = {"engine": engine_loop(), "fmpy": fmpy_loop(car)}, None
         try:
             folder = stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))

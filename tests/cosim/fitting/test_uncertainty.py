@@ -1,0 +1,59 @@
+"""Covariances of fits against their formulas, and the tests for correlated residuals."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bayesftc.cosim.fitting.uncertainty import combinations, covariance, is_correlated, long_run
+
+
+def test_independent_residuals_give_the_inverse_of_the_gauss_newton_matrix():
+    jacobian = np.random.default_rng(0).standard_normal((50, 2, 3))
+    flat = jacobian.reshape(-1, 3)
+    np.testing.assert_allclose(covariance(jacobian, np.zeros((50, 2)), correlated=False), np.linalg.inv(flat.T @ flat))
+
+
+@pytest.mark.parametrize("rho", [-0.5, 0.0, 0.5, 0.9])
+def test_the_long_run_covariance_is_that_of_an_autoregression(rho):
+    """Of unit innovations it is 1/(1 - rho)^2 a sample."""
+    series = lfilter([1.0], [1.0, -rho], np.random.default_rng(1).standard_normal((20_000, 2)), axis=0)
+    estimated = long_run(series) / len(series)
+    np.testing.assert_allclose(np.diag(estimated), 1 / (1 - rho) ** 2, rtol=0.1)
+    assert abs(estimated[0, 1]) < 0.05 * estimated[0, 0]
+
+
+def test_errors_that_two_sensors_share_count_once():
+    rng = np.random.default_rng(2)
+    shared = rng.standard_normal(5000)
+    residuals, jacobian = np.column_stack([shared, shared]), np.ones((5000, 2, 1))
+    assert is_correlated(residuals, 1e-3) == [True, True]
+    # Two equal sensors determine a mean no better than one does.
+    assert covariance(jacobian, residuals, correlated=True)[0, 0] == pytest.approx(1 / 5000, rel=0.1)
+    assert covariance(jacobian, residuals, correlated=False)[0, 0] == pytest.approx(1 / 10_000)
+
+
+def test_white_residuals_pass_and_coloured_ones_do_not():
+    rng = np.random.default_rng(3)
+    passed = [is_correlated(rng.standard_normal((300, 2)), 1e-2) for _ in range(200)]
+    assert np.mean(passed) < 0.06  # a sensor takes part in two tests of 1 %
+    coloured = lfilter([1.0], [1.0, -0.5], rng.standard_normal((300, 1)), axis=0)
+    assert is_correlated(np.hstack([coloured, rng.standard_normal((300, 1))]), 1e-3) == [True, False]
+    assert is_correlated(np.full((300, 1), np.nan), 1e-3) == [False]
+    assert is_correlated(np.zeros((300, 1)), 1e-3) == [False]
+
+
+def test_a_parameter_without_effect_looks_uncertain():
+    jacobian = np.zeros((50, 1, 2))
+    jacobian[:, 0, 0] = 1.0
+    result = covariance(jacobian, np.ones((50, 1)), correlated=True)
+    assert np.isfinite(result).all()
+    assert result[1, 1] > 1e10
+
+
+def test_combinations_are_the_axes_of_the_covariance():
+    axes = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
+    found = combinations(("a", "b", "c"), axes @ np.diag([1.0, 9.0, 4.0]) @ axes.T)
+    assert [one.std for one in found] == pytest.approx([3.0, 2.0, 1.0])
+    direction = np.array(list(found[0].direction.values()))
+    assert abs(direction @ axes[:, 1]) == pytest.approx(1.0)
+    assert max(direction, key=abs) > 0

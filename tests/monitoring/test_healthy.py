@@ -1,0 +1,69 @@
+"""The weights of samples: low from the onset of a fault to its end, high elsewhere."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bayesftc.monitoring.healthy import healthy
+
+DT, ROWS = 0.1, 600
+MOVING = 10.0 * np.sin(0.05 * np.arange(ROWS))
+FAULT = slice(200, 400)
+
+
+def speeds(sensors, colour=0.0, seed=0):
+    noise = np.random.default_rng(seed).standard_normal((sensors, ROWS))
+    return MOVING[:, None] + 0.5 * lfilter([np.sqrt(1 - colour**2)], [1, -colour], noise).T
+
+
+FAULTS = {
+    "offset": lambda y: y + 3.0,
+    "frozen": lambda y: np.full_like(y, y[0]),
+    "noisier": lambda y: y + 5.0 * np.random.default_rng(9).standard_normal(len(y)),
+    "drift": lambda y: y + 0.1 * np.arange(len(y)),
+}
+
+
+@pytest.mark.parametrize("sensors", [1, 3])
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_fault_takes_the_weight_of_its_sensor_only(kind, sensors):
+    y = speeds(sensors)
+    y[FAULT, 0] = FAULTS[kind](y[FAULT, 0])
+    weights = healthy(y, MOVING, DT)
+    late = slice(FAULT.start + 20, FAULT.stop) if kind == "drift" else FAULT
+    assert weights[late, 0].mean() < 0.1
+    assert weights[: FAULT.start - 20, 0].mean() > 0.95  # the estimated onset of a drift may be early
+    assert weights[FAULT.stop + 10 :, 0].mean() > 0.9
+    assert weights[:, 1:].mean() > 0.95 if sensors > 1 else True
+
+
+def test_a_long_fault_is_not_taken_for_a_lasting_error():
+    y = speeds(3)
+    y[FAULT, 0] += 6.0  # a third of the recording
+    assert healthy(y, MOVING, DT)[FAULT, 0].max() < 0.1
+
+
+def test_coloured_noise_is_no_fault():
+    assert healthy(speeds(2, colour=0.8), MOVING, DT).mean() > 0.95
+
+
+def test_an_error_of_the_model_that_all_sensors_share_is_no_fault():
+    walk = 0.1 * np.cumsum(np.random.default_rng(5).standard_normal(ROWS))
+    assert healthy(speeds(3) + walk[:, None], MOVING, DT).mean() > 0.95
+
+
+def test_missing_samples_have_no_weight_and_few_samples_all_of_it():
+    y = speeds(3)
+    y[100:200, 0] = np.nan
+    y[:, 1] = np.nan
+    y[:-5, 2] = np.nan
+    weights = healthy(y, MOVING, DT)
+    np.testing.assert_array_equal(weights[100:200, 0], 0.0)
+    np.testing.assert_array_equal(weights[:, 1], 0.0)
+    np.testing.assert_array_equal(weights[:, 2], np.isfinite(y[:, 2]))
+    assert weights[200:, 0].mean() > 0.9
+
+
+def test_recordings_without_noise_keep_their_weights():
+    assert healthy(np.column_stack([MOVING, MOVING]), MOVING, DT).mean() > 0.9
+    assert healthy(np.zeros((ROWS, 1)), np.zeros(ROWS), DT).shape == (ROWS, 1)
