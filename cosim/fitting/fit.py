@@ -27,7 +27,13 @@ Weigh = Callable[[Floats, Floats, float], Floats]
 none), the output that the fit predicts (steps), and the seconds between two steps."""
 
 FINEST = 1e-9
-"""Least noise of a sensor, as a share of its samples' spread, for recordings without noise."""
+"""Least noise of a sensor, as a share of its typical sample, for recordings without noise."""
+
+FEWEST = 5
+"""Least number of samples of a sensor for each parameter: with fewer, its residuals do not show its noise."""
+
+TINY = 1e-150
+"""Least noise of a sensor that is always 0: its square is a number."""
 
 NORMAL = 1.4826
 """Standard deviation of normal numbers, divided by the median of their magnitudes."""
@@ -147,7 +153,7 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
     """Search with a robust loss, then weigh and fit by turns until the parameters settle."""
     rows, settings = len(problem.y), problem.settings
     present = np.isfinite(samples.y)
-    weights, least = present.astype(float), FINEST * np.nanmax(np.abs(samples.y), axis=0)
+    weights, least = present.astype(float), FINEST * np.nanmedian(np.abs(samples.y), axis=0) + TINY
     noise = np.maximum(_spread(samples.y[:rows] - np.nanmedian(samples.y[:rows], axis=0)), least)
     loss: Literal["linear", "soft_l1"] = "soft_l1" if weigh else "linear"
     place = problem.weighted(weights[:rows], noise).search(known, loss)
@@ -251,16 +257,12 @@ def _split(samples: Samples, held_out: float, parameters: int) -> int:
     if not 0 <= share < 1:
         raise ModelError(f"fit() has held_out={brief(held_out)}; it must be a share, at least 0 and below 1.")
     split = round(len(samples.y) * (1 - share))
-    for i, name in enumerate(samples.columns):
-        if not np.isfinite(samples.y[:split, i]).any():
+    for name, count in zip(samples.columns, np.isfinite(samples.y[:split]).sum(axis=0).tolist(), strict=True):
+        if count < FEWEST * parameters:
             raise ModelError(
-                f"The column {name!r} has no sample in the fitted part of the recording. Leave it out, or check it."
+                f"The column {name!r} has {count} samples in the fitted part of the recording. A fit of {parameters} "
+                f"parameter(s) needs {FEWEST * parameters}. Record more, or leave the column out."
             )
-    if np.isfinite(samples.y[:split]).sum() <= parameters:
-        raise ModelError(
-            f"The fitted part of the recording has {np.isfinite(samples.y[:split]).sum()} samples for {parameters} parameters. "
-            "Record more."
-        )
     return split
 
 

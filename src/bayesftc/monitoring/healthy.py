@@ -30,7 +30,7 @@ SPREAD = 0.6745
 """Median of the magnitude of a standard normal number."""
 
 FINEST = 1e-9
-"""Least noise, as a share of the samples' range, for recordings without noise."""
+"""Least noise, as a share of the typical sample, for recordings without noise."""
 
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -87,7 +87,8 @@ def _judged(y: Floats, predicted: Floats, dt: float) -> Floats:
     A, Q = model.matrix("A"), model.matrix("process_covariance")
     covariance = np.diag([max(noises), *(np.diag(Q) / (1.0 - np.diag(A) ** 2 + WANDER**4))[1:]])
     monitored = monitor_recording(recording, model, initial_mean=tuple(start), initial_covariance=covariance)
-    probability = monitored.mode_probability[:, :, 0].copy()
+    # A harmless burst of noise does not count, and an absurd sample is faulty, though it is no evidence for a mode.
+    probability = np.minimum(monitored.mode_probability[:, :, 0], 1.0 - monitored.fault_probability)
     for event in monitored.events:
         if event.onset is not None:
             unnoticed = (monitored.time >= event.onset) & (monitored.time < event.start)
@@ -126,6 +127,8 @@ def _walk_and_noise(samples: Floats, there: Indices, predicted: Floats, resoluti
     error = (samples - predicted)[there]
     near, far = ((np.median(np.abs(error[lag:] - error[:-lag])) / SPREAD) ** 2 for lag in (1, LAG))
     walk = max((far - near) / (LAG - 1), 0.0)
-    least = max(resolution**2 / 12, (FINEST * np.ptp(samples[there])) ** 2, 1e-90)  # models refuse smaller variances
+    least = max(
+        resolution**2 / 12, (FINEST * np.median(np.abs(samples[there]))) ** 2, 1e-90
+    )  # models refuse smaller variances
     noise = max((near - walk) / 2, least)
     return max(float(walk) / float(np.median(np.diff(there))), WANDER**2 * noise), float(noise)

