@@ -77,7 +77,7 @@ class Simulator:
         diagram = Diagram(self._samples.step)
         plant = diagram.add(replace(self._fmu, parameters={**(self._fmu.parameters or {}), **parameters}), PLANT)
         for name, tables in self._sources.items():
-            sources = [diagram.add(table)["y"] for table in tables]
+            sources = [diagram.add(table, f"{PLANT}.{name}.{i}")["y"] for i, table in enumerate(tables)]
             diagram.connect(sources if len(sources) > 1 else sources[0], plant[name])
         return diagram
 

@@ -304,3 +304,17 @@ def test_parameters_of_the_fmu_stay():
     assert fitted.plant.parameters == {"b": 6.0, "v0": 3.0, "m": fitted.parameters["m"]}
     assert abs(fitted.parameters["m"] - 110.0) < 3 * fitted.std["m"]
     assert replace(fitted.plant).start_value("v0") == 3.0
+
+
+def test_several_inputs_each_with_its_column():
+    diagram, rng = cosim.Diagram("1/100"), np.random.default_rng(0)
+    arm = diagram.add(cosim.FMU(fmus.path("TwoLinkArm"), parameters={"m2": 1.2}), "arm")
+    for interval, name in ((0.3, "torque1"), (0.2, "torque2")):
+        diagram.connect(diagram.add(cosim.PRBS(1.0, interval), name)["y"], arm[name])
+    run = diagram.simulate(10.0)
+    table = pd.DataFrame({"time": run.time, **{f"t{i}": run[f"torque{i}.y"] for i in (1, 2)}})
+    for name in ("q1", "q2"):
+        table[name] = run[f"arm.{name}"] + 1e-3 * rng.standard_normal(len(table))
+    inputs = {"torque1": "t1", "torque2": "t2"}
+    fitted = cosim.fit(fmus.path("TwoLinkArm"), table, {"m2": (0.5, 2.0)}, inputs=inputs, outputs=["q1", "q2"])
+    assert abs(fitted.parameters["m2"] - 1.2) < 3 * fitted.std["m2"] < 0.1
