@@ -30,7 +30,7 @@ SPREAD = 0.6745
 """Median of the magnitude of a standard normal number."""
 
 FINEST = 1e-9
-"""Least noise, as a share of the typical sample, for recordings without noise."""
+"""Least noise, as a share of the typical sample beside 0, for recordings without noise."""
 
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -55,11 +55,12 @@ def healthy(y: Floats, predicted: Floats, dt: float) -> Floats:
     Returns
     -------
     ndarray, steps x sensors
-        Probabilities; 0 where there is no sample. Those of a sensor with few samples are 1.
+        Probabilities; 0 where there is no sample. Those of a sensor with few samples, or whose samples are
+        all 0, are 1.
     """
     present = np.isfinite(y)
     probability = present.astype(float)
-    judged = np.flatnonzero(present.sum(axis=0) > LAG)
+    judged = np.flatnonzero((present.sum(axis=0) > LAG) & (np.nan_to_num(y) != 0.0).any(axis=0))
     if len(judged):
         probability[:, judged] *= _judged(y[:, judged], predicted, dt)
     return probability
@@ -127,8 +128,6 @@ def _walk_and_noise(samples: Floats, there: Indices, predicted: Floats, resoluti
     error = (samples - predicted)[there]
     near, far = ((np.median(np.abs(error[lag:] - error[:-lag])) / SPREAD) ** 2 for lag in (1, LAG))
     walk = max((far - near) / (LAG - 1), 0.0)
-    least = max(
-        resolution**2 / 12, (FINEST * np.median(np.abs(samples[there]))) ** 2, 1e-90
-    )  # models refuse smaller variances
-    noise = max((near - walk) / 2, least)
+    usual = np.median(np.abs(samples[there][samples[there] != 0.0]))
+    noise = max((near - walk) / 2, resolution**2 / 12, (FINEST * usual) ** 2)
     return max(float(walk) / float(np.median(np.diff(there))), WANDER**2 * noise), float(noise)
