@@ -112,7 +112,7 @@ def closed_loop(
     controller = with_invalid(controller, sensors)
     sensor_node = diagram.add(sensors, "sensors")
     diagram.connect(outputs, sensor_node["u"])
-    samples = _through(diagram, sensor_node["y"], [faults] if isinstance(faults, Fault) else faults)
+    samples = _through(diagram, sensor_node["y"], _chain(faults))
     controller_node = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
     if len(controller_node["y"]) != sensors.count:
         raise ConnectionError(
@@ -204,17 +204,23 @@ def noise_block(name: str) -> str:
 
 def _compared(block: str, chains: Sequence[Fault | Sequence[Fault]]) -> list[str]:
     """Return the variables of a block on which faults have conditions."""
-    faults = [fault for chain in chains for fault in ([chain] if isinstance(chain, Fault) else chain)]
-    signals = [signal for fault in faults if isinstance(fault, Fault) for signal in fault.named_sources.values()]
+    signals = [signal for faults in chains for fault in _chain(faults) for signal in fault.named_sources.values()]
     return [signal.removeprefix(f"{block}.") for signal in signals if signal.startswith(f"{block}.")]
+
+
+def _chain(faults: Fault | Sequence[Fault]) -> Sequence[Fault]:
+    """Return the faults of one signal as a sequence, after a check that they are faults and not too many."""
+    chain = [faults] if isinstance(faults, Fault) else faults
+    wrong = [each for each in chain if not isinstance(each, Fault)] if isinstance(chain, Sequence) else [chain]
+    if wrong:
+        raise ModelError(f"faults must contain only faults, such as Freeze(sensor=0, start=6.0), not {wrong[0]!r}.")
+    check_count(chain)
+    return chain
 
 
 def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], of: str = "") -> PortRef:
     """Connect a signal to a chain of faults, of sensors or of an input; return the output of the last."""
-    check_count(faults)
     for fault in faults:
-        if not isinstance(fault, Fault):
-            raise ModelError(f"faults must contain only faults, such as Freeze(sensor=0, start=6.0), not {fault!r}.")
         modifier = diagram.add(replace(fault, channels=len(signal)), fault_block(fault, of))
         diagram.connect(signal, modifier["u"])
         signal = modifier["y"]
@@ -223,7 +229,7 @@ def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], of: str
 
 def _feed(diagram: Diagram, signal: PortRef, target: PortRef, faults: Fault | Sequence[Fault], name: str) -> None:
     """Connect a signal to an input of the plant, through the faults of that input."""
-    chain = [faults] if isinstance(faults, Fault) else faults
+    chain = _chain(faults)
     for fault in chain:
         kinds = fault.kinds if isinstance(fault, RandomFaults) else (fault,)
         if any(isinstance(kind, Dropout) for kind in kinds):

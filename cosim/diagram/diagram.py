@@ -77,17 +77,17 @@ class Diagram(LoopMethods):
         if not isinstance(name, str) or not name or any(c.isspace() for c in name):
             raise ModelError(f"{name!r} cannot be a block's name: it must not be empty or contain spaces.")
         every = whole_number(every, f"Block {name!r} has every=")
-        inside = block.diagram if isinstance(block, Subsystem) else None
-        node = Node(name, block.boundary if isinstance(block, Subsystem) else block, every)
-        inner = {n.name: Node(f"{name}.{n.name}", n.block, n.every * every) for n in inside.nodes} if inside else {}
+        part = block if isinstance(block, Subsystem) else None
+        node = Node(name, part.boundary if part else block, every)
+        inner = {n.name: Node(f"{name}.{n.name}", n.block, n.every * every) for n in part.diagram.nodes} if part else {}
         for each in (node, *inner.values()):
             if each.name in self._nodes:
                 raise ModelError(
                     f"The diagram already has a block {each.name!r}; give this {type(block).__name__} another name=..."
                 )
         self._nodes |= {each.name: each for each in (node, *inner.values())}
-        if isinstance(block, Subsystem):
-            self._connect_inside(node, block, inner)
+        if part:
+            self._connect_inside(node, part, inner)
         return node
 
     def _connect_inside(self, boundary: Node, block: Subsystem, inner: Mapping[str, Node]) -> None:

@@ -8,7 +8,7 @@ from html import escape
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
-from bayesftc.cosim.diagram.subsystem import Boundary
+from bayesftc.cosim.diagram.subsystem import Boundary, outermost
 from bayesftc.cosim.ports import Port, listed
 
 MOST_BLOCKS = 60
@@ -55,7 +55,7 @@ def drawing(diagram: Diagram) -> str:
     Only connected ports are drawn. The tooltip of a block lists all ports, with sizes and units.
     """
     title = f"Diagram of {len(diagram.nodes)} blocks at {float(diagram.step):g} s"
-    nodes = _outermost(diagram)
+    nodes = outermost(diagram)
     if len(nodes) > MOST_BLOCKS:
         rows = [(node.name, _kind(node), *_listed(node)) for node in nodes]
         return table(title, rows, ("block", "kind", "inputs", "outputs"))
@@ -84,12 +84,6 @@ def drawing(diagram: Diagram) -> str:
     )
 
 
-def _outermost(diagram: Diagram) -> list[Node]:
-    """Return the blocks that are not inside a subsystem."""
-    inside = tuple(f"{node.name}." for node in diagram.nodes if isinstance(node.block, Boundary))
-    return [node for node in diagram.nodes if not node.name.startswith(inside)]
-
-
 def _inputs(node: Node) -> tuple[Port, ...]:
     return node.block.free if isinstance(node.block, Boundary) else node.inputs
 
@@ -105,7 +99,7 @@ def _listed(node: Node) -> tuple[str, str]:
 def _wires(diagram: Diagram) -> list[Wire]:
     """Return the connections, each once even if it has several elements."""
     wires: dict[Wire, None] = {}
-    for node in _outermost(diagram):
+    for node in outermost(diagram):
         for port in _inputs(node):
             for i in range(port.size):
                 if (source := next(diagram.origins_of(node, port, i), None)) is not None:

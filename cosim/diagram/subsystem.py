@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.diagram.nodes import PortRef
+from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, listed
 
@@ -35,7 +35,10 @@ def _show(inside, outputs):
 
 @dataclass(frozen=True)
 class Boundary(Block):
-    """The ports of a subsystem in the diagram that contains it. Other blocks are connected to the blocks inside."""
+    """The ports of a subsystem in the diagram that contains it.
+
+    Its outputs are only for results: other blocks get those of the blocks inside, and the blocks inside what feeds its inputs.
+    """
 
     free: tuple[Port, ...]
     shown: tuple[Port, ...]
@@ -203,6 +206,12 @@ class Subsystem(Block):
         return f"<p>{escape(repr(self))}</p>\n{self.diagram._repr_html_()}"
 
 
+def outermost(diagram: Diagram) -> list[Node]:
+    """Return the blocks that are not inside a subsystem."""
+    inside = tuple(f"{node.name}." for node in diagram.nodes if isinstance(node.block, Boundary))
+    return [node for node in diagram.nodes if not node.name.startswith(inside)]
+
+
 def with_inside(diagram: Diagram, names: Iterable[str]) -> list[str]:
     """Return the names of blocks, and of the blocks inside those that are subsystems, in the order of the diagram."""
     chosen = {diagram[name].name for name in names}
@@ -276,13 +285,12 @@ def _open(diagram: Diagram) -> dict[str, Inner]:
         for origin, _ in diagram.origins_of(node, port, i)
         if not isinstance(node.block, Boundary)
     }
-    inner = {node.name for node in diagram.nodes if isinstance(node.block, Boundary)}
     return _named(
         [
             PortRef(node, port, "output", tuple(range(port.size)))
-            for node in diagram.nodes
+            for node in outermost(diagram)
             for port in node.outputs
-            if (node.name, port.name) not in used and not any(node.name.startswith(f"{name}.") for name in inner)
+            if (node.name, port.name) not in used
         ]
     )
 

@@ -172,6 +172,8 @@ def test_references(reference):
             r"The controller has 1 sensors, but the loop has 2",
         ),
         ({"faults": ["freeze"]}, cosim.ModelError, r"faults must contain only faults, such as Freeze"),
+        ({"faults": 3}, cosim.ModelError, r"faults must contain only faults, .* not 3"),
+        ({"input_faults": {"force": None}}, cosim.ModelError, r"faults must contain only faults, .* not None"),
         ({"faults": [cosim.Freeze(sensor=1, start=1.0)]}, cosim.ModelError, r"refers to sensor 1, but there are 1"),
         ({"reference": [1.0, 2.0]}, cosim.ConnectionError, r"cannot be connected to controller\.goal \(size 1\)"),
         ({"reference": "up"}, cosim.ModelError, r"Only blocks can be added"),
