@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real, reals
+from bayesftc.cosim.base.table_files import read_table_file
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.tables import place
 from bayesftc.cosim.errors import ModelError, RecordingError, brief, did_you_mean
@@ -235,12 +236,7 @@ class Table(Source):
         ModelError
             If no sample is left, or the times do not rise.
         """
-        import pandas as pd
-
-        try:
-            table = pd.read_parquet(file) if Path(file).suffix == ".parquet" else pd.read_csv(file)
-        except Exception as error:  # noqa: BLE001 - of pandas, of a codec, of the system
-            raise RecordingError(f"{file} cannot be read as a table: {error}.") from None
+        table = read_table_file(file)
         for name in (time, column):
             if name not in table:
                 raise RecordingError(f"{file} has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")

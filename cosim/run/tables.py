@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.table_files import read_table_file
 from bayesftc.cosim.base.timebase import rational_step
-from bayesftc.cosim.errors import ModelError, RecordingError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.run.result import Result
 from bayesftc.cosim.types import Floats
 
@@ -47,13 +47,7 @@ def read_table(data: Any, user: str) -> pd.DataFrame:
         raise ModelError(
             f"{user} has data of the type {type(data).__name__}; give a Result, a table of pandas or the path of a CSV file."
         )
-    try:
-        return pd.read_parquet(data) if Path(data).suffix == ".parquet" else pd.read_csv(data)
-    except (OSError, ValueError) as error:
-        message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
-        raise RecordingError(
-            f"The recording {data} cannot be read: {message}; give a CSV file with a header, or a Parquet file."
-        ) from None
+    return read_table_file(data)
 
 
 def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: str) -> list[str]:

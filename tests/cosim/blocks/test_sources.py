@@ -138,5 +138,5 @@ def test_a_table_is_read_from_a_file_and_searched(tmp_path, run_both):
         cosim.Table.read(tmp_path / "drive.csv", "w")
     with pytest.raises(RecordingError, match="has text in 'time' or 'text'"):
         cosim.Table.read(tmp_path / "drive.csv", "text")
-    with pytest.raises(RecordingError, match=r"gone\.csv cannot be read as a table"):
+    with pytest.raises(RecordingError, match=r"gone\.csv cannot be read: No such file"):
         cosim.Table.read(tmp_path / "gone.csv", "v")
