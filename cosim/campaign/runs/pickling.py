@@ -7,7 +7,7 @@ import pickle
 import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from types import FunctionType, ModuleType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 from bayesftc.cosim.errors import ModelError, brief
@@ -62,6 +62,8 @@ def _pickler(file: io.BytesIO, substitute: Substitute) -> pickle.Pickler:
                 return other
             if isinstance(value, ModuleType) and sys.modules.get(value.__name__) is value:
                 return import_module, (value.__name__,)  # modules of any kind; cloudpickle supports only plain ones
+            if cloudpickle and isinstance(value, CodeType):
+                return _with_file(value, *self.dispatch_table[CodeType](value))
             if cloudpickle:
                 return super().reducer_override(value)
             _check_importable(value)
@@ -69,6 +71,11 @@ def _pickler(file: io.BytesIO, substitute: Substitute) -> pickle.Pickler:
 
     pickler: pickle.Pickler = Pickler(file, protocol=pickle.HIGHEST_PROTOCOL)
     return pickler
+
+
+def _with_file(code: CodeType, make: Any, arguments: tuple[Any, ...]) -> tuple[Any, tuple[Any, ...]]:
+    """Keep the file's name, which cloudpickle 3.1.3 drops: the reason of a failed run names the line."""
+    return make, tuple(code.co_filename if item == "<dynamic-code>" else item for item in arguments)
 
 
 def _cloudpickle() -> ModuleType | None:
