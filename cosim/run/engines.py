@@ -148,19 +148,20 @@ class CompiledEngine:
             gathers += call.gathers
         self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), _loop.COLUMNS)
         self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
-        self._streams, self._drawn, self._buffer = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
+        program = self._calls, len(schedule.evaluate), self._gathers
+        noise = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
+        clock = schedule.step.numerator, schedule.step.denominator
+        self._common = program, noise, (run.recorded, run.decimation), clock, run.memory
         self._failed = np.array([-1, 0], dtype=np.int64)
         self._entry = compiled_loop("run")
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
-        run, step = self._run, self._run.schedule.step
+        run = self._run
         failed = np.array([-1, 0], dtype=np.int64)
         last = self._entry(
-            self._calls, len(run.schedule.evaluate), self._gathers, np.uint64(run.seed), self._streams, self._drawn,
-            self._buffer, run.memory, run.recorded, run.recording, run.decimation, run.before, int(first), begin, end,
-            step.numerator, step.denominator, failed,
-        )  # fmt: skip
+            *self._common, run.recording, np.uint64(run.seed), run.before, int(first), begin, end, failed
+        )
         if failed[0] < 0:
             return int(last), None
         return int(last), self._failure(failed, int(last) + (failed[0] < len(run.schedule.evaluate)))
@@ -202,18 +203,14 @@ class CompiledEngine:
         failure : Failure or None
             The failure of the next run. Its `node` is -1 if an FMU could not be restored.
         """
-        run, step = self._run, self._run.schedule.step
+        beginning = initial, states, int(fresh)
         failed = np.array([-1, 0], dtype=np.int64)
-        done = compiled_loop("run_many")(
-            self._calls, len(run.schedule.evaluate), self._gathers, seeds, self._streams, self._drawn, self._buffer, run.memory,
-            initial, states, int(fresh), run.recorded, recordings, run.decimation, end, step.numerator, step.denominator,
-            reached, failed,
-        )  # fmt: skip
+        done = compiled_loop("run_many")(*self._common, recordings, seeds, beginning, end, reached, failed)
         if failed[0] == -1:
             return int(done), None
         if failed[0] < 0:
             return int(done), Failure(-1, -1, int(failed[1]))
-        return int(done), self._failure(failed, int(reached[done]) + (failed[0] < len(run.schedule.evaluate)))
+        return int(done), self._failure(failed, int(reached[done]) + (failed[0] < len(self._run.schedule.evaluate)))
 
     def evaluate(self, k: int) -> Failure | None:
         """See `Engine.evaluate`."""

@@ -11,12 +11,19 @@ from bayesftc.cosim.stepping.numba_called import callee, inlined
 FUNCTION, EVERY, STATE, PARAMETERS, INPUTS, OUTPUTS, GATHER_FROM, GATHER_TO, CHECK_FROM, CHECK_TO = range(10)
 COLUMNS = 10
 
+# Tuples of arguments: the tables of the schedule, the random numbers, what is recorded, the duration of a step in seconds.
+PROGRAM = "Tuple((int64[:, ::1], int64, int64[:, ::1]))"  # calls, number of those that evaluate, gathers
+NOISE = "Tuple((uint64[:, ::1], int64[::1], float64[:, ::1]))"  # streams, places in memory, buffer
+RECORDER = "Tuple((int64[::1], int64))"  # places in memory, decimation
+CLOCK = "UniTuple(int64, 2)"  # numerator, denominator
+BEGINNING = (
+    "Tuple((float64[::1], int64[:, ::1], int64))"  # memory, saved states of FMUs, whether these are there already
+)
+
+_COMMON = f"{PROGRAM}, {NOISE}, {RECORDER}, {CLOCK}, float64[::1]"
 SIGNATURES = {
-    "run": "int64(int64[:, ::1], int64, int64[:, ::1], uint64, uint64[:, ::1], int64[::1], float64[:, ::1], float64[::1], "
-    "int64[::1], float64[:, ::1], int64, int64, int64, int64, int64, int64, int64, int64[::1])",
-    "run_many": "int64(int64[:, ::1], int64, int64[:, ::1], uint64[::1], uint64[:, ::1], int64[::1], float64[:, ::1], "
-    "float64[::1], float64[::1], int64[:, ::1], int64, int64[::1], float64[:, :, ::1], int64, int64, int64, int64, int64[::1], "
-    "int64[::1])",
+    "run": f"int64({_COMMON}, float64[:, ::1], uint64, int64, int64, int64, int64, int64[::1])",
+    "run_many": f"int64({_COMMON}, float64[:, :, ::1], uint64[::1], {BEGINNING}, int64, int64[::1], int64[::1])",
     "phase": "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])",
 }
 
@@ -57,15 +64,16 @@ def phase(calls, begin, end, gathers, memory, t, k, failed):
 
 
 @callee
-def run(
-    calls, evaluations, gathers, seed, streams, drawn, buffer, memory, recorded, recording, decimation,
-    before, first, begin, end, numerator, denominator, failed,
-):  # fmt: skip
+def run(program, noise, recorder, clock, memory, recording, seed, before, first, begin, end, failed):
     """Run the loop from t_begin to t_end; return the last step whose outputs are complete (``begin - 1`` for none).
 
     Evaluates step `begin` only if `first` is not 0. The first row of `recording` is number `before` of the whole run. On failure
     ``failed`` holds the call and its status.
     """
+    calls, evaluations, gathers = program
+    streams, drawn, buffer = noise
+    recorded, decimation = recorder
+    numerator, denominator = clock
     base = memory.ctypes.data
     chunk = -1
     k = begin
@@ -94,16 +102,14 @@ def run(
 
 
 @callee
-def run_many(
-    calls, evaluations, gathers, seeds, streams, drawn, buffer, memory, initial, states, fresh, recorded, recordings, decimation,
-    end, numerator, denominator, reached, failed,
-):  # fmt: skip
-    """Make a run to t_end for each seed, from `initial` memory and the saved `states` of the FMUs; return how many are done.
+def run_many(program, noise, recorder, clock, memory, recordings, seeds, beginning, end, reached, failed):
+    """Make a run to t_end for each seed, each from the same `beginning`; return how many are done.
 
-    Each row of `states` has the function that restores an FMU, the instance, and the state. If `fresh` is not 0, the first run
-    starts without restoring. ``reached`` gets the last complete step of each run. The function stops at the first run that
-    fails, with ``failed`` as in `run`. If an FMU cannot be restored, ``failed`` is -2 minus its row, and the status.
+    Each row of its states has the function that restores an FMU, the instance, and the state. If its last number is not 0, the
+    first run starts without restoring. ``reached`` gets the last complete step of each run. The function stops at the first run
+    that fails, with ``failed`` as in `run`. If an FMU cannot be restored, ``failed`` is -2 minus its row, and the status.
     """
+    initial, states, fresh = beginning
     for i in range(seeds.size):
         if i > 0 or fresh == 0:
             for j in range(memory.size):
@@ -114,10 +120,7 @@ def run_many(
                     failed[0], failed[1] = -2 - j, status
                     reached[i] = -1
                     return i
-        reached[i] = run(
-            calls, evaluations, gathers, seeds[i], streams, drawn, buffer, memory, recorded, recordings[i], decimation,
-            0, 1, 0, end, numerator, denominator, failed,
-        )  # fmt: skip
+        reached[i] = run(program, noise, recorder, clock, memory, recordings[i], seeds[i], 0, 1, 0, end, failed)
         if failed[0] >= 0:
             return i
     return seeds.size
