@@ -70,6 +70,17 @@ def test_folders_stay_small():
     assert not {f: n for f, n in files.items() if n > floors.MOST_FILES}
 
 
+def test_functions_take_few_arguments():
+    functions = [
+        (f"{module}.{node.name}", len(node.args.posonlyargs) + len(node.args.args))
+        for module, tree in MODULES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
+    ]
+    assert len(functions) > 3000
+    assert not {f"{name}: {count}" for name, count in functions if count > floors.MOST_ARGUMENTS}
+
+
 def test_no_module_needs_itself_to_be_imported():
     needs = {}
     behind = floors.public(MODULES)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,20 +11,28 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers.models.checks import Matrix, as_number, as_vector
+from bayesftc.controllers.models.checks import Matrix, as_number
 from bayesftc.controllers.models.differences import derivative
+from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.integrators import without_integrators
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
+from bayesftc.controllers.models.names import (
+    Names,
+    check_by_name,
+    chosen,
+    names_of,
+    operating,
+    places_of,
+    sensors_of,
+    spread,
+)
 from bayesftc.controllers.models.pulse_responses import realise
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held
 from bayesftc.cosim.blocks.state_space import StateSpace
-from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, StepSizeError
 from bayesftc.cosim.fmi.fmu import FMU
-from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
-
-Names = str | Sequence[str]
 
 INPUT_NOISE = 0.05
 """Default process noise: this share of each actuated input's scale, in every sample."""
@@ -87,11 +94,11 @@ class Linearization:
 
     def rows(self, names: Sequence[str]) -> list[int]:
         """Return the indices of outputs; a vector's name stands for all its elements."""
-        return _places(names, self.outputs, "output")
+        return places_of(names, self.outputs, "output")
 
     def columns(self, names: Sequence[str]) -> list[int]:
         """Return the indices of inputs; a vector's name stands for all its elements."""
-        return _places(names, self.inputs, "input")
+        return places_of(names, self.inputs, "input")
 
     def model(
         self,
@@ -105,17 +112,7 @@ class Linearization:
     ) -> LinearModel:
         """Return the model for a controller, in the plant's values; see `LinearModel.from_fmu`."""
         rows, columns = self.rows(measured), self.columns(actuated)
-        count = len(rows) if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
-        if count % len(rows):
-            raise ModelError(
-                f"{count} sensors are not a multiple of {len(rows)} measured outputs. Sensor i measures output i modulo the "
-                "number of outputs; give a multiple."
-            )
-        order = [rows[i % len(rows)] for i in range(count)]
-        std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
-        if (std < 0).any():
-            raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
-        variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
+        order, variances = sensors_of(rows, sensors, sensor_std)
         names = SignalNames(
             tuple(self.inputs[j] for j in columns),
             tuple(self.outputs[i] for i in order),
@@ -131,14 +128,25 @@ class Linearization:
         return model.about(self.x, self.u[columns], self.y[order], following=self.following)
 
     def _noise(self, actuated: Sequence[int], noise: Mapping[str, float | Sequence[float]] | None) -> Floats:
-        std = {j: INPUT_NOISE * max(1.0, abs(self.u[j])) for j in actuated}
-        if noise is not None:
-            std = _spread("The noise", noise, self.inputs)
-        Q = np.zeros_like(self.A)
-        for j, size in std.items():
-            effect = self.B[:, j] * as_number(f"The noise has {self.inputs[j]}", size, least=0)
-            Q += np.outer(effect, effect)
-        return Q
+        return covariance_by_inputs(self.B, self.u, self.inputs, actuated, noise)
+
+
+def covariance_by_inputs(
+    B: Floats,
+    u: Floats,
+    inputs: Sequence[str],
+    actuated: Sequence[int],
+    noise: Mapping[str, float | Sequence[float]] | None,
+) -> Floats:
+    """Return the process covariance of noise at inputs with the effect B; by default at the actuated ones."""
+    std = {j: INPUT_NOISE * max(1.0, abs(u[j])) for j in actuated}
+    if noise is not None:
+        std = spread("The noise", noise, inputs)
+    Q = np.zeros((len(B), len(B)))
+    for j, size in std.items():
+        effect = B[:, j] * as_number(f"The noise has {inputs[j]}", size, least=0)
+        Q += np.outer(effect, effect)
+    return Q
 
 
 def linearize(
@@ -153,9 +161,7 @@ def linearize(
     order: int | None = None,
 ) -> Linearization:
     """Linearise a plant about a steady state; `others` are outputs of the model besides the measured ones."""
-    for name, given in (("noise", noise), ("at", at)):
-        if not isinstance(given, Mapping | None):
-            raise ModelError(f"{name} is {given!r}; give a number for each input by name, as {name}={{'load': 0.02}}.")
+    check_by_name(noise=noise, at=at)
     inputs = list(dict.fromkeys([*names_of(actuated, "actuated"), *(noise or {})]))
     outputs = list(dict.fromkeys([*names_of(measured, "measured"), *([others] if isinstance(others, str) else others)]))
     if isinstance(plant, str | PathLike):
@@ -187,61 +193,6 @@ def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
             )
 
 
-def names_of(given: Names, kind: str) -> list[str]:
-    """Return names as a list.
-
-    Raises
-    ------
-    ModelError
-        If there is no name, or one occurs twice.
-    """
-    names = [given] if isinstance(given, str) else list(given)
-    if not names or len(set(names)) < len(names) or not all(isinstance(name, str) for name in names):
-        raise ModelError(f"{kind}={given!r}; give the name of at least one variable of the plant, each once.")
-    return names
-
-
-def elements_of(name: str, available: Sequence[str]) -> list[str]:
-    """Return the elements of a name: itself, or those of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
-    return [name] if name in available else [element for element in available if element.startswith(f"{name}[")]
-
-
-def _places(names: Sequence[str], available: Sequence[str], kind: str) -> list[int]:
-    places: list[int] = []
-    for name in names:
-        indices = [list(available).index(element) for element in elements_of(name, available)]
-        if not indices:
-            raise UnknownNameError(f"The plant has no {kind} {name!r}; {did_you_mean(name, available)}")
-        if set(indices) & set(places):
-            raise ModelError(f"{kind}s {', '.join(names)}: {name!r} repeats an element; name each once.")
-        places += indices
-    return places
-
-
-def _spread(title: str, given: Mapping[str, Any], available: Sequence[str]) -> dict[int, float]:
-    """Return values given by name by index; a vector has one number, or one for each element."""
-    values_by_index: dict[int, float] = {}
-    for name, value in given.items():
-        places = _places([name], available, "input")
-        values = as_vector(f"{title} of {name}", value, len(places)) if len(places) > 1 else [value]
-        values_by_index.update(zip(places, values, strict=True))  # type: ignore[arg-type]
-    return values_by_index
-
-
-def _operating(inputs: Sequence[str], start: Floats, at: Mapping[str, float | Sequence[float]]) -> Floats:
-    """Return the inputs at the operating point: the given values, else the start values."""
-    u = np.array(start, dtype=np.float64)
-    for place, value in _spread("The operating point", at, inputs).items():
-        u[place] = as_number(f"The operating point has {inputs[place]}", value)
-    return u
-
-
-def _chosen(names: Sequence[str], available: Sequence[str], kind: str) -> tuple[list[int], tuple[str, ...]]:
-    """Return indices and names of the elements of names, each once even if several names contain it."""
-    places = list(dict.fromkeys(place for name in names for place in _places([name], available, kind)))
-    return places, tuple(available[place] for place in places)
-
-
 # --- systems of python-control ---------------------------------------------------------------------------------------
 
 
@@ -256,8 +207,8 @@ def _of_linear(
     if at:
         raise ModelError("A linear system does not depend on the operating point; leave at= out.")
     a, b, c, d = system.matrices()
-    columns, into = _chosen(inputs, system.input_names, "input")
-    rows, out = _chosen(outputs, system.output_names, "output")
+    columns, into = chosen(inputs, system.input_names, "input")
+    rows, out = chosen(outputs, system.output_names, "output")
     step = _step(system.dt, dt)
     if system.dt == 0:
         a, b = held(a, b, float(step))
@@ -275,9 +226,9 @@ def _of_nonlinear(
 ) -> Linearization:
     system = block.system
     known_inputs = [port.name for port in block.inputs if port.draw is None]
-    u = _operating(known_inputs, np.zeros(len(known_inputs)), at)
-    columns, into = _chosen(inputs, known_inputs, "input")
-    rows, out = _chosen(outputs, [port.name for port in block.outputs], "output")
+    u = operating(known_inputs, np.zeros(len(known_inputs)), at)
+    columns, into = chosen(inputs, known_inputs, "input")
+    rows, out = chosen(outputs, [port.name for port in block.outputs], "output")
     x = np.array(block.initial, dtype=np.float64)
     n, params = len(x), {} if block.params is None else dict(block.params)
 
@@ -327,17 +278,7 @@ def _of_fmu(
     at: Mapping[str, float | Sequence[float]],
     order: int | None,
 ) -> Linearization:
-    _refuse_without_ports(fmu, outputs)
-    step = _fmu_step(fmu, dt)
-    fmu = replace(fmu, inputs=_variables(fmu, [*inputs, *at]), outputs=_variables(fmu, outputs))
-    into, out = (
-        [name for port in side or () for name in labels(port.name, port.shape)]  # type: ignore[union-attr]
-        for side in (fmu.inputs, fmu.outputs)
-    )
-    start = [np.broadcast_to(port.default or 0.0, port.shape).ravel() for port in fmu.inputs or ()]  # type: ignore[union-attr, arg-type]
-    u = _operating(into, np.concatenate(start), at)
-    columns, driven = _chosen(inputs, into, "input")
-    rows, measured = _chosen(outputs, out, "output")
+    fmu, step, u, (columns, driven), (rows, measured), into = fmu_ports(fmu, inputs, outputs, dt, at)
     if fmu.description.exchange is not None and order is None:
         return _of_equations(fmu, u, columns, rows, driven, measured, step, _free(columns, into, at))
     realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
@@ -350,28 +291,6 @@ def _of_fmu(
         )
     point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
     return Linearization(realisation.A, realisation.B, realisation.C, *point, driven, measured, step)
-
-
-def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:
-    """Refuse an FMU without inputs or without outputs."""
-    variables = fmu.description.variables
-    if not any(v.causality == "input" or v.variability == "tunable" for v in variables):
-        raise ModelError(
-            f"The FMU {fmu.default_name!r} has no input that could control it. Export it with an input. Without control, a "
-            "StateEstimator can monitor its sensors, and `bayesftc monitor` their recording."
-        )
-    local = {v.name for v in variables if v.causality == "local"}
-    if not any(v.causality == "output" for v in variables) and not local.intersection(_variables(fmu, measured)):
-        raise ModelError(
-            f"The FMU {fmu.default_name!r} has no output that a sensor could measure. Export it with an output, or measure "
-            f"one of its local variables by name{': ' + ', '.join(sorted(local)[:8]) if local else ' (it has none either)'}."
-        )
-
-
-def _variables(fmu: FMU, names: Sequence[str]) -> list[str]:
-    """Return the FMU's variables for names of variables or of elements (``y[1]``), each once."""
-    variables = {variable.name for variable in fmu.description.variables}
-    return list(dict.fromkeys(name if name in variables else re.sub(r"\[[\d,]+\]$", "", name) for name in names))
 
 
 def _of_equations(
@@ -401,18 +320,9 @@ def _of_equations(
     return Linearization(A, B[:, columns], c[rows], x, u[columns], y[rows], start, inputs, outputs, step, following)
 
 
-def _fmu_step(fmu: FMU, dt: float | str | Fraction | None) -> Fraction:
-    if dt is None:
-        default_step = fmu.description.default_experiment.get("stepSize")
-        if default_step is None:
-            raise StepSizeError("The FMU has no default step size; give the controller's sample time dt= in seconds.")
-        dt = default_step
-    return rational_step(dt)
-
-
 def _free(columns: Sequence[int], inputs: Sequence[str], at: Mapping[str, Any]) -> list[int]:
     """Return the actuated inputs that may change for a steady state: those without a given value."""
-    given = _spread("The operating point", at, inputs)
+    given = spread("The operating point", at, inputs)
     return [j for j in columns if j not in given]
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number, as_vector
-from bayesftc.controllers.models.linear import LinearModel, sizes_of
+from bayesftc.controllers.models.linear import LinearModel, SignalNames, sizes_of
 from bayesftc.controllers.models.trial import try_out
 from bayesftc.cosim.base.html import settings
 from bayesftc.cosim.base.timebase import rational_step
@@ -46,6 +48,10 @@ class NonlinearModel:
         ``g_jacobian(x, C)``: writes the derivatives of the readings by the state (m x n). By default derived from `g`.
     disturbances : int
         Number of states, the last ones, that are disturbances, not states of the plant. They have no goals.
+    names : SignalNames, optional
+        Names of controls, sensors and states.
+    start : sequence of float, optional
+        The state in which the plant starts, for `initial_mean` of a controller.
 
     Raises
     ------
@@ -81,6 +87,8 @@ class NonlinearModel:
     f_jacobian: Kernel | None = None
     g_jacobian: Kernel | None = None
     disturbances: int = 0
+    names: SignalNames | None = None
+    start: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("states", "controls", "sensors"):
@@ -89,13 +97,15 @@ class NonlinearModel:
                 raise ModelError(f"The model has {name}={number!r}; it must be a whole number, at least 1.")
         n, p, m = self.states, self.controls, self.sensors
         as_number("The model has disturbances", self.disturbances, least=0, most=n - 1, whole=True)
-        values = {
+        values: dict[str, Any] = {
             "process_covariance": as_covariance(
                 "The model's process_covariance", self.process_covariance, n, singular=True
             ),
             "sensor_covariance": as_covariance("The model's sensor_covariance", self.sensor_covariance, m),
             "dt": rational_step(self.dt, "The model's sample time"),
         }
+        if self.start is not None:
+            values["start"] = tuple(as_vector("The model's start", self.start, n).tolist())
         for name, value in values.items():
             object.__setattr__(self, name, value)
         try_out("The model's f", self.f, "f(x, u, x_next)", [n, p], [(n,)])
@@ -111,6 +121,14 @@ class NonlinearModel:
         """The Jacobians of f and of g as step functions, ``(x, u, F, B)`` and ``(x, C)``: the given ones, else derived."""
         of_f = self.f_jacobian or _derived("f", self.f, (self.states, self.controls), self.states)
         return of_f, self.g_jacobian or _derived("g", self.g, (self.states,), self.sensors)
+
+    #: Past signals are states like others, which f moves on; see `LinearModel.with_delays`.
+    delays: ClassVar[None] = None
+
+    @property
+    def plant_states(self) -> int:
+        """Number of the plant's own states, without disturbances; they are the first ones."""
+        return self.states - self.disturbances
 
     @property
     def sizes(self) -> str:
@@ -168,8 +186,110 @@ class NonlinearModel:
                     "an initial_mean at which it is."
                 )
         return LinearModel(
-            A, B, C, self.process_covariance, self.sensor_covariance, self.dt, disturbances=self.disturbances
+            A,
+            B,
+            C,
+            self.process_covariance,
+            self.sensor_covariance,
+            self.dt,
+            disturbances=self.disturbances,
+            names=self.names,
         )
+
+    @classmethod
+    def from_fmu(
+        cls,
+        fmu: Any,
+        *,
+        measured: str | Sequence[str],
+        actuated: str | Sequence[str],
+        states: Mapping[str, str] | Sequence[str] | None = None,
+        dt: float | str | Fraction | None = None,
+        at: Mapping[str, float | Sequence[float]] | None = None,
+        substeps: int | None = None,
+        noise: Mapping[str, float | Sequence[float]] | None = None,
+        process_covariance: Matrix | None = None,
+        sensors: int | None = None,
+        sensor_std: float | Sequence[float] = 0.01,
+        disturbance: Matrix | None = None,
+    ) -> NonlinearModel:
+        """Return the model of an FMU: its own equations, for any state.
+
+        The model uses instances of the FMU of its own, beside the plant's. They stay loaded until the process ends. The states
+        are those of the FMU, and `names` has their order. Where the FMU reports an error, the model is not finite. The FMU's
+        time is always 0: a plant that depends on time is refused.
+
+        *Model exchange* (also where the file supports both): the classical Runge-Kutta method with a fixed number of substeps
+        integrates the FMU's derivatives. Jacobians are the exact ones of that method where the FMU has directional derivatives,
+        else central differences. FMUs with events or discrete states are refused.
+
+        *Co-simulation*: the FMU is initialized at the state and makes one step, and Jacobians are central differences. This
+        needs an FMU that saves its state (canGetAndSetFMUstate) and whose states can be set before initialization.
+
+        The construction compares the model with ten steps of the FMU, and refuses an FMU with further states.
+
+        Parameters
+        ----------
+        fmu : FMU or path
+            The plant. Its parameters are those of the model.
+        measured, actuated : str or sequence of str
+            Names of the outputs that sensors measure, and of the inputs that the controller drives.
+        states : mapping of str to str, or sequence of str, optional
+            For co-simulation only: the variables that are the states, and for each the variable that sets it before
+            initialization, as ``{"angle": "angle_0"}``. In a sequence each sets itself. The default is all outputs and local
+            variables ``v`` with a parameter ``v_0``, or else those that can be set themselves.
+        dt : float, str or Fraction, optional
+            Sample time in seconds; by default the step size that the FMU recommends.
+        at : mapping of input to number or vector, optional
+            Values of inputs that are not actuated; by default their start values.
+        substeps : int, optional
+            For model exchange: Runge-Kutta steps in a sample. By default as many as make the error less than 1e-8 of the states'
+            nominal values, about the start.
+        noise : mapping of input to number or vector, optional
+            Inputs at which process noise acts, and its standard deviation, as in `LinearModel.from_fmu`. Their effect is that at
+            the start.
+        process_covariance : number, vector or matrix, optional
+            Covariance of the process noise, in place of `noise`.
+        sensors, sensor_std
+            See `LinearModel.from_fmu`.
+        disturbance : number, vector or matrix, optional
+            Covariance per sample of an unknown load on each control, a random walk that is estimated.
+
+        Raises
+        ------
+        ModelError
+            If the FMU has events, discrete states, no states or states that cannot be set, an output depends directly on an
+            input, or the FMU's own steps differ from the model's.
+        FMUError
+            If the FMU fails.
+        UnknownNameError
+            If the FMU has no variable of a name.
+
+        Examples
+        --------
+        >>> from bayesftc import fmus
+        >>> model = NonlinearModel.from_fmu(fmus.path("TwoLinkArm"), measured=["q1", "q2"], actuated=["torque1", "torque2"])
+        >>> model.names.states
+        ('q1', 'q2', 'dq1', 'dq2')
+        >>> model.linearised(model.start).A.shape
+        (4, 4)
+        """
+        from bayesftc.controllers.models.fmu.model import model_of_fmu
+
+        if noise is not None and process_covariance is not None:
+            raise ModelError("Both noise and process_covariance are given; leave one of them out.")
+        arguments = model_of_fmu(
+            fmu, measured=measured, actuated=actuated, states=states, dt=dt, at=at, substeps=substeps, noise=noise,
+            disturbance=disturbance, sensors=sensors, sensor_std=sensor_std,
+        )  # fmt: skip
+        if process_covariance is not None:
+            n, q = arguments["states"], arguments["disturbances"]
+            whole = np.array(arguments["process_covariance"])
+            whole[: n - q, : n - q] = as_covariance(
+                "The model's process_covariance", process_covariance, n - q, singular=True
+            )
+            arguments["process_covariance"] = whole
+        return cls(**arguments)
 
     @classmethod
     def from_linear(cls, model: LinearModel) -> NonlinearModel:
@@ -180,6 +300,10 @@ class NonlinearModel:
         model : LinearModel
             The model.
         """
+        if model.delays is not None:
+            raise ModelError(
+                "The model has delays, which a nonlinear model does not know. Write the past signals into f and g as states."
+            )
         if model.constant:
             raise ModelError(
                 "The model has the constant 1 as a state (LinearModel.about), which a nonlinear model does not need. Write the "

@@ -105,6 +105,11 @@ class ModelEquations:
     def _read_nominals(self) -> None:
         self.nominals = self._model.nominals()
 
+    @property
+    def next_event(self) -> float:
+        """The time of the FMU's next time event in seconds; infinity if there is none."""
+        return self._model.next_event
+
     def derivatives(self, x: ArrayLike, u: ArrayLike, t: float = 0.0) -> Floats:
         """Return dx/dt.
 

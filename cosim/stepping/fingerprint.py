@@ -19,6 +19,7 @@ from typing import Any
 
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import KernelError
+from bayesftc.cosim.stepping.foreign import Foreign
 from bayesftc.cosim.stepping.instead import instead_of, line_of
 from bayesftc.cosim.stepping.records import as_written, is_record_class
 
@@ -118,6 +119,12 @@ def _globals_read(code: CodeType) -> tuple[str, ...]:
     return tuple(dict.fromkeys(str(i.argval) for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"))
 
 
+def foreign_functions(function: FunctionType) -> list[Foreign]:
+    """Return the functions of other compiled code that `function` and the step functions that it calls may call."""
+    values = [value for called in functions_called(function) for _, value in references(called)]
+    return list(dict.fromkeys(value for value in values if isinstance(value, Foreign)))
+
+
 def depends_on(function: FunctionType) -> list[Any]:
     """Return all objects on which a step function's code depends.
 
@@ -145,7 +152,7 @@ def _filled(cell: CellType) -> bool:
 def _allowed(value: Any) -> bool:
     if isinstance(value, tuple):
         return all(_allowed(item) for item in value)
-    if is_record_class(value):
+    if is_record_class(value) or isinstance(value, Foreign):
         return True
     return value is ops or isinstance(value, Number) or (callable(value) and value in _OPERATIONS | _BUILTINS)
 
@@ -271,6 +278,8 @@ def _text(value: Any, number: dict[FunctionType, str]) -> str:
         return "ops"  # no other module passes the check
     if is_record_class(value):
         return f"record {value.__name__}({','.join(value._fields)})"
+    if isinstance(value, Foreign):
+        return value.symbol
     if callable(value):  # the index distinguishes functions of the same name
         return number.get(value) or f"{value.__module__}.{value.__name__}"
     return f"{type(value).__name__} {value!r}"

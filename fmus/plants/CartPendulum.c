@@ -32,8 +32,8 @@ void model_initialize(double *x)
 {
     x[X_position] = x[X_position_0];
     x[X_angle] = x[X_angle_0];
-    x[X_velocity] = 0.0;
-    x[X_rate] = 0.0;
+    x[X_velocity] = x[X_velocity_0];
+    x[X_rate] = x[X_rate_0];
 }
 
 int model_step(double *x, double h)

@@ -12,11 +12,15 @@ from bayesftc.cosim.fmi.exchange.words import (
     ENTER,
     GET_DERIVATIVES,
     GET_INDICATORS,
+    IN_GROUP_COUNT,
+    IN_GROUPS,
     INDICATORS,
     MAJOR,
     NAN_DERIVATIVE,
     NAN_INDICATOR,
     NO_RETURN,
+    OUT_GROUP_COUNT,
+    OUT_GROUPS,
     REASON,
     ROLE,
     SET_STATES,
@@ -24,9 +28,11 @@ from bayesftc.cosim.fmi.exchange.words import (
     STATES,
     STATUS,
     TERMINATE,
+    UNFIT,
     WHEN,
 )
 from bayesftc.cosim.fmi.running.kernels import number, put_number, put_word, word
+from bayesftc.cosim.fmi.running.typed_kernels import GROUP_WORDS, put, take
 from bayesftc.cosim.stepping.numba_called import callee, inlined
 
 
@@ -109,3 +115,25 @@ def step_is_completed(table, t):
         put_word(table, REASON, ENDS_AFTER_STEP)
         return -1
     return 1 if word(table, ENTER) != 0 else 0
+
+
+@callee
+def set_values(table, values):
+    """Set the inputs in the present mode; return a code of `bayesftc.cosim.fmi.running.typed_kernels.put`."""
+    note, first = table + 8 * UNFIT, word(table, IN_GROUPS)
+    for i in range(word(table, IN_GROUP_COUNT)):
+        code = put(word(table, MAJOR), word(table, COMPONENT), note, values, first + 8 * GROUP_WORDS * i)
+        if code != 0:
+            return code
+    return 0
+
+
+@callee
+def get_values(table, values):
+    """Read the outputs; return a code of `bayesftc.cosim.fmi.running.typed_kernels.take`."""
+    note, first = table + 8 * UNFIT, word(table, OUT_GROUPS)
+    for i in range(word(table, OUT_GROUP_COUNT)):
+        code = take(word(table, MAJOR), word(table, COMPONENT), note, values, first + 8 * GROUP_WORDS * i)
+        if code != 0:
+            return code
+    return 0

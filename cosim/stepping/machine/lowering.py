@@ -2,6 +2,7 @@
 
 This C is the single definition of a compiled step function: it is exported, and here it becomes machine code. Its types are
 double, int64_t, int (only for truth values), pointers to double, structs of numbers that functions return, and constant tables.
+A function that is declared but not defined is one of other compiled code (`bayesftc.cosim.stepping.foreign`).
 Each variable is placed in memory here; LLVM puts them into registers.
 """
 
@@ -60,6 +61,7 @@ class Unit:
     records: dict[str, str] = field(default_factory=dict)
     tables: dict[str, str] = field(default_factory=dict)  # element type by name
     functions: dict[str, Signature] = field(default_factory=dict)
+    outside: set[str] = field(default_factory=set)  # functions of other compiled code
 
     def type_of(self, node: c_ast.Node) -> str:
         """Return the type of a declaration."""
@@ -83,6 +85,8 @@ def lowered(c: str, apart: Iterable[str] = ()) -> str:
     for node in CParser().parse(_plain(c)).ext:
         if isinstance(node, c_ast.Typedef):
             parts += _record(unit, node)
+        elif isinstance(node, c_ast.Decl) and isinstance(node.type, c_ast.FuncDecl):
+            parts.append(_outside(unit, node))
         elif isinstance(node, c_ast.Decl):
             parts.append(_table(unit, node))
         else:
@@ -109,6 +113,13 @@ def _table(unit: Unit, node: c_ast.Decl) -> str:
     values = ", ".join(f"{kind} {_number(kind, _literal(value))}" for value in node.init.exprs)
     unit.tables[node.name] = kind
     return f"@t.{node.name} = internal constant [{len(node.init.exprs)} x {kind}] [{values}]"
+
+
+def _outside(unit: Unit, node: c_ast.Decl) -> str:
+    arguments = [unit.type_of(argument.type) for argument in node.type.args.params]
+    unit.functions[node.name] = Signature("void", arguments)
+    unit.outside.add(node.name)
+    return f"declare void @{node.name}({', '.join(arguments)})"
 
 
 def _literal(node: c_ast.Node) -> int | float:
@@ -424,7 +435,7 @@ class _Function:
             return self.result(DOUBLE, f"call double @{_LIBRARY[name]}(double {self.turned(values[0], DOUBLE)})")
         signature = self.unit.functions[name]
         given = ", ".join(f"{k} {self.turned(v, k)}" for k, v in zip(signature.arguments, values, strict=True))
-        line = f"call {signature.returns} @f.{name}({given})"
+        line = f"call {signature.returns} @{'' if name in self.unit.outside else 'f.'}{name}({given})"
         if signature.returns == "void":
             self.emit(line)
             return Term("void", "")

@@ -30,7 +30,7 @@ from bayesftc.cosim import ops
 from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.errors import KernelError
-from bayesftc.cosim.stepping.fingerprint import depends_on, fingerprint, where
+from bayesftc.cosim.stepping.fingerprint import depends_on, fingerprint, foreign_functions, where
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
 from bayesftc.cosim.stepping.machine.code import features, load, machine_code, opened, sealed
 from bayesftc.cosim.stepping.machine.lowering import lowered
@@ -95,7 +95,9 @@ def compile_kernel(kernel: Kernel, sections: Sections) -> int:
 
 
 def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
-    path = cache_directory("compiled") / f"{name}.o"
+    path, foreign = cache_directory("compiled") / f"{name}.o", foreign_functions(kernel)
+    for function in foreign:
+        function.defined()
     content = read_own(path)
     code = None if content is None else opened(content)
     if code is None:
@@ -103,6 +105,8 @@ def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
             with announced(True):
                 code = _compiled(kernel, sections, name)
         except KernelError as reason:
+            if foreign:
+                raise
             from bayesftc.cosim.stepping.compiler import compile_by_numba
 
             return compile_by_numba(kernel, sections, reason)

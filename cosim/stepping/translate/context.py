@@ -10,6 +10,7 @@ from typing import Any, NoReturn, Protocol
 
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import KernelError
+from bayesftc.cosim.stepping.foreign import Foreign
 from bayesftc.cosim.stepping.source.tree import parameters, place
 from bayesftc.cosim.stepping.translate.kinds import Array, Constant, Kind, Number, as_number
 from bayesftc.cosim.stepping.translate.values import ATOM, Value, constant
@@ -29,6 +30,9 @@ class Functions(Protocol):
 
     def table(self, values: tuple[Any, ...], kind: Number) -> str:
         """Return the name of the file's table of these numbers."""
+
+    def foreign(self, function: Foreign) -> None:
+        """Declare a function of other compiled code."""
 
 
 class Context:

@@ -7,6 +7,7 @@ from types import FunctionType
 
 import numpy as np
 
+from bayesftc.cosim.stepping.foreign import Foreign
 from bayesftc.cosim.stepping.translate.conditions import Conditions
 from bayesftc.cosim.stepping.translate.context import OPERATIONS
 from bayesftc.cosim.stepping.translate.kinds import Array, Constant, as_number
@@ -38,6 +39,9 @@ class Expressions(Conditions):
             return as_float(self.value(node.args[0]))
         if callable(function) and function in OPERATIONS:
             return self.operation(node, OPERATIONS[function])
+        if isinstance(function, Foreign):
+            self.foreign(node, function)
+            return None
         if not isinstance(function, FunctionType):
             self.refuse(node, f"calls {ast.unparse(node.func)!r}, which is no step function; call only step functions")
         arguments = self.in_order(node, function)
@@ -54,3 +58,17 @@ class Expressions(Conditions):
             self.emit(f"{text};")
             return None
         return self.temporary(Value(text, written.returns))
+
+    def foreign(self, node: ast.Call, function: Foreign) -> None:
+        """Call a function of other compiled code, which takes arrays only and returns nothing."""
+        if node.keywords or len(node.args) != len(function.arguments):
+            self.refuse(node, f"calls {ast.unparse(node.func)!r} with wrong arguments; they are {function.arguments}")
+        arguments = self.values(node.args)
+        for name, argument in zip(function.arguments, arguments, strict=True):
+            if not isinstance(argument.kind, Array):
+                self.refuse(node, f"gives {ast.unparse(node.func)!r} a number for {name!r}; give an array")
+            if name in function.stored:
+                self.stored |= argument.roots
+        self.functions.foreign(function)
+        self.called.add(function.symbol)
+        self.emit(f"{function.symbol}({', '.join(argument.text for argument in arguments)});")

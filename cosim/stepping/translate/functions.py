@@ -11,6 +11,7 @@ from types import FunctionType
 from typing import Any
 
 from bayesftc.cosim.stepping.fingerprint import functions_called
+from bayesftc.cosim.stepping.foreign import Foreign
 from bayesftc.cosim.stepping.source.flat import without_records
 from bayesftc.cosim.stepping.source.tree import Sections, parameters
 from bayesftc.cosim.stepping.translate.kinds import FLOAT, NATURAL, Array, Constant, Kind, Number, Record
@@ -108,6 +109,7 @@ class Functions:
         self._names = set(taken)
         self._named: dict[tuple[str, ...], str] = {}
         self._texts: dict[str, str] = {}
+        self._foreign: dict[str, str] = {}
 
     def step(self, kernel: FunctionType, sections: Sections) -> Written:
         """Return the C function for a step function with arguments in these sections.
@@ -154,6 +156,11 @@ class Functions:
             self._tables[key] = name, table_text(name, values, kind.c)
         return self._tables[key][0]
 
+    def foreign(self, function: Foreign) -> None:
+        """Declare a function of other compiled code."""
+        arguments = (f"{'' if name in function.stored else 'const '}double *{name}" for name in function.arguments)
+        self._foreign[function.symbol] = f"void {function.symbol}({', '.join(arguments)});"
+
     def text(self, lines: Iterable[str]) -> str:
         """Return the functions that some lines call, callees first, after the types, tables and operations that they need."""
         called, texts = words("\n".join(lines)), []
@@ -170,6 +177,7 @@ class Functions:
             if name in called
         ]
         parts += [text for name, text in self._tables.values() if name in called]
+        parts += [text for name, text in self._foreign.items() if name in called]
         return "\n\n".join([*parts, *(OPERATIONS[name] for name in needed), body])
 
     def _finished(self, t: Translator) -> Written:

@@ -11,7 +11,7 @@ from bayesftc.cosim.fmi.binaries.codes import GET, SET, UNFIT_INPUT as UNFIT_IN,
 from bayesftc.cosim.fmi.exchange.calls import at_time, restart, update1, update2, vector
 from bayesftc.cosim.fmi.exchange.integrators.cvode_kernels import cvode
 from bayesftc.cosim.fmi.exchange.integrators.runge_kutta import runge_kutta
-from bayesftc.cosim.fmi.exchange.right import failed, not_finite
+from bayesftc.cosim.fmi.exchange.right import failed, get_values, not_finite, set_values
 from bayesftc.cosim.fmi.exchange.words import (
     ATOL,
     CALL,
@@ -28,8 +28,6 @@ from bayesftc.cosim.fmi.exchange.words import (
     GET_STATES,
     GET_VALUES,
     GIVES_UP,
-    IN_GROUP_COUNT,
-    IN_GROUPS,
     IN_SIZE,
     INFO,
     INPUTS,
@@ -46,8 +44,6 @@ from bayesftc.cosim.fmi.exchange.words import (
     NO_TIME,
     NONE,
     NUMERATOR,
-    OUT_GROUP_COUNT,
-    OUT_GROUPS,
     QUIET,
     QUIET_EVENTS,
     QUIET_STEP,
@@ -67,14 +63,12 @@ from bayesftc.cosim.fmi.exchange.words import (
     TOLERANCE_VECTOR,
     TOLERANCES,
     TOO_MANY_EVENTS,
-    UNFIT,
     UNFIT_INPUT,
     UNFIT_OUTPUT,
     UPDATE_DISCRETE,
     X,
 )
 from bayesftc.cosim.fmi.running.kernels import mode3, number, put_number, put_word, update3, word
-from bayesftc.cosim.fmi.running.typed_kernels import GROUP_WORDS, put, take
 from bayesftc.cosim.stepping.by_address import call_block
 from bayesftc.cosim.stepping.numba_called import callee, inlined
 
@@ -184,24 +178,16 @@ def _take(table, inputs):
         return 0
     if _mode(table, ENTER_EVENT) != 0:
         return STOPPED
-    major, component = word(table, MAJOR), word(table, COMPONENT)
-    note, first = table + 8 * UNFIT, word(table, IN_GROUPS)
-    for i in range(word(table, IN_GROUP_COUNT)):
-        code = put(major, component, note, held, first + 8 * GROUP_WORDS * i)
-        if code != 0:
-            return _refused(table, SET_VALUES, code)
+    code = set_values(table, held)
+    if code != 0:
+        return _refused(table, SET_VALUES, code)
     return _settle(table)
 
 
 @callee
 def _read(table, outputs):
-    major, component = word(table, MAJOR), word(table, COMPONENT)
-    note, first = table + 8 * UNFIT, word(table, OUT_GROUPS)
-    for i in range(word(table, OUT_GROUP_COUNT)):
-        code = take(major, component, note, outputs, first + 8 * GROUP_WORDS * i)
-        if code != 0:
-            return _refused(table, GET_VALUES, code)
-    return 0
+    code = get_values(table, outputs)
+    return 0 if code == 0 else _refused(table, GET_VALUES, code)
 
 
 @callee

@@ -1,0 +1,1 @@
+"""Nonlinear models whose equations are those of an FMU."""

@@ -1,0 +1,102 @@
+"""Inputs and outputs of a plant by name; the name of a vector stands for all its elements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bayesftc.controllers.models.checks import as_number, as_vector
+from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.types import Floats
+
+Names = str | Sequence[str]
+
+
+def check_by_name(**given: object) -> None:
+    """Refuse values of inputs that are not given by name."""
+    for name, value in given.items():
+        if not isinstance(value, Mapping | None):
+            raise ModelError(f"{name} is {value!r}; give a number for each input by name, as {name}={{'load': 0.02}}.")
+
+
+def names_of(given: Names, kind: str) -> list[str]:
+    """Return names as a list.
+
+    Raises
+    ------
+    ModelError
+        If there is no name, or one occurs twice.
+    """
+    names = [given] if isinstance(given, str) else list(given)
+    if not names or len(set(names)) < len(names) or not all(isinstance(name, str) for name in names):
+        raise ModelError(f"{kind}={given!r}; give the name of at least one variable of the plant, each once.")
+    return names
+
+
+def elements_of(name: str, available: Sequence[str]) -> list[str]:
+    """Return the elements of a name: itself, or those of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
+    return [name] if name in available else [element for element in available if element.startswith(f"{name}[")]
+
+
+def places_of(names: Sequence[str], available: Sequence[str], kind: str) -> list[int]:
+    """Return the indices of the elements of names.
+
+    Raises
+    ------
+    UnknownNameError
+        If a name is unknown.
+    ModelError
+        If an element is named twice.
+    """
+    places: list[int] = []
+    for name in names:
+        indices = [list(available).index(element) for element in elements_of(name, available)]
+        if not indices:
+            raise UnknownNameError(f"The plant has no {kind} {name!r}; {did_you_mean(name, available)}")
+        if set(indices) & set(places):
+            raise ModelError(f"{kind}s {', '.join(names)}: {name!r} repeats an element; name each once.")
+        places += indices
+    return places
+
+
+def spread(title: str, given: Mapping[str, Any], available: Sequence[str]) -> dict[int, float]:
+    """Return values given by name by index; a vector has one number, or one for each element."""
+    values_by_index: dict[int, float] = {}
+    for name, value in given.items():
+        places = places_of([name], available, "input")
+        values = as_vector(f"{title} of {name}", value, len(places)) if len(places) > 1 else [value]
+        values_by_index.update(zip(places, values, strict=True))  # type: ignore[arg-type]
+    return values_by_index
+
+
+def operating(inputs: Sequence[str], start: Floats, at: Mapping[str, float | Sequence[float]]) -> Floats:
+    """Return the inputs at the operating point: the given values, else the start values."""
+    u = np.array(start, dtype=np.float64)
+    for place, value in spread("The operating point", at, inputs).items():
+        u[place] = as_number(f"The operating point has {inputs[place]}", value)
+    return u
+
+
+def chosen(names: Sequence[str], available: Sequence[str], kind: str) -> tuple[list[int], tuple[str, ...]]:
+    """Return indices and names of the elements of names, each once even if several names contain it."""
+    places = list(dict.fromkeys(place for name in names for place in places_of([name], available, kind)))
+    return places, tuple(available[place] for place in places)
+
+
+def sensors_of(
+    rows: Sequence[int], sensors: int | None, sensor_std: float | Sequence[float]
+) -> tuple[list[int], Floats]:
+    """Return the output that each sensor measures, and the variance of its noise; see `LinearModel.from_fmu`."""
+    count = len(rows) if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
+    if count % len(rows):
+        raise ModelError(
+            f"{count} sensors are not a multiple of {len(rows)} measured outputs. Sensor i measures output i modulo the "
+            "number of outputs; give a multiple."
+        )
+    std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
+    if (std < 0).any():
+        raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
+    variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
+    return [rows[i % len(rows)] for i in range(count)], variances
