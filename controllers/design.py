@@ -13,15 +13,10 @@ from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, r
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_vector
+from bayesftc.controllers.models.delays import extended_rows
 from bayesftc.controllers.models.linear import LinearModel
-from bayesftc.controllers.models.linearization import (
-    INPUT_NOISE,
-    Names,
-    elements_of,
-    linearize,
-    names_of,
-    refuse_unmoved,
-)
+from bayesftc.controllers.models.linearization import INPUT_NOISE, linearize, refuse_unmoved
+from bayesftc.controllers.models.names import Names, elements_of, names_of
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
@@ -51,6 +46,9 @@ def design(
     u_min: float | Sequence[float] = float("-inf"),
     u_max: float | Sequence[float] = float("inf"),
     u_rate: float | Sequence[float] = float("inf"),
+    preview: int = 0,
+    input_delays: int | Sequence[int] = 0,
+    sensor_delays: int | Sequence[int] = 0,
 ) -> LQGController:
     """Return a fault-tolerant controller for a plant, a block for `bayesftc.cosim.closed_loop`.
 
@@ -85,6 +83,11 @@ def design(
         Learns the sensors' precisions; by default `SwitchingPrecision`.
     belief, u_min, u_max, u_rate
         See `BayesianController`.
+    preview : int
+        Number of samples by which goals are known ahead: see `LQGController`.
+    input_delays, sensor_delays : int or sequence of int
+        Samples by which each control acts late, and by which the values of each sensor are old, in addition to what `plant`
+        itself contains: see `LinearModel.with_delays`.
 
     Raises
     ------
@@ -161,6 +164,10 @@ def design(
         control_covariance = _squares(
             "acceptable_control", span if acceptable_control is None else acceptable_control, p
         )
+    start = _initial(model)
+    late = model.with_delays(input_delays, sensor_delays)
+    if late is not model:
+        model, H = late, extended_rows(late, H)
     return LQGController(
         model,
         precision=SwitchingPrecision() if precision is None else precision,
@@ -172,7 +179,8 @@ def design(
         u_max=high,  # type: ignore[arg-type]
         u_rate=u_rate,  # type: ignore[arg-type]
         initial_mean=mean,  # type: ignore[arg-type]
-        initial_covariance=_initial(model),
+        initial_covariance=start,
+        preview=preview,
     )
 
 

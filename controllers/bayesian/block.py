@@ -21,6 +21,7 @@ from bayesftc.controllers.models.checks import (
     check_flags,
     frozen,
 )
+from bayesftc.controllers.models.delays import extended_covariance, extended_rows
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
 from bayesftc.controllers.signals import port
@@ -36,8 +37,16 @@ VARIANCE_CAP = 1e20
 
 
 def extended_mean(model: Any, values: Floats, mean: object) -> object:
-    """Extend a mean of the plant's states by zero disturbances and a constant of one; return any other `mean` unchanged."""
-    plant = model.states - model.disturbances
+    """Extend a mean of the plant's states by past signals, zero disturbances and a constant; return any other `mean` unchanged.
+
+    Past controls are 0, and past readings equal to the present ones.
+    """
+    plant, delays = model.states - model.disturbances, model.delays
+    if delays is not None and values.shape in {(delays.plant,), (1,)}:
+        own = np.broadcast_to(values, delays.plant)
+        reading = np.zeros(model.states)
+        reading[: delays.plant], reading[delays.places] = own, delays.present @ own
+        values = mean = reading[:plant]
     if model.disturbances and values.shape in {(plant,), (1,)}:
         others = np.zeros(model.disturbances)
         others[-1] = getattr(model, "constant", False)
@@ -94,7 +103,13 @@ class BayesianBlock(Block, ABC):
             "u_rate": as_vector("u_rate", self.u_rate, p, finite=False),
             "initial_mean": as_vector("The initial_mean", self._extended(self.initial_mean), n),
             "initial_covariance": known_constant(
-                self.model, as_covariance("The initial_covariance", self.initial_covariance, n, singular=True)
+                self.model,
+                as_covariance(
+                    "The initial_covariance",
+                    extended_covariance(self.model, "The initial_covariance", self.initial_covariance),
+                    n,
+                    singular=True,
+                ),
             ),
         }
         invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # raises for wrong values
@@ -114,6 +129,11 @@ class BayesianBlock(Block, ABC):
     def _check_reach(self, effect: Floats) -> None:
         """Refuse a flat control prior if the goal does not determine each control; ``effect`` is d x_t+1 / d u_t."""
         p = self.model.controls
+        if self.model.delays is not None and any(self.model.delays.inputs):
+            raise ModelError(
+                f"{type(self).__name__} has a goal for the next state, which a late control does not reach "
+                f"(inputs={list(self.model.delays.inputs)} of with_delays). Use LQGController."
+            )
         if self.control_covariance is None and (rank := np.linalg.matrix_rank(self.goal_matrix @ effect)) < p:
             raise ModelError(
                 f"With a flat control prior the goal must determine each of the {p} controls. In one step the goal depends on "
@@ -136,14 +156,14 @@ class BayesianBlock(Block, ABC):
         n = self.model.states
         if isinstance(self.goal_on, str):
             if self.goal_on == "states":
-                return frozen(np.eye(n)[: n - self.model.disturbances])
+                return frozen(np.eye(n)[: self.model.plant_states])
             if self.goal_on == "outputs":
                 return frozen(self._distinct_outputs())
             raise ModelError(f"goal_on is {self.goal_on!r}; it must be 'states', 'outputs' or a matrix.")
         rows = as_numbers(
             "The matrix goal_on", self.goal_on, "give a row for each element of the goal, with a column for each state"
         )
-        return as_matrix("The matrix goal_on", np.atleast_2d(rows), columns=n)
+        return as_matrix("The matrix goal_on", extended_rows(self.model, np.atleast_2d(rows)), columns=n)
 
     def _distinct_outputs(self) -> Floats:
         """Return the rows of the quantities that the sensors measure, each distinct one once."""

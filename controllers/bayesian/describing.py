@@ -23,7 +23,7 @@ def model_lines(controller: BayesianController) -> list[str]:
     """Return lines about the model, the sensors' noise, goals and limits."""
     model = controller.model
     d = model.disturbances - model.constant
-    states = f"{_count(model.states - model.disturbances, 'state')}" + (f" and {_count(d, 'disturbance')}" if d else "")
+    states = f"{_count(model.plant_states, 'state')}" + (f" and {_count(d, 'disturbance')}" if d else "")
     named = f" ({', '.join(model.names.controls)})" if model.names else ""
     sensors = ", ".join(map(str, dict.fromkeys(model.names.sensors))) if model.names else ""
     std = np.sqrt(np.diag(model.matrix("sensor_covariance")))
@@ -34,6 +34,14 @@ def model_lines(controller: BayesianController) -> list[str]:
         f"Expected standard deviations of the sensors: {_numbers(std)}.",
         f"Goals: {controller.goals}; limits of the control: {_limits(controller)}.",
     ]
+    if model.delays is not None:
+        late = (
+            f"{what} by {', '.join(map(str, steps))}"
+            for what, steps in (("controls", model.delays.inputs), ("sensors", model.delays.sensors))
+        )
+        lines.insert(
+            1, f"Delays in samples: {'; '.join(late)}; {_count(model.delays.states, 'state')} of past signals."
+        )
     return lines
 
 
@@ -90,7 +98,7 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] |
     whole = controller.closed_loop_matrix()
     if np.abs(np.linalg.eigvals(whole)).max() >= 1.0 - LASTING:
         return None
-    _, given, _, direct = controller.linear_law()
+    _, given, _, direct = controller.feedback()
     noise = np.vstack([B @ direct[:, :m], given[:, :m]])
     spread = noise @ R @ noise.T
     spread[:plant, :plant] += Q
@@ -108,11 +116,13 @@ def pole_lines(poles: Any) -> list[str]:
     return [f"Poles of the closed loop, the filter's included: {listed(poles)}."]
 
 
-def listed(poles: Any) -> str:
-    """Return poles as text, the slowest first."""
+def listed(poles: Any, at_zero: int = 0) -> str:
+    """Return poles as text, the slowest first; of those of delays, which are 0 except for rounding, only the number."""
     ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))
     slowest = abs(ordered[0]) if ordered else 0.0
-    return ", ".join(shown(pole) for pole in ordered) + f"; the slowest of magnitude {slowest:.3f}"
+    zeros = f", and {at_zero} at 0 for the delays" if at_zero else ""
+    kept = ordered[: len(ordered) - at_zero]
+    return ", ".join(shown(pole) for pole in kept) + zeros + f"; the slowest of magnitude {slowest:.3f}"
 
 
 def _differs(value: Any, setting: Any) -> bool:

@@ -12,6 +12,7 @@ from bayesftc.controllers.bayesian.block import VARIANCE_CAP, extended_mean, kno
 from bayesftc.controllers.estimation.absurd import alarm_of
 from bayesftc.controllers.estimation.belief import ESTIMATION, estimation, look_ahead, make_estimate
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_numbers, as_vector, frozen
+from bayesftc.controllers.models.delays import extended_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
@@ -76,7 +77,8 @@ class StateEstimator(Block):
         n = self.model.states
         object.__setattr__(self, "initial_mean", as_vector("The initial_mean", self._extended(self.initial_mean), n))
         start = self._start() if self.initial_covariance is None else self.initial_covariance
-        covariance = as_covariance("The initial_covariance", start, n, singular=True)
+        name = "The initial_covariance"
+        covariance = as_covariance(name, extended_covariance(self.model, name, start), n, singular=True)
         object.__setattr__(self, "initial_covariance", known_constant(self.model, covariance))
         invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # raises for wrong values
         self.precision.learner(self.model)  # raises now, not in the loop, for settings that do not fit the model
@@ -88,11 +90,11 @@ class StateEstimator(Block):
     def _start(self) -> Floats:
         """Return variances of 1 for the plant's states, and the stationary ones for disturbances that have them."""
         A, Q = self.model.matrix("A"), self.model.matrix("process_covariance")
-        variances = np.ones(len(A))
+        variances, delays = np.ones(len(A)), self.model.delays
         for i in range(len(A) - self.model.disturbances, len(A)):
             if abs(A[i, i]) < 1:
                 variances[i] = Q[i, i] / (1 - A[i, i] ** 2)
-        return frozen(variances)
+        return frozen(variances if delays is None else np.delete(variances, delays.places))
 
     @property
     def measurement_matrix(self) -> Floats:

@@ -32,10 +32,14 @@ class UnstableLoopWarning(UserWarning):
 
 
 class SteadyTarget(NamedTuple):
-    """An `LQGController`'s steady state: maps to it from goal and state, the last goal, the control prior's mean."""
+    """An `LQGController`'s steady state: maps to it from goal and state, the last goal, the control prior's mean.
+
+    With a preview ``held`` has a row for each known goal, and ``feedforward`` the gains on the goals in between.
+    """
 
     x_target: Floats
     u_target: Floats
+    feedforward: Floats
     held: Floats
     u_prior: Floats
 
@@ -268,6 +272,7 @@ class BayesianController(BayesianBlock):
         unused = {
             "x_target": np.zeros((1, 1)),
             "u_target": np.zeros((1, 1)),
+            "feedforward": np.zeros((1, 1)),
             "held": np.zeros(1),
             "u_prior": np.zeros(1),
         }
@@ -279,6 +284,10 @@ class BayesianController(BayesianBlock):
         Inputs are ``y`` followed by ``goal``, outputs ``u``, states the predicted mean of the belief. All are deviations from
         the operating point, so that the constant of a model (`LinearModel.about`) drops out.
         """
+        return self.feedback()
+
+    def feedback(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the law for a goal that stays, with the predicted mean of the belief as its only state."""
         model = self.model.moving
         A, B, C = (model.matrix(name) for name in "ABC")
         n = model.states
@@ -302,7 +311,7 @@ class BayesianController(BayesianBlock):
         A, B, C = (model.matrix(name) for name in "ABC")
         plant, m = model.states - model.disturbances, model.sensors
         A, B, C = A[:plant, :plant], B[:plant], C[:, :plant]
-        move, input_matrix, out, direct = self.linear_law()
+        move, input_matrix, out, direct = self.feedback()
         return np.block([[A + B @ direct[:, :m] @ C, B @ out], [input_matrix[:, :m] @ C, move]])
 
     def steady_gains(self) -> Gains:

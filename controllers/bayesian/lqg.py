@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from bayesftc.controllers.bayesian.describing import listed
 from bayesftc.controllers.bayesian.linear import BayesianController
+from bayesftc.controllers.bayesian.preview import MOST, goal_effects, target_with_preview
 from bayesftc.controllers.bayesian.riccati import Regulator, regulate
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.bayesian.steady import Gains
-from bayesftc.controllers.models.checks import Matrix, frozen
+from bayesftc.controllers.models.checks import Matrix, as_number, frozen
+from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import maximum, select
+from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
 CERTAIN = 1e-13
@@ -29,7 +32,7 @@ def target_steady_state(goal, x_hat, actuators, control):
 
     A goal that is not finite keeps the last one. Each control acts with the effectiveness ``works`` and the offset ``load``.
     """
-    x_target, u_target, held, u_prior = control.steady
+    x_target, u_target, _, held, u_prior = control.steady
     _, GB, _, prior_precision, prior_pull, goal_shift = control.aim
     works, load, target = actuators.works, actuators.load, control.decision.target
     r, n, p = goal.shape[0], x_hat.shape[0], u_prior.shape[0]
@@ -82,6 +85,10 @@ class LQGController(BayesianController):
     Ports are those of `BayesianController`, with one element of ``goal`` for each goal. An element that is NaN keeps its last
     value; before the first value it is the output at the initial mean.
 
+    With ``preview=n`` the goals of the next n samples are known. The input ``goal`` at t_k is then the goal for t_k+n, and the
+    controller holds the goals until their time has come. The first one also counts for the n samples before. The control is
+    optimal for the known goals, with the last one held after them. `closed_loop` shifts the reference by itself.
+
     Parameters
     ----------
     model : LinearModel
@@ -98,6 +105,9 @@ class LQGController(BayesianController):
         Not used; the mean of the control prior is u_ss.
     belief, u_min, u_max, u_rate, initial_mean, initial_covariance, invalid
         See `BayesianController`.
+    preview : int
+        Number n of samples by which the input ``goal`` lies ahead, at most 9,999. Beyond the settling time of the loop a
+        larger number has no effect.
     posterior_outputs : False
         Must be False. Only the ratio of the two priors has a meaning: control covariance and free energy do not exist.
 
@@ -118,6 +128,7 @@ class LQGController(BayesianController):
 
     goal_on: Literal["states", "outputs"] | Matrix = "outputs"
     control_covariance: Matrix | None = 1.0
+    preview: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
         if isinstance(self.goal_on, str) and self.goal_on == "states":
@@ -136,6 +147,8 @@ class LQGController(BayesianController):
                 "LQGController has posterior_outputs=True, but the scale of its goal and control priors is arbitrary. There is "
                 "neither a covariance of the control nor a free energy; use BayesianController, or leave posterior_outputs out."
             )
+        preview = as_number("LQGController has preview", self.preview, least=0, most=MOST, whole=True)
+        object.__setattr__(self, "preview", int(preview))
         super().__post_init__()
 
     def _check_reach(self, effect: Floats) -> None:
@@ -143,18 +156,73 @@ class LQGController(BayesianController):
         refuse_undetectable(self.model)
         self.regulator  # noqa: B018 - raises for goals that cannot be held
 
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        """Inputs ``y`` and ``goal``."""
+        y, goal = super().inputs
+        if self.preview:
+            goal = replace(goal, description=f"Goal of {self.preview} samples later; NaN keeps the last")
+        return y, goal
+
+    @property
+    def _costs(self) -> tuple[Floats, Floats]:
+        """Return the costs of goals and controls."""
+        goals, controls = (np.linalg.inv(np.asarray(c, float)) for c in (self.goal_covariance, self.control_covariance))
+        return goals, controls
+
     @cached_property
     def regulator(self) -> Regulator:
         """The regulator: cost-to-go, gain, and the maps from the goal to the steady state."""
-        costs = (np.linalg.inv(np.asarray(c, float)) for c in (self.goal_covariance, self.control_covariance))
-        return regulate(self.model, self.goal_matrix, *costs)
+        return regulate(self.model, self.goal_matrix, *self._costs)
+
+    @cached_property
+    def _goal_effects(self) -> Floats:
+        plant = self.model.states - self.model.disturbances
+        A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
+        return goal_effects(self.regulator, A, B, self.goal_matrix[:, :plant], *self._costs, self.preview)
+
+    @cached_property
+    def preview_gains(self) -> Floats:
+        """Gains of the control on the goals of t_k, .., t_k+n, as an array of n + 1 matrices (p x r); see ``preview``."""
+        total, plant = self.steady_gains().M, self.model.states - self.model.disturbances
+        if not self.preview:
+            return frozen(total[None])
+        B, (_, cost) = self.model.matrix("B")[:plant], self._costs
+        weight = cost + B.T @ self.regulator.cost_to_go @ B
+        gains = np.linalg.solve(weight, np.concatenate([[cost @ self.regulator.u_of_goal], self._goal_effects]))
+        gains[-1] = total - gains[:-1].sum(axis=0)
+        return frozen(gains)
+
+    def linear_law(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the controller in steady state as a linear system; see `BayesianController.linear_law`.
+
+        With a preview the goals of t_k, .., t_k+n-1 are further states, and the input ``goal`` is that of t_k+n.
+        """
+        A, B, C, D = self.feedback()
+        if not self.preview:
+            return A, B, C, D
+        n, m, r, p = len(A), self.model.sensors, self.goals, self.model.controls
+        kept, effect = self.preview * r, self.model.moving.matrix("B")
+        gains = np.hstack([*self.preview_gains])
+        shift = np.eye(kept, kept + r, r)  # of all known goals, those that remain known
+        return (
+            np.block([[A, effect @ gains[:, :kept]], [np.zeros((kept, n)), shift[:, :kept]]]),
+            np.block([[B[:, :m], effect @ gains[:, kept:]], [np.zeros((kept, m)), shift[:, kept:]]]),
+            np.hstack([C, gains[:, :kept]]),
+            np.hstack([D[:, :m], gains[:, kept:].reshape(p, r)]),
+        )
 
     def _pole_lines(self) -> list[str]:
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
-        lines = [f"Closed-loop poles of the control: {listed(self.regulator.poles(A, B))}."]
-        lines.append(f"All poles, the filter's included: {listed(self._relevant_poles())}.")
-        lines.append(f"Without control: {listed(np.linalg.eigvals(A))}.")
+        delays = self.model.delays
+        past, known = (delays.states, sum(delays.inputs)) if delays else (0, 0)  # the filter knows past controls
+        lines = [f"Closed-loop poles of the control: {listed(self.regulator.poles(A, B), past)}."]
+        lines.append(f"All poles, the filter's included: {listed(self._relevant_poles(), past + known)}.")
+        lines.append(f"Without control: {listed(np.linalg.eigvals(A), past)}.")
+        if self.preview:
+            ahead = show(self.preview * self.model.step)
+            lines.append(f"The input goal is the goal of {self.preview} samples later ({ahead} s).")
         if self.regulator.drifting:
             lines.append(
                 f"The goals do not depend on {self.regulator.drifting} of the plant's integrators (such as the position behind a "
@@ -190,7 +258,13 @@ class LQGController(BayesianController):
             "u_target": np.hstack([regulator.u_of_goal, np.zeros((p, plant)), regulator.u_of_others]),
         }
         state = {"held": H @ mean, "u_prior": np.zeros(p), "prior_pull": np.zeros(p), "goal_shift": np.zeros(len(root))}
-        return target_steady_state, {name: frozen(value) for name, value in targets.items()}, state
+        rule = target_steady_state
+        targets["feedforward"] = np.zeros((1, 1))
+        if self.preview:
+            rule, factor = target_with_preview, self._scaled[1]
+            targets["feedforward"] = factor * np.hstack([*self._goal_effects])
+            state["held"] = np.vstack([np.full((self.preview, self.goals), np.nan), H @ mean])
+        return rule, {name: frozen(value) for name, value in targets.items()}, state
 
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
         gains, regulator = super()._steady_gains(A, B, C, G), self.regulator

@@ -297,7 +297,7 @@ class NonlinearBayesianController(BayesianBlock):
         belief itself plus process noise.
     iterations : int
         Number of steps of each of the two minimisations of a sample (belief, control). The time of a sample is proportional to
-        it. The default suffices for strongly nonlinear problems (docs/controllers.md gives the shares that converge).
+        it. The default suffices for strongly nonlinear problems (docs/explanation/controllers.md gives the shares that converge).
     invalid : sequence of number, or of one for each sensor
         Values that mark a missing sample, such as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
     posterior_outputs : bool

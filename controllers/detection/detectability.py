@@ -175,7 +175,7 @@ def detectability(
     Without a model, the innovations are an independent normal stream, of which a fault changes mean or variance. With a model,
     they are those of a filter, which attributes a part of an offset to the state. By default it is the filter in the loop, which
     reduces the sensor's weight while it learns; with ``learning=False`` it is the filter at fixed precision.
-    ``docs/detectability.md`` has the derivations and the checks of each number.
+    ``docs/reports/detectability.md`` has the derivations and the checks of each number.
 
     Parameters
     ----------

@@ -52,6 +52,9 @@ NEARLY = 5.0
 LEAST_SAMPLES = 8
 """Least number of samples for a diagnosis."""
 
+LARGEST = 1e50
+"""Size from which on a sample counts as missing: products of larger ones overflow, as after a run that ended infinite."""
+
 
 @dataclass(frozen=True)
 class ModelFinding:
@@ -181,9 +184,12 @@ def best_explanations(
     bank = observers(model)
     if bank is None:
         return []
+    samples = np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES]
+    samples = np.where(np.abs(samples) < LARGEST, samples, np.nan)
+    last = int(np.flatnonzero(np.isfinite(samples).any(axis=1)).max(initial=-1)) + 1
     recording = Recording(
-        np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES],
-        np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[:MOST_SAMPLES]),
+        samples[:last],
+        np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[:last]).clip(-LARGEST, LARGEST),
         np.array(np.broadcast_to(np.asarray(initial_mean, float), model.states)),
     )
     moved = recording.u @ model.matrix("B").T

@@ -111,9 +111,11 @@ def lagged(u: Floats, steps: float) -> Floats:
 
 
 def faster(model: LinearModel, factor: float) -> LinearModel | None:
-    """Return the model of a plant that is `factor` times as fast; None if A has no real logarithm."""
+    """Return the model of a plant that is `factor` times as fast; None if A has no real logarithm, as with delays."""
     from scipy.linalg import expm, logm
 
+    if model.delays is not None:
+        return None
     n, plant, p = model.states, model.states - model.disturbances, model.controls
     A, B = model.matrix("A"), model.matrix("B")
     # Inputs of the plant (controls, estimated disturbances, the constant) are held during a step.

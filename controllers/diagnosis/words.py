@@ -59,7 +59,7 @@ def _late(values: Sequence[float], model: LinearModel) -> str:
         how = f"the control acts late: the actuator has a lag with a time constant of about {seconds:.2g} s"
     else:
         how = f"the control acts late, by {seconds:.3g} s ({seconds / float(model.step):.0f} samples)"
-    return f"{how}. Add states for the delay to the model, or weaken the control."
+    return f"{how}. Give the model this delay (LinearModel.with_delays), or weaken the control."
 
 
 def _limit(values: Sequence[float], model: LinearModel) -> str:

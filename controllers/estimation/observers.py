@@ -87,7 +87,7 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     settling = 1
     for k, chosen in enumerate(map(list, sets)):
         R = moving.matrix("sensor_covariance")[np.ix_(chosen, chosen)]
-        filtered = _filter(replace(moving, C=moving.matrix("C")[chosen], sensor_covariance=R, names=None))
+        filtered = _filter(replace(moving, C=moving.matrix("C")[chosen], sensor_covariance=R, names=None, delays=None))
         if filtered is None:
             return None
         correction[k, :n, chosen], root, noise[k, :n, :n], samples = filtered[0].T, *filtered[1:]

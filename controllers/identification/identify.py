@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from bayesftc.controllers.identification.gaps import identify_with_gaps
 from bayesftc.controllers.identification.independent_noise import independent_noise
 from bayesftc.controllers.identification.subspace import PASTS, identify_innovations, samples_needed
 from bayesftc.controllers.models.checks import as_number
+from bayesftc.controllers.models.delays import whole_delays
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import PoorFitWarning
 from bayesftc.cosim.errors import ModelError
@@ -79,8 +80,8 @@ class Identification:
 
     def describe(self) -> str:
         """Return a description of the model and its quality as text."""
-        order = self.model.moving.states
-        poles = np.linalg.eigvals(self.model.moving.matrix("A"))
+        order = self.model.plant_states
+        poles = np.linalg.eigvals(self.model.matrix("A")[:order, :order])
         lines = [f"Order {order}, poles {', '.join(f'{p:.4g}' for p in poles)}."]
         for i, name in enumerate(self.outputs):
             simulated = "no simulation, because the model is unstable"
@@ -110,12 +111,14 @@ def identify(
     time: str,
     held_out: float,
     past: int | None,
+    input_delays: int | Sequence[int] = 0,
 ) -> Identification:
     """Identify the model of a recording; see `LinearModel.identify`."""
     table = read_table(data, "identify()")
     names_in, names_out = named_columns(table, inputs, "input"), named_columns(table, outputs, "output")
     step = sample_time(table, time, dt)
     u, y = (table[names].to_numpy(dtype=np.float64) for names in (names_in, names_out))
+    u, y = _undelayed(u, y, whole_delays("identify() has input_delays", input_delays, len(names_in), "input"))
     share = as_number("identify() has held_out", held_out, above=0, below=1)
     for name, value in (("order", order), ("past", past)):
         if value is not None:
@@ -150,10 +153,24 @@ def identify(
     moving = LinearModel(A, B / u_size, C, (Q + Q.T) / 2, R, step, names=names)
     model = moving.about(np.zeros(moving.states), u_mean, y_mean + y_size * offset, following=drift)
     doubts = _doubts(v, z, (u[split:] - u_mean) / u_size, len(A), past, names_in)
-    return _validated(
+    identification = _validated(
         model, u[split:], y[split:], split, 2 * past, yardstick,
         inputs=tuple(names_in), outputs=tuple(names_out), correlations=correlations, doubts=doubts,
     )  # fmt: skip
+    return replace(identification, model=model.with_delays(inputs=input_delays))
+
+
+def _undelayed(u: Floats, y: Floats, delays: Sequence[int]) -> tuple[Floats, Floats]:
+    """Return the inputs as they act, and the outputs, without the rows before the first effect."""
+    first = max(delays)
+    if not first:
+        return u, y
+    if first >= len(y):
+        raise ModelError(
+            f"identify() has input_delays up to {first}, but the recording has only {len(y)} samples; record more."
+        )
+    acting = [u[first - steps : len(u) - steps, j] for j, steps in enumerate(delays)]
+    return np.column_stack(acting), y[first:]
 
 
 def _enough(

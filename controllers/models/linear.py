@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.controllers.models.checks import ROWS, Matrix, as_covariance, as_matrix, as_numbers, as_vector, frozen
+from bayesftc.controllers.models.delays import Delays, with_delays
 from bayesftc.controllers.models.sensor_errors import with_sensor_errors
 from bayesftc.cosim.base.html import settings
 from bayesftc.cosim.base.timebase import rational_step
@@ -72,6 +73,8 @@ class LinearModel:
         uncertainty.
     names : SignalNames, optional
         Names of controls, sensors and the plant's states, for `to_control` and for messages.
+    delays : Delays, optional
+        What `with_delays` made of the model; not for you to set.
 
     Raises
     ------
@@ -88,6 +91,7 @@ class LinearModel:
     disturbances: int = 0
     constant: bool = False
     names: SignalNames | None = field(default=None, kw_only=True)
+    delays: Delays | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         A = as_matrix("The model's A", self.A)
@@ -156,8 +160,11 @@ class LinearModel:
 
     @property
     def quantities(self) -> Floats:
-        """Matrix that maps the plant's states to what each sensor measures, without disturbances and errors (m x n)."""
+        """Matrix that maps the plant's states to what each sensor measures, without disturbances, errors and delays (m x n)."""
         rows = self.matrix("C").copy()
+        if self.delays is not None:
+            rows[:, : self.delays.plant] += rows[:, self.delays.places] @ self.delays.present
+            rows[:, self.delays.places] = 0.0
         rows[:, self.states - self.disturbances : self.states - self.constant] = 0.0
         return frozen(rows)
 
@@ -168,6 +175,31 @@ class LinearModel:
         for i, row in enumerate(self.quantities):
             groups.setdefault((row + 0.0).tobytes(), []).append(i)  # 0 and -0 are the same
         return tuple(tuple(group) for group in groups.values())
+
+    @property
+    def plant_states(self) -> int:
+        """Number of the plant's own states, without disturbances and past signals (`with_delays`); they are the first ones."""
+        return self.states - self.disturbances if self.delays is None else self.delays.plant
+
+    @property
+    def effects(self) -> Floats:
+        """Effect of the controls on the states, without delays (n x p)."""
+        effects = self.matrix("B").copy()
+        if self.delays is not None:
+            last = self.delays.plant - 1
+            for j, steps in enumerate(self.delays.inputs):
+                last += steps
+                if steps:
+                    effects[:, j] = self.matrix("A")[:, last]
+        return frozen(effects)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of all states: those of the plant, else ``x[0]``, ..; of past signals (``u[-1]``); of disturbances."""
+        plant = tuple(f"x[{i}]" for i in range(self.plant_states))
+        past = () if self.delays is None else self.delays.labels
+        disturbances = tuple(f"disturbance[{i}]" for i in range(self.disturbances))
+        return (*((*plant, *past) if self.names is None else self.names.states), *disturbances)
 
     @property
     def moving(self) -> LinearModel:
@@ -205,9 +237,9 @@ class LinearModel:
         from bayesftc.cosim.control.control_system import allowed
 
         model = self.moving
-        n, d = model.states, model.disturbances
-        sizes = {"u": model.controls, "y": model.sensors, "x": n - d}
-        names = self.names or SignalNames(*(tuple(f"{x}[{i}]" for i in range(size)) for x, size in sizes.items()))
+        sizes = {"u": model.controls, "y": model.sensors}
+        controls, readings = (tuple(f"{x}[{i}]" for i in range(size)) for x, size in sizes.items())
+        names = self.names or SignalNames(controls, readings, model.state_names)
         sensors = names.sensors
         repeated = {name for name in sensors if sensors.count(name) > 1}
         outputs = [f"{name}[{sensors[:i].count(name)}]" if name in repeated else name for i, name in enumerate(sensors)]
@@ -217,7 +249,7 @@ class LinearModel:
             float(self.step),
             inputs=[allowed(name) for name in names.controls],
             outputs=[allowed(name) for name in outputs],
-            states=[allowed(name) for name in (*names.states, *(f"disturbance[{i}]" for i in range(d)))],
+            states=[allowed(name) for name in model.state_names],
         )
 
     @classmethod
@@ -363,7 +395,8 @@ class LinearModel:
         >>> sorted(np.linalg.eigvals(model.A).round(6).tolist())
         [0.82853, 0.968606, 1.0]
         """
-        from bayesftc.controllers.models.linearization import linearize, names_of
+        from bayesftc.controllers.models.linearization import linearize
+        from bayesftc.controllers.models.names import names_of
 
         linear = linearize(fmu, measured=measured, actuated=actuated, noise=noise, dt=dt, at=at, order=order)
         return linear.model(
@@ -387,6 +420,7 @@ class LinearModel:
         time: str = "time",
         held_out: float = 0.3,
         past: int | None = None,
+        input_delays: int | Sequence[int] = 0,
     ) -> Identification:
         """Identify a model from a recording; the result has it as `model`, with measures of its quality.
 
@@ -422,6 +456,9 @@ class LinearModel:
             Share of the recording, at its end, that is held out for tests.
         past : int, optional
             Length of the underlying autoregression; by default chosen by Akaike's criterion.
+        input_delays : int or sequence of int
+            Known dead times in samples, of all inputs or of each. The rest of the plant is then identified, and the model gets
+            the delays by `with_delays`. Without them a delay of d samples needs d states of the identified model.
 
         Returns
         -------
@@ -447,7 +484,15 @@ class LinearModel:
         from bayesftc.controllers.identification.identify import identify
 
         return identify(
-            data, inputs=inputs, outputs=outputs, order=order, dt=dt, time=time, held_out=held_out, past=past
+            data,
+            inputs=inputs,
+            outputs=outputs,
+            order=order,
+            dt=dt,
+            time=time,
+            held_out=held_out,
+            past=past,
+            input_delays=input_delays,
         )
 
     def with_disturbance(self, covariance: Matrix = 1e-4) -> LinearModel:
@@ -466,6 +511,8 @@ class LinearModel:
             raise ModelError(
                 "The model already has a disturbance; apply with_disturbance() once, and before with_sensor_errors()."
             )
+        if self.delays is not None:
+            raise ModelError("The model has delays; apply with_disturbance() before with_delays().")
         n, p = self.states, self.controls
         A = np.block([[self.matrix("A"), self.matrix("B")], [np.zeros((p, n)), np.eye(p)]])
         B = np.vstack([self.matrix("B"), np.zeros((p, p))])
@@ -503,10 +550,46 @@ class LinearModel:
         """
         return with_sensor_errors(self, std, time_constant, sensors, common)
 
+    def with_delays(self, inputs: int | Sequence[int] = 0, sensors: int | Sequence[int] = 0) -> LinearModel:
+        """Return the model with dead times: controls that act late, and sensors that deliver old values.
+
+        The model ``x_t+1 = A x_t + B u_t-d`` gets a state for each past control, and for each past value that a late sensor
+        still has to deliver. Late sensors of one quantity share these states. The result has no delay, so that belief,
+        precision learners, `LQGController`, `StateEstimator` and exports need no further setting.
+
+        The plant's states stay the first ones of ``x_hat``. Past signals follow (`state_names`: ``u[-1]`` is the control of the
+        sample before), then disturbances. Past signals have no process noise and no goals. Matrices over the states, initial
+        means and initial covariances may leave them out: past controls then count as 0 and known, past readings as equal to
+        the present ones, and as uncertain.
+
+        Apply it last: after `with_disturbance` and `about`. Estimated disturbances of the controls act without delay.
+
+        Parameters
+        ----------
+        inputs : int or sequence of int
+            Samples by which each control acts late, in addition to the one sample of every sampled plant.
+        sensors : int or sequence of int
+            Samples by which the values of each sensor are old.
+
+        Raises
+        ------
+        ModelError
+            If a delay is no whole number of samples, or the model has delays already.
+
+        Examples
+        --------
+        >>> from bayesftc.controllers import LinearModel
+        >>> model = LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1).with_delays(inputs=2, sensors=[0, 1])
+        >>> model.state_names
+        ('x[0]', 'u[-1]', 'u[-2]', 'y1[-1]')
+        """
+        late: LinearModel = with_delays(self, inputs, sensors)
+        return late
+
     def about(self, x: ArrayLike, u: ArrayLike, y: ArrayLike, *, following: ArrayLike | None = None) -> LinearModel:
         """Return this model of deviations from an operating point as a model of values; its last state is the constant 1.
 
-        Apply it last, because all other states stand before the constant.
+        Apply it last, but before `with_delays`, because all other states stand before the constant.
 
         Parameters
         ----------
@@ -517,6 +600,8 @@ class LinearModel:
         """
         if self.constant:
             raise ModelError("The model is already one of values; apply about() once.")
+        if self.delays is not None:
+            raise ModelError("The model has delays; apply about() before with_delays().")
         n, plant = self.states, self.states - self.disturbances
         A, B, C = (self.matrix(name) for name in "ABC")
         x, u, y = (

@@ -11,8 +11,8 @@ function. To write one you must:
 3. define its effect by attributes of the class: the plant gets ``(1 + takes + relative c) u + absolute c``; `follows` is 1 if c
    begins at the last control, else 0.
 
-This suffices in Python: ``SwitchingPrecision(actuator_modes=[Released()])``; ``docs/extend.md`` has a complete example. Scenario
-files and tests use `ACTUATOR_MODES`; add the mode to it for them.
+This suffices in Python: ``SwitchingPrecision(actuator_modes=[Released()])``; ``docs/reference/extend.md`` has an example.
+Scenario files and tests use `ACTUATOR_MODES`; add the mode to it for them.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ def control_scales(model: LinearModel) -> list[float]:
     With several states it is that of the most informative direction.
     """
     precision = np.linalg.pinv(model.matrix("process_covariance"), hermitian=True)
-    information = [float(effect @ precision @ effect) for effect in model.matrix("B").T]
+    information = [float(effect @ precision @ effect) for effect in model.effects.T]
     return [value**-0.5 if value > 0 else 0.0 for value in information]
 
 
@@ -46,7 +46,7 @@ def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Seq
     if not modes:
         return []
     scales = control_scales(model)
-    for name, effect, scale in zip(names, model.matrix("B").T, scales, strict=True):
+    for name, effect, scale in zip(names, model.effects.T, scales, strict=True):
         if not effect.any():
             raise ModelError(
                 f"SwitchingPrecision has actuator_modes, but {name} moves no state (its column of B is zero); leave it or the "

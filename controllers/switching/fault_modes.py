@@ -8,12 +8,12 @@ To write one you must:
        glitches(e, present, variance, nominal, change, healthy, memory, at, settings, first)
 
    It returns the log density of a sample if the sensor has failed in this way. `drops` in ``mode_kernels.py`` and the table of
-   ``docs/extend.md`` describe the arguments and what the function may write. The places in its memory (`TRUST`, `SIZE`, ...) and
-   `log_density` can be imported from here. The mathematics comes from `bayesftc.cosim.ops`, as in every step function;
+   ``docs/reference/extend.md`` describe the arguments and what the function may write. The places in its memory (`TRUST`, `SIZE`,
+   ...) and `log_density` can be imported from here. The mathematics comes from `bayesftc.cosim.ops`, as in every step function;
 3. return from the property ``first`` its numbers before the first sample (trust, size, further ones), and from
    ``settings(model, sensor)`` its settings for one sensor.
 
-This suffices in Python: ``SwitchingPrecision([Glitching(), Offset()])``; ``docs/extend.md`` has a complete example. Scenario
+This suffices in Python: ``SwitchingPrecision([Glitching(), Offset()])``; ``docs/reference/extend.md`` has an example. Scenario
 files and tests use `FAULT_MODES`; add the mode to it for them.
 
 In the joint form a subclass of `Offset` is estimated together with the state, from its ``jump``, ``slope`` and ``walk``. Its

@@ -226,6 +226,29 @@ def test_a_missing_and_an_absurd_sample_raise_nothing():
     assert max(float(step(y=y, u=[100.0]).model_suspect) for y in draws) < 0.5
 
 
+def test_a_run_that_ended_infinite_is_diagnosed():
+    control = pytest.importorskip("control")
+    falling = control.ss([[4.0]], [[1.0]], [[1.0]], 0, inputs=["force"], outputs=["x"])
+    model = controllers.LinearModel.from_control(
+        falling, dt=0.1, sensors=2, process_covariance=1e-4, sensor_covariance=0.01
+    )
+    controller = controllers.BayesianController(model, controllers.FixedPrecision(), u_min=-0.1, u_max=0.1)
+    lost = cosim.closed_loop(
+        cosim.StateSpace(falling, initial=[0.2]),
+        controller,
+        control="force",
+        measured="x",
+        sensors=cosim.Sensors(2, 0.1),
+        reference=0.0,
+    )
+    with pytest.raises(cosim.SimulationError) as raised:
+        lost.simulate(200.0, seed=1)
+    assert raised.value.result["plant.x"].max() > 1e300
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert controllers.diagnose(raised.value.result, controller, y="sensors.y") is None  # the model is right
+
+
 def test_the_time_scale_of_a_model_is_that_of_python_control_and_two_halves_are_one():
     control = pytest.importorskip("control")
     whole, half = (control.c2d(control.ss([[0, 1], [-4, -0.3]], [[0], [2]], [[1, 0]], 0), dt) for dt in (0.1, 0.05))

@@ -1,0 +1,1 @@
+"""Moving goals that are known ahead: the lag behind them by the number of known samples."""
