@@ -44,6 +44,7 @@ from .blocks.faults.kinds import (
     Spikes as Spikes,
     Stuck as Stuck,
 )
+from .blocks.kinds import BLOCKS as BLOCKS
 from .blocks.mathblocks import Gain as Gain, Sum as Sum, UnitDelay as UnitDelay
 from .blocks.memory import (
     Counter as Counter,
@@ -55,6 +56,7 @@ from .blocks.memory import (
     SampleAndHold as SampleAndHold,
     VariableDelay as VariableDelay,
 )
+from .blocks.preview import Preview as Preview
 from .blocks.sensors import Sensors as Sensors
 from .blocks.sources import (
     Constant as Constant,

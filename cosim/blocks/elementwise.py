@@ -230,7 +230,7 @@ def finite(owner: Block, name: str, least: int) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class Polynomial(Elementwise):
-    """A polynomial of each element, ``c[0] u**n + ... + c[n]``, by Horner's rule.
+    """A polynomial of each element by Horner's rule: ``c[0] u**n + c[1] u**(n-1)`` and so on to ``c[n]``.
 
     Parameters
     ----------

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from bayesftc.cosim.base.timebase import rational_step, show
-from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held, normalised
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.opening import part_of
 from bayesftc.cosim.diagram.roles import find_roles
+from bayesftc.cosim.diagram.subsystem import Boundary
 from bayesftc.cosim.diagram.wiring import element_name, find_controller, find_sensors, healthy_source
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmi.equations import ModelEquations
@@ -23,6 +24,7 @@ from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
+Engine = Literal["auto", "compiled", "interpreted"]
 Element = tuple[Port, int]
 """A port and the number of an element."""
 
@@ -104,7 +106,7 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     linear, start = (
         (_of_system(plant, step, rows), np.zeros(len(measured)))
         if plant is not None
-        else _of_block(node, driven, measured, diagram.step * node.every, step)
+        else _of_block(diagram, node, driven, measured, step)
     )
     p, q = len(driven), len(measured)
     if linear.D.shape != (q, p):
@@ -112,7 +114,7 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
             f"plant= has {linear.D.shape[1]} inputs and {linear.D.shape[0]} outputs, but the loop has {p} controls and {q} "
             "measured signals. Give a system with an input for each control and an output for each measured signal."
         )
-    law = _law(controller.block, step, rows @ start)
+    law = _law(diagram, controller, rows @ start)
     names = tuple(element_name(port, i) for port, i in driven)
     goals = tuple(element_name(controller.port("goal"), i) for i in range(controller.port("goal").size))
     quantities = find_roles(diagram).quantities
@@ -128,7 +130,7 @@ _WHOLE = "Linearize the whole loop: loop.to_control(inputs=['controller.u'], ...
 def _measured(diagram: Diagram, sensors: Node) -> tuple[Node, list[Element]]:
     """Return the plant, and its outputs that the sensors measure."""
     port = sensors.port("u")
-    origins = [diagram.source_of(sensors, port, i) for i in range(port.size)]
+    origins = [next(diagram.origins_of(sensors, port, i), None) for i in range(port.size)]
     nodes = {None if origin is None else origin[0].node.name for origin in origins}
     if len(nodes) > 1 or None in nodes:
         raise ModelError(
@@ -159,15 +161,15 @@ def _driven(diagram: Diagram, node: Node, controller: Node) -> list[Element]:
 
 
 def _of_block(
-    node: Node, driven: Sequence[Element], measured: Sequence[Element], plant_step: Fraction, step: Fraction
+    diagram: Diagram, node: Node, driven: Sequence[Element], measured: Sequence[Element], step: Fraction
 ) -> tuple[Matrices, Floats]:
     """Return the plant from controls to measured signals, linearized at its start values, and these signals there."""
     block: Any = node.block
-    inputs = _elements(port for port in block.inputs if port.draw is None)
-    outputs = _elements(block.outputs)
+    plant_step, ports = diagram.step * node.every, _inputs(node)
+    inputs, outputs = _elements(ports), _elements(block.outputs)
     columns = [inputs.index((port.name, i)) for port, i in driven]
     lines = [outputs.index((port.name, i)) for port, i in measured]
-    u = np.concatenate([np.zeros(0), *(_defaults(port) for port in block.inputs if port.draw is None)])
+    u = np.concatenate([np.zeros(0), *map(_defaults, ports)])
     if isinstance(block, StateSpace) and isinstance(block.system, LinearSystem):
         a, b, c, d = block.system.matrices()
         y = c @ np.asarray(block.initial) + d @ u
@@ -179,9 +181,7 @@ def _of_block(
             y = model.outputs(model.x0, u)
         a, b = held(a, b, float(plant_step))
     else:
-        system = block.to_control(
-            plant_step, inputs=[port.name for port in block.inputs if port.draw is None], seed=None
-        )
+        system = _system(diagram, node, [port.name for port in ports], [port.name for port in block.outputs])
         if system._machine.opaque:
             raise ModelError(
                 f"The plant {node.name!r} has hidden states, so that it cannot be linearized at its start values. Give a linear "
@@ -198,6 +198,29 @@ def _of_block(
         )
     a, b = _repeated(a, b, int(ratio))
     return Matrices(a, b[:, columns], c[lines], d[np.ix_(lines, columns)]), np.asarray(y)[lines]
+
+
+def _inputs(node: Node) -> list[Port]:
+    """Return the inputs of a block or a subsystem that are not random."""
+    ports = node.block.free if isinstance(node.block, Boundary) else node.inputs
+    return [port for port in ports if port.draw is None]
+
+
+def _system(
+    diagram: Diagram, node: Node, inputs: Sequence[str], outputs: Sequence[str], engine: Engine = "auto"
+) -> Any:
+    """Return a block or a subsystem of a diagram as a system of python-control, without noise."""
+    block = node.block
+    if not isinstance(block, Boundary):
+        return block.to_control(diagram.step * node.every, inputs=inputs, outputs=outputs, seed=None, engine=engine)
+    part = part_of(diagram, [node.name])
+    if any(each.every != 1 for each in part.nodes):
+        raise ModelError(
+            f"The blocks of {node.name!r} run at different rates, so that it is not a linear system with a constant step. "
+            f"{_WHOLE}"
+        )
+    whole = [{f"{node.name}.{name}": name for name in names} for names in (inputs, outputs)]
+    return part.to_control(inputs=whole[0], outputs=whole[1], seed=None, engine=engine)
 
 
 def _elements(ports: Iterable[Port]) -> list[tuple[str, int]]:
@@ -234,11 +257,12 @@ def _of_system(system: Any, step: Fraction, rows: Floats) -> Matrices:
     return Matrices(a, b, c, d)
 
 
-def _law(block: Block, step: Fraction, y: Floats) -> Matrices:
+def _law(diagram: Diagram, node: Node, y: Floats) -> Matrices:
     """Return the controller: by its method ``linear_law``, else linearized at its initial state with the input `y`."""
+    block = node.block
     if hasattr(block, "linear_law"):
         return Matrices(*block.linear_law())
-    system = block.to_control(step, inputs=["y", "goal"], outputs=["u"], seed=None, engine="interpreted")
+    system = _system(diagram, node, ["y", "goal"], ["u"], "interpreted")
     goal = np.zeros(block.port("goal").size)
     C, G = (getattr(block, name, None) for name in ("measurement_matrix", "goal_matrix"))
     if C is not None and G is not None and np.isfinite(C).all():

@@ -70,7 +70,7 @@ def margins_of(loop: Any) -> Margins:
     grid = _grid(poles)
     values = response(grid)
     # At both ends the response is real, except for rounding.
-    ends = [a for a in (0.0, np.pi) if not (np.abs(poles - np.exp(1j * a)) < 1e-9).any()]
+    ends = [a for a in (0.0, np.pi) if not (np.abs(poles - np.exp(1j * a)) < 1e-9).any() and not _is_pole(loop.A, a)]
     real = [a for a in _crossings(lambda a: response(a).imag, grid, values.imag) if 1e-9 < a < np.pi - 1e-9]
     limits = [(a, -1.0 / response(a).real) for a in [*real, *ends] if response(a).real < 0.0]
     phase_crossover, gain = min(limits, key=lambda each: abs(np.log(each[1])), default=(np.nan, np.inf))
@@ -92,6 +92,11 @@ def margins_of(loop: Any) -> Margins:
         float(phase_crossover / step),
         float(min(least.fun, abs(1.0 + values[nearest]), *(abs(1.0 + response(a)) for a in ends), np.inf)),
     )
+
+
+def _is_pole(A: Floats, angle: float) -> bool:
+    """Return whether there is a pole at this angle of the unit circle, also a repeated one, which is computed less exactly."""
+    return bool(len(A)) and float(np.linalg.cond(np.exp(1j * angle) * np.eye(len(A)) - A)) > 1e15
 
 
 def _grid(poles: NDArray[np.complex128]) -> Floats:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from numbers import Real
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,10 +16,12 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
+from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
+from bayesftc.cosim.diagram.subsystem import outermost, port_named
 from bayesftc.cosim.errors import (
     ConnectionError,
     ModelError,
@@ -30,6 +32,8 @@ from bayesftc.cosim.errors import (
 )
 
 Names = str | Sequence[str]
+Connection = tuple[Names, str]
+"""The names of one or several sources, and of the input that they feed."""
 
 
 def closed_loop(
@@ -44,6 +48,8 @@ def closed_loop(
     input_faults: Mapping[str, Fault | Sequence[Fault]] | None = None,
     noise: Mapping[str, Block] | None = None,
     monitors: Mapping[str, Block] | None = None,
+    blocks: Mapping[str, Block | tuple[Block, int]] | None = None,
+    connections: Sequence[Connection] = (),
     dt: float | str | Fraction | None = None,
 ) -> Diagram:
     """Return the diagram of a plant with controller, sensors, and faults of sensors and actuators.
@@ -66,7 +72,9 @@ def closed_loop(
     measured : str or sequence of str
         The plant's outputs for the sensors: vectors as a whole, or elements of them.
     reference : Block, float or a sequence of them
-        The goal: a source, a constant, or one for each element of the controller's ``goal``.
+        The goal: a source, a constant, or one for each element of the controller's ``goal``. For a controller whose property
+        ``preview`` is n > 0, each becomes a `Preview`: its ``y`` is the present goal, and the controller gets that of n of its
+        samples later.
     sensors : Sensors, optional
         By default one perfect sensor for each measured output. The controller gets their ``invalid`` values.
     faults : Fault or sequence of Fault
@@ -79,6 +87,12 @@ def closed_loop(
     monitors : mapping of name to Block, optional
         Blocks that monitor the controller. Each input is fed by the controller's output of that name, or is ``y`` or ``goal``
         of the controller. An input with a start value needs no such signal.
+    blocks : mapping of name to Block, optional
+        Further blocks, or pairs of a block and its `every` (see `Diagram.add`).
+    connections : sequence of (str or sequence of str, str)
+        Connections of the further blocks, from outputs to an input: ``("controller.u", "limiter.u")``. They replace the loop's
+        own connection to the same input, as ``("limiter.y", "plant.force")`` does. A source may also be an input: it stands
+        for the signal that the loop itself feeds to it, after its faults.
     dt : float, str or Fraction, optional
         Base step in seconds; by default the controller's sample time. With a smaller one, the controller (or a discrete plant)
         runs at every n-th step; its sample time must be a whole multiple of `dt`. Sensors, faults and sources run at the base
@@ -99,13 +113,10 @@ def closed_loop(
         If one of them is of the wrong kind.
     """
     _check_kinds(plant, controller, sensors, noise)
-    step = controller.sample_time if dt is None else dt
-    if step is None:
-        raise StepSizeError(f"{type(controller).__name__} has no sample time; give closed_loop(dt=...) in seconds.")
-    diagram = Diagram(step)
-    goals = [diagram.add(block, name) for name, block in _references(reference)]
+    diagram = Diagram(base_step(controller, dt))
+    goals = [diagram.add(block, name)[output] for name, block, output in _references(reference, controller)]
     chains = [faults, *(input_faults.values() if isinstance(input_faults, Mapping) else ())]
-    plant = plant.watching([*_names(measured, "measured"), *_compared("plant", chains)])
+    plant = plant.watching([*_names(measured, "measured"), *_compared("plant", chains), *_taken("plant", connections)])
     node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
     outputs = [node[name] for name in _names(measured, "measured")]
     sensors = _fitted(sensors, sum(map(len, outputs)))
@@ -120,7 +131,7 @@ def closed_loop(
             "row, or its modalities a sample, for each sensor, and Sensors the same count."
         )
     diagram.connect(samples, controller_node["y"])
-    diagram.connect([g["y"] for g in goals], controller_node["goal"])
+    diagram.connect(goals, controller_node["goal"])
     inputs = {name: node[name] for name in _names(control, "control")}
     if len(controller_node["u"]) != sum(map(len, inputs.values())):
         raise ConnectionError(
@@ -136,14 +147,29 @@ def closed_loop(
     for name, target in inputs.items():
         _feed(diagram, controller_node["u"][first : first + len(target)], target, remaining.pop(name, ()), name)
         first += len(target)
-    controller_inputs = {"y": samples, "goal": [g["y"] for g in goals]}
+    controller_inputs = {"y": samples, "goal": goals}
     for name, monitor in (monitors or {}).items():
         _watch(diagram, controller_node, diagram.add(monitor, name, controller_node.every), controller_inputs)
     for name, source in (noise or {}).items():
         _feed(diagram, diagram.add(source, noise_block(name))["y"], node[name], remaining.pop(name, ()), name)
     for name, chain in remaining.items():
         _feed(diagram, _start_value(diagram, node[name], name), node[name], chain, name)
+    _extend(diagram, blocks or {}, connections)
     return diagram.build()
+
+
+def base_step(controller: Block, dt: float | str | Fraction | None) -> float | str | Fraction:
+    """Return the base step of a loop: the given one, by default the controller's sample time.
+
+    Raises
+    ------
+    StepSizeError
+        If there is neither.
+    """
+    step = controller.sample_time if dt is None else dt
+    if step is None:
+        raise StepSizeError(f"{type(controller).__name__} has no sample time; give closed_loop(dt=...) in seconds.")
+    return step
 
 
 def _check_kinds(plant: object, controller: object, sensors: object, noise: object) -> None:
@@ -152,7 +178,7 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
         if not isinstance(given, Block):
             raise ModelError(
                 f"The {role} must be a block, not {given!r}; use cosim.FMU(path) for an FMU, cosim.StateSpace(system) for a "
-                "system of python-control, or write a block (docs/write-a-block.md)."
+                "system of python-control, or write a block (docs/reference/write-a-block.md)."
             )
     assert isinstance(controller, Block)
     ports = {p.name for p in controller.inputs}, {p.name for p in controller.outputs}
@@ -206,6 +232,12 @@ def _compared(block: str, chains: Sequence[Fault | Sequence[Fault]]) -> list[str
     """Return the variables of a block on which faults have conditions."""
     signals = [signal for faults in chains for fault in _chain(faults) for signal in fault.named_sources.values()]
     return [signal.removeprefix(f"{block}.") for signal in signals if signal.startswith(f"{block}.")]
+
+
+def _taken(block: str, connections: Sequence[Connection]) -> list[str]:
+    """Return the variables of a block that connections take."""
+    sources = [source for names, _ in connections for source in ([names] if isinstance(names, str) else names)]
+    return [source.removeprefix(f"{block}.") for source in sources if source.startswith(f"{block}.")]
 
 
 def _chain(faults: Fault | Sequence[Fault]) -> Sequence[Fault]:
@@ -277,6 +309,55 @@ def _watch(diagram: Diagram, controller_node: Node, monitor: Node, inputs: Mappi
         diagram.connect(controller_node[port.name] if port.name in outputs else inputs[port.name], monitor[port.name])
 
 
+def _extend(
+    diagram: Diagram, blocks: Mapping[str, Block | tuple[Block, int]], connections: Sequence[Connection]
+) -> None:
+    """Add further blocks, and their connections in place of those of the loop to the same inputs."""
+    outside = {node.name for node in outermost(diagram)}
+    own = {place: origin for place, origin in diagram.connections() if place[0] in outside}
+    faults = [node for node in diagram.nodes if isinstance(node.block, Fault)]
+    for name, given in blocks.items():
+        block, every = given if isinstance(given, tuple) else (given, None)
+        if every is None:
+            every = _every(block, name, diagram.step) if isinstance(block, Block) else 1
+        diagram.add(block, name, every)
+    pairs = [(_sources(diagram, names, own), port_named(diagram, target, LOOP)) for names, target in connections]
+    for _, target in pairs:
+        for element in target:
+            if (target.node.name, target.port.name, element.elements[0]) in own:
+                diagram.disconnect(element)
+    for sources, target in pairs:
+        diagram.connect(sources, target)
+    heard = {origin.node for _, (origin, _) in diagram.connections() if origin.port.name == "y"}
+    for fault in faults:
+        if fault not in heard:
+            raise ConnectionError(
+                f"The connections leave out the fault {fault.name!r}, so that it has no effect; take the signal after it, "
+                f"'{fault.name}.y', or remove the fault."
+            )
+
+
+LOOP = "The loop"
+
+
+def _sources(diagram: Diagram, names: Names, own: Mapping[tuple[str, str, int], tuple[PortRef, int]]) -> list[PortRef]:
+    """Return the outputs that a connection takes, by their names; of an input, what the loop itself feeds to it."""
+    outputs = []
+    for name in [names] if isinstance(names, str) else names:
+        port = port_named(diagram, name, LOOP)
+        if port.direction == "output":
+            outputs.append(port)
+            continue
+        for element in port:
+            origin = own.get((port.node.name, port.port.name, element.elements[0]))
+            if origin is None:
+                raise ConnectionError(
+                    f"{element.name} is an input that the loop itself does not feed; a connection begins at an output."
+                )
+            outputs.append(PortRef(origin[0].node, origin[0].port, origin[0].direction, (origin[1],)))
+    return outputs
+
+
 def _every(block: Block, name: str, step: Fraction) -> int:
     """Return the number of base steps in the sample time of a block; 1 if it has none."""
     ratio = Fraction(1) if block.sample_time is None else block.sample_time / step
@@ -295,10 +376,21 @@ def _names(given: Names, what: str) -> list[str]:
     return names
 
 
-def _references(given: Block | float | Sequence[Block | float]) -> list[tuple[str, Block]]:
+def _references(
+    given: Block | float | Sequence[Block | float], controller: Block
+) -> list[tuple[str, Block, Literal["y", "ahead"]]]:
+    """Return the names and blocks of the references, and the output that is the goal."""
     several = list(given) if isinstance(given, Sequence | np.ndarray) else [given]
     blocks: list[Any] = [Constant(real(r)) if isinstance(r, Real) else r for r in several]
-    return [("reference" if len(blocks) == 1 else f"reference_{i}", block) for i, block in enumerate(blocks)]
+    names = ["reference" if len(blocks) == 1 else f"reference_{i}" for i in range(len(blocks))]
+    if time := preview_time(controller):
+        return [(name, Preview(block, time), "ahead") for name, block in zip(names, blocks, strict=True)]
+    return [(name, block, "y") for name, block in zip(names, blocks, strict=True)]
+
+
+def preview_time(controller: Block) -> Fraction:
+    """Return the seconds by which a controller's goal lies ahead, from its property ``preview``; else 0."""
+    return getattr(controller, "preview", 0) * (controller.sample_time or Fraction(0))
 
 
 def with_invalid(controller: Block, sensors: Sensors) -> Block:

@@ -1,6 +1,7 @@
 """How FMUs that feed each other are stepped together.
 
-An FMU holds its inputs during a step. So a coupling is a choice of the held values. docs/coupling.md compares the choices.
+An FMU holds its inputs during a step. So a coupling is a choice of the held values, which
+docs/reference/coupling.md compares.
 """
 
 from __future__ import annotations

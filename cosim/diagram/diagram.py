@@ -154,6 +154,18 @@ class Diagram(LoopMethods):
                 raise ConnectionError(f"{where} already has a source ({before}); it cannot also take {s.name}.")
         self._sources.update(new)
 
+    def disconnect(self, target: PortRef) -> None:
+        """Remove the connection of an input, or of some of its elements; it can then be connected to another source.
+
+        Parameters
+        ----------
+        target : port
+            The input: ``node["u"]``, ``node["u"][0]``.
+        """
+        self._refuse_if_built("disconnect ports")
+        for element in target.elements:
+            self._sources.pop((target.node.name, target.port.name, element), None)
+
     @property
     def nodes(self) -> tuple[Node, ...]:
         """The blocks in the order in which they were added."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from fractions import Fraction
+from math import gcd
 
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.subsystem import with_inside
 from bayesftc.cosim.errors import ModelError, UnconnectedInputError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, labels
 
@@ -117,6 +119,25 @@ def needed(diagram: Diagram) -> dict[str, tuple[Node, Port, int]]:
         for i, label in enumerate(labels(f"{node.name}.{port.name}", port.shape))
         if port.draw is None and port.default is None and next(diagram.origins_of(node, port, i), None) is None
     }
+
+
+def part_of(diagram: Diagram, names: Iterable[str]) -> Diagram:
+    """Return a diagram of some blocks of another one, and of the blocks inside those that are subsystems.
+
+    Its base step is the largest possible one. Connections to other blocks are left out.
+    """
+    nodes = [diagram[name] for name in with_inside(diagram, names)]
+    every = gcd(*(node.every for node in nodes))
+    part = Diagram(diagram.step * every)
+    new = {node.name: part.add(node.block, node.name, node.every // every) for node in nodes}
+    for node in nodes:
+        for port in node.inputs:
+            for i in range(port.size):
+                # Of a subsystem whose ports are left out, the block on their other side counts.
+                origins = ((s, e) for s, e in diagram.origins_of(node, port, i) if s.node.name in new)
+                if (origin := next(origins, None)) is not None:
+                    part._sources[node.name, port.name, i] = new[origin[0].node.name][origin[0].port.name], origin[1]
+    return part
 
 
 def opened(diagram: Diagram, given: Sequence[tuple[Node, Port, int]], who: str) -> tuple[Diagram, list[Element]]:

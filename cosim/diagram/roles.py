@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.wiring import (
@@ -170,6 +171,14 @@ def _source(diagram: Diagram, node: Node, port: Port, element: int) -> Place | N
     return None if source is None else (f"{source[0].node.name}.{source[0].port.name}", source[1])
 
 
+def _reference(diagram: Diagram, controller: Node, goal: int) -> Place | None:
+    """Return the source of one element of the goal; of a goal that lies ahead, the present one."""
+    source = diagram.source_of(controller, controller.port("goal"), goal)
+    if source is not None and isinstance(source[0].node.block, Preview):
+        return f"{source[0].node.name}.y", source[1]
+    return _source(diagram, controller, controller.port("goal"), goal)
+
+
 def _inputs(diagram: Diagram, others: Container[str], controller: Node) -> tuple[InputRole, ...]:
     """Return the inputs that are fed through faults, except for those of the named blocks."""
     roles = []
@@ -237,7 +246,7 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
         goal = number if goals == len(groups) and (C is None or G is None) else None  # without matrices: in order
         if weights is not None and G is not None:
             goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, weights)), None)
-        reference = None if goal is None else _source(diagram, controller, controller.port("goal"), goal)
+        reference = None if goal is None else _reference(diagram, controller, goal)
         belief = None if weights is None else tuple(map(float, weights))
         roles.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal))
     return tuple(roles)

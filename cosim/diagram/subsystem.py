@@ -219,17 +219,37 @@ def with_inside(diagram: Diagram, names: Iterable[str]) -> list[str]:
     return [node.name for node in diagram.nodes if node.name in chosen or node.name.startswith(inside)]
 
 
+def port_named(diagram: Diagram, name: str, whole: str = "The diagram") -> PortRef:
+    """Return a port by its name, ``"block.port"`` or an element of it, also of a block inside a subsystem.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        The diagram.
+    name : str
+        The name.
+    whole : str
+        What the diagram is called in the error message.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no such block or port.
+    """
+    names = {node.name: node for node in diagram.nodes}
+    owners = [owner for owner in names if name.startswith(f"{owner}.")]
+    if not owners:
+        raise UnknownNameError(
+            f"{whole} has no block for {name!r}; name a port as 'block.port'; {did_you_mean(name.split('.')[0], names)}"
+        )
+    owner = max(owners, key=len)
+    return names[owner][name[len(owner) + 1 :]]
+
+
 def _reference(diagram: Diagram, port: PortRef | str, direction: str) -> PortRef:
     """Return a reference to a port of a block of the diagram, which must be on the right side of the block."""
     if isinstance(port, str):
-        names = {node.name: node for node in diagram.nodes}
-        owners = [name for name in names if port.startswith(f"{name}.")]
-        if not owners:
-            raise UnknownNameError(
-                f"The subsystem has no block for {port!r}; name a port as 'block.port'; {did_you_mean(port.split('.')[0], names)}"
-            )
-        owner = max(owners, key=len)
-        port = names[owner][port[len(owner) + 1 :]]
+        port = port_named(diagram, port, "The subsystem")
     if not isinstance(port, PortRef):
         raise ModelError(
             f"An {direction} of a subsystem refers to a port, such as node['y'] or 'node.y', not to {port!r}."

@@ -87,10 +87,14 @@ def faults_right_before(diagram: Diagram, node: Node, port: Port, element: int) 
 
 
 def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tuple[Node, Port, int] | None:
-    """Return the block, the output and its element that feed one element of an input while no fault is present."""
-    origin = diagram.source_of(node, port, element)
+    """Return the block, the output and its element that feed one element of an input while no fault is present.
+
+    A subsystem counts as one block.
+    """
+    origin = next(diagram.origins_of(node, port, element), None)
     while origin is not None and isinstance(origin[0].node.block, Fault):
-        origin = diagram.source_of(origin[0].node, origin[0].node.port("u"), origin[1])
+        fault = origin[0].node
+        origin = next(diagram.origins_of(fault, fault.port("u"), origin[1]), None)
     return None if origin is None else (origin[0].node, origin[0].port, origin[1])
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import islice
-from math import gcd
+from types import FunctionType
 from typing import Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
 from bayesftc.cosim.diagram.nodes import Node
-from bayesftc.cosim.diagram.opening import OUTSIDE, Names, opened
+from bayesftc.cosim.diagram.opening import OUTSIDE, Names, opened, part_of
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.diagram.subsystem import Subsystem, with_inside
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
@@ -23,6 +23,7 @@ from bayesftc.cosim.export.names import check, legal, unique
 from bayesftc.cosim.export.signals import OneElement, Place, Places, Signal, Tunable, signal_of, tunables_of
 from bayesftc.cosim.export.units import units_of
 from bayesftc.cosim.ports import Port, labels
+from bayesftc.cosim.stepping.fingerprint import foreign_functions
 
 
 @dataclass(frozen=True)
@@ -160,9 +161,16 @@ def _refuse_python(schedule: Schedule) -> None:
         if definition is not None and not definition.compiled:
             raise ModelError(
                 f"The block {node.name!r} ({type(node.block).__name__}) calls Python, which is not available in the exported C. "
-                "Write its step function by the rules of step functions (docs/write-a-block.md), without compiled=False. Use a "
-                "classifier that is linear in its features, and filter='own' for filters."
+                "Write its step function by the rules of step functions (docs/reference/write-a-block.md), without "
+                "compiled=False. Use a classifier that is linear in its features, and filter='own' for filters."
             )
+        for kernel in (definition.output, definition.update) if definition is not None else ():
+            for function in foreign_functions(kernel) if isinstance(kernel, FunctionType) else ():
+                raise ModelError(
+                    f"The block {node.name!r} ({type(node.block).__name__}) calls {function.title} in its step, and the "
+                    "exported C cannot contain it. Export a block whose model is written as step functions, "
+                    "NonlinearModel(f, g, ...), or linear (LinearModel.from_fmu)."
+                )
 
 
 def _as_diagram(exported: Block | Diagram, dt: float | str | Fraction | None) -> Diagram:
@@ -190,17 +198,7 @@ def _part(diagram: Diagram, blocks: Sequence[str] | str | None) -> Diagram:
                 f"The block {node.name!r} is an FMU ({type(node.block).__name__}), which cannot be exported again. Export the "
                 "blocks around it, and connect both in the tool that runs them."
             )
-    every = gcd(*(node.every for node in nodes))
-    part = Diagram(diagram.step * every)
-    new = {node.name: part.add(node.block, node.name, node.every // every) for node in nodes}
-    for node in nodes:
-        for port in node.inputs:
-            for i in range(port.size):
-                # Of a subsystem whose ports are left out, the block on their other side counts.
-                origins = ((s, e) for s, e in diagram.origins_of(node, port, i) if s.node.name in new)
-                if (origin := next(origins, None)) is not None:
-                    part._sources[node.name, port.name, i] = new[origin[0].node.name][origin[0].port.name], origin[1]
-    return part
+    return part_of(diagram, requested)
 
 
 def _unfed(part: Diagram, label: str, places: Places) -> dict[str, Places]:

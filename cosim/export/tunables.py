@@ -62,7 +62,8 @@ class Setting:
     description : str
         Its description in the docstring.
     unit : str
-        The unit in its field: ``s``, or ``{u}/s``, where ``{u}`` is the unit of the port ``u``; empty for none.
+        The unit in its field: ``s``, or ``{u}/s``, where ``{u}`` is the unit of the port ``u``; empty for none. In
+        ``{*_signal}`` the star stands for the setting that has this one, such as ``start``.
     """
 
     name: str
@@ -85,8 +86,9 @@ def settings_of(block: Block, definition: Definition, step: Fraction) -> list[Se
         if places is None or any(place in used for each in places.values() for place in each):
             continue
         used |= {place for each in places.values() for place in each}
-        field = name.rpartition(".")[2]
-        settings += _split(name, value, places, _described(type(owner), field), _measured(type(owner), field))
+        holder, _, field = name.rpartition(".")
+        unit = _measured(type(owner), field).replace("{*", "{" + holder)
+        settings += _split(name, value, places, _described(type(owner), field), unit)
     return settings
 
 

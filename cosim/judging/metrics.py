@@ -49,6 +49,8 @@ class Detection:
     ----------
     sensor : int
         Number of the sensor.
+    unit : str or None
+        The unit of its samples.
     fault_share : float
         Share of time with a fault.
     missing_share : float
@@ -72,6 +74,7 @@ class Detection:
     """
 
     sensor: int
+    unit: str | None
     fault_share: float
     missing_share: float
     faults: float
@@ -209,7 +212,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
     faulty, probability = signals.faulty, signals.probability
     missing = NAN if signals.missing is None else _share(signals.missing)
     if faulty is None:
-        return Detection(signals.index, NAN, missing, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
+        return Detection(signals.index, signals.unit, NAN, missing, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
     present = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing
     # For each fault the indices of the samples that are not missing; a dropout has none.
     samples_of_faults = [a + np.flatnonzero(present[a:b]) for a, b in periods(faulty)]
@@ -226,6 +229,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
     ranked_by = next(iter(scores), None)
     return Detection(
         sensor=signals.index,
+        unit=signals.unit,
         fault_share=_share(faulty),
         missing_share=missing,
         faults=len(samples_of_faults),

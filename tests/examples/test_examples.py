@@ -8,6 +8,7 @@ import pytest
 
 import bayesftc.examples
 from bayesftc import fmus
+from bayesftc.examples.actuator_limits import study as actuator_limits
 from bayesftc.examples.cruise_control import (
     actuator_faults,
     block_diagram,
@@ -17,6 +18,7 @@ from bayesftc.examples.cruise_control import (
     where_it_helps,
 )
 from bayesftc.examples.design_from_fmu import four_plants
+from bayesftc.examples.goals_ahead import study as goals_ahead
 from bayesftc.examples.python_control_style import cruise_control as in_python_control
 from bayesftc.scenario import load_scenario, shipped_scenarios
 
@@ -33,7 +35,7 @@ MODULES = {
 
 def test_no_example_is_forgotten():
     assert {p.stem for p in FOLDER.glob("*.py")} - {"__init__"} == MODULES
-    assert set(shipped_scenarios()) == {"cruise_control", "position_servo"}
+    assert set(shipped_scenarios()) == {"cruise_control", "position_servo", "smooth_car"}
 
 
 def test_learned_precision_keeps_the_car_on_the_road(capsys):
@@ -129,3 +131,28 @@ def test_controllers_in_one_call_are_as_good_as_the_oracle(tmp_path):
         assert tolerant < 0.6 * without
         assert tolerant < 1.1 * oracle
     assert (tmp_path / "four.png").stat().st_size > 10_000
+
+
+def test_a_servo_that_knows_its_goals_does_not_lag(capsys):
+    errors = goals_ahead.main(runs=1, previews=(0, 20), cases=goals_ahead.CASES[1:2])
+    assert errors["sine", 20] < 0.15 * errors["sine", 0]
+    assert "sine" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_each_known_sample_makes_the_servo_lag_less(tmp_path):
+    errors = goals_ahead.main(3, tmp_path / "ahead.png")
+    for case in goals_ahead.CASES[:2]:
+        assert (np.diff([errors[case.name, n] for n in goals_ahead.PREVIEWS]) < 1e-4).all()
+    assert (tmp_path / "ahead.png").stat().st_size > 10_000
+
+
+def test_only_controllers_that_know_the_limits_do_not_wind_up(tmp_path):
+    table = actuator_limits.main(tmp_path / "limits.png")
+    for kind in ("PI", "LQG"):
+        winding, limited = (figures for name, figures in table.items() if name.startswith(kind))
+        assert winding["overshoot"] > 5.0
+        assert limited["overshoot"] < 0.6
+        assert limited["settled"] < 0.5 * winding["settled"]
+    assert table["LQG with u_min, u_max"]["undershoot"] < 0.1
+    assert (tmp_path / "limits.png").stat().st_size > 10_000

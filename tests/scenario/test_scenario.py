@@ -78,7 +78,9 @@ def test_faults_on_a_condition(write, same_bits):
     scenario = load_scenario(write(("start = 6.0", start), ("stop = 14.0", f"{stop}\nlatching = false")))
     condition, other = cosim.when("plant.v", ">", 22.0), cosim.when("controller.u", "<", 0.0, delayed=True)
     assert scenario.faults == [cosim.Freeze(start=condition, stop=other, duration=2.0, latching=False)]
-    result = short(load_scenario(write(("start = 6.0", start), ("stop = 14.0", "duration = 2"))), duration=4.0)
+    as_text = load_scenario(write(("start = 6.0", "start = 'plant.v > 22'"), ("stop = 14.0", "duration = 2")))
+    assert as_text.faults == [cosim.Freeze(start=condition, duration=2.0)]
+    result = short(as_text, duration=4.0)
     first = int(np.argmax(result["plant.v"] > 22.0))
     assert 0 < first < 100
     same_bits(result["freeze_0.active"], (np.abs(np.arange(201) - first - 49.5) < 50).astype(float))
@@ -226,6 +228,25 @@ def test_dt_may_stand_with_the_simulation(write):
     assert load_scenario(file).loop().step == cosim.Diagram(0.02).step
 
 
+def test_delays_and_preview(write):
+    """The car's own control is late by three samples, and its second sensor by two; its goals are known ahead."""
+    file = write(
+        (
+            "sensor_covariance = 1.0",
+            "sensor_covariance = 1.0\ndisturbance = 1e-4\ninput_delays = 3\nsensor_delays = [0, 2]",
+        ),
+        ('kind = "BayesianController"', 'kind = "LQGController"\npreview = 5'),
+    )
+    scenario = load_scenario(file)
+    model = scenario.controller.model
+    assert model.state_names == ("x[0]", "u[-1]", "u[-2]", "u[-3]", "y1[-1]", "y1[-2]", "disturbance[0]")
+    result = scenario.simulate(duration=0.4)
+    np.testing.assert_array_equal(result["reference.ahead"][:-5], result["reference.y"][5:])
+    late = write(("sensor_covariance = 1.0", 'sensor_covariance = 1.0\ninput_delays = "3"'))
+    with pytest.raises(ScenarioError, match=r"'model.input_delays' is '3'; it must be a whole number or a list"):
+        load_scenario(late)
+
+
 def test_disturbance(write):
     file = write(("sensor_covariance = 1.0", "sensor_covariance = 1.0\ndisturbance = 1e-4"))
     assert load_scenario(file).controller.model.disturbances == 1
@@ -291,9 +312,11 @@ WRONG = {
     ),
     "window": (("stop = 14.0", "stop = 4.0"), ModelError, ["faults[0]", "stop=4.0"]),
     "text for a condition": (
-        ("start = 6.0", "start = 'plant.v > 22'"), ScenarioError,
-        ["faults[0].start", "a number or a table with the settings of When (signal, relation, value)"],
+        ("start = 6.0", "start = 'plant.v => 22'"), ScenarioError,
+        ["faults[0].start", 'a number, a condition such as "plant.v > 22" or a table', "of When (signal, relation, value)"],
     ),
+    "signal of a text": (("start = 6.0", "start = 'v > 22'"), ModelError, ["faults[0].start", "signal='v'", "with its block"]),
+    "value of a text": (("start = 6.0", "start = 'plant.v > nan'"), ModelError, ["faults[0].start", "a finite number"]),
     "relation": (
         ("start = 6.0", "start = { signal = 'plant.v', relation = '=>', value = 22 }"), ModelError, ["faults[0].start", "'=>'"],
     ),
@@ -600,7 +623,7 @@ def test_a_design_knows_the_sensors_of_the_file(write, more, covariance):
         (
             "[sensors]\ncovariance = [[2]]",
             ScenarioError,
-            "'controller' lacks 'sensor_std', which a design needs if [sensors] has a covariance",
+            "'controller' lacks 'sensor_std', which it needs if [sensors] has a covariance",
         ),
     ],
 )
@@ -614,3 +637,68 @@ def test_a_design_is_among_the_kinds_of_controllers(write):
         load_scenario(write(text=LINEAR.replace('"Design"', '"desing"')))
     with pytest.raises(ScenarioError, match="'UnbiasedActiveInference', 'design'"):
         load_scenario(write(text=LINEAR.replace('kind = "Design"', "")))
+
+
+CART = """
+[simulation]
+duration = 0.2
+dt = 0.02
+[plant]
+fmu = "CartPendulum"
+control = "force"
+measured = ["position", "angle"]
+[sensors]
+count = 4
+std = 0.005
+[[reference]]
+kind = "Constant"
+value = 0.0
+[[reference]]
+kind = "Constant"
+value = 0.0
+[controller]
+kind = "NonlinearBayesianController"
+goal_on = [[1, 0, 0, 0], [0, 1, 0, 0]]
+goal_covariance = 1.0
+control_covariance = 1.0
+iterations = 4
+[model]
+kind = "from_fmu"
+noise = { torque = 0.02 }
+"""
+
+
+def test_a_model_is_that_of_the_plants_fmu(write):
+    scenario = load_scenario(write(text=CART))
+    wanted = controllers.NonlinearModel.from_fmu(
+        fmus.path("CartPendulum"), measured=["position", "angle"], actuated="force", dt=0.02, sensors=4, sensor_std=0.005,
+        noise={"torque": 0.02},
+    )  # fmt: skip
+    model = scenario.controller.model
+    assert model.names == wanted.names
+    np.testing.assert_array_equal(model.process_covariance, wanted.process_covariance)
+    np.testing.assert_array_equal(model.sensor_covariance, wanted.sensor_covariance)
+    assert np.isfinite(scenario.simulate()["controller.u"]).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('kind = "from_fmu"', 'kind = "from_fmo"', "'model.kind' is 'from_fmo', .* did you mean 'from_fmu'"),
+        ('kind = "from_fmu"', 'kind = "from_fmu"\nmeasured = "angle"', "'model.measured' is already set by"),
+        ("noise =", "nose =", "'model' has the unknown key 'nose'; did you mean 'noise'"),
+        ('fmu = "CartPendulum"', "A = [[1]]\nB = [[1]]\nC = [[1]]\ndt = 0.02", "the .plant. is no FMU"),
+    ],
+)
+def test_a_wrong_model_of_the_plant_names_the_key(write, old, new, said):
+    with pytest.raises(ScenarioError, match=said):
+        load_scenario(write(text=CART.replace(old, new)))
+
+
+def test_the_kind_of_an_fmu_is_no_kind_of_plant(tmp_path):
+    """An FMU has a setting ``kind``, and [plant] and [blocks.<name>] have one for other blocks."""
+    fmu = 'kind = "co-simulation"\nfmu = "CruiseControl"'
+    file = tmp_path / "car.toml"
+    file.write_text(CAR.replace('fmu = "CruiseControl"', fmu, 1) + f"\n[blocks.other]\n{fmu}\n")
+    scenario = load_scenario(file)
+    assert scenario.plant.kind == scenario.loop()["other"].block.kind == "co-simulation"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite, nan
@@ -50,7 +51,7 @@ class When:
 
     signal: str
     relation: str
-    value: float
+    value: float = field(metadata={"unit": "{*_signal}"})
     delayed: bool = False
 
     def __post_init__(self) -> None:
@@ -74,17 +75,36 @@ class When:
     def __str__(self) -> str:
         return f"{self.signal} {self.relation} {self.value:g}"
 
+    @classmethod
+    def read(cls, text: str, *, delayed: bool = False) -> When | None:
+        """Return the condition of a text such as ``"plant.v > 22"``; None if it is none.
 
-def when(signal: str, relation: str, value: float, *, delayed: bool = False) -> When:
+        Parameters
+        ----------
+        text : str
+            Signal, relation and number.
+        delayed : bool
+            Whether the signal of the step before is compared.
+        """
+        parts = re.fullmatch(r"\s*([^\s<>=!]+)\s*([<>=!]=|[<>])\s*([^\s<>=!]+)\s*", text)
+        try:
+            value = float(parts[3]) if parts else None
+        except ValueError:
+            return None
+        return None if parts is None or value is None else cls(parts[1], parts[2], value, delayed)
+
+
+def when(signal: str, relation: str | None = None, value: float | None = None, *, delayed: bool = False) -> When:
     """Return a condition for the ``start`` or ``stop`` of a fault.
 
     Parameters
     ----------
     signal : str
-        Name of one number among the signals of the diagram: ``"plant.v"``, ``"sensors.y[1]"``.
-    relation : {"<", "<=", "==", "!=", ">=", ">"}
+        Name of one number among the signals of the diagram: ``"plant.v"``, ``"sensors.y[1]"``. Or the whole condition:
+        ``"plant.v > 22"``.
+    relation : {"<", "<=", "==", "!=", ">=", ">"}, optional
         How the signal must compare to the value.
-    value : float
+    value : float, optional
         The value, in the unit of the signal.
     delayed : bool
         Whether the signal of the step before is compared: see `When`.
@@ -100,8 +120,20 @@ def when(signal: str, relation: str, value: float, *, delayed: bool = False) -> 
     >>> fault = cosim.Freeze(sensor=0, start=cosim.when("plant.v", ">", 22.0), duration=2.0)
     >>> print(fault.start)
     plant.v > 22
+    >>> fault.start == cosim.when("plant.v > 22")
+    True
     """
-    return When(signal, relation, value, delayed)
+    if relation is not None and value is not None:
+        return When(signal, relation, value, delayed)
+    condition = (
+        When.read(signal, delayed=delayed) if relation is None and value is None and isinstance(signal, str) else None
+    )
+    if condition is None:
+        raise ModelError(
+            f"{brief(signal)} is no condition; write signal, relation and number, such as cosim.when('plant.v > 22') or "
+            "cosim.when('plant.v', '>', 22.0)."
+        )
+    return condition
 
 
 # --- Step functions --------------------------------------------------------------------------------------------------

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayesftc.cosim.block import Block
+from bayesftc.cosim.blocks.preview import Preview
+from bayesftc.cosim.diagram.closed_loop import preview_time
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
@@ -72,7 +74,26 @@ def varied(diagram: Diagram, changes: Mapping[str, Any]) -> Diagram:
             if not change.steps:
                 blocks[name] = _in_place_of(blocks[name], change.value, change.path)
         blocks[name] = _changed(blocks[name], [change for change in of_block if change.steps])
-    return diagram.rewired(blocks)
+    return diagram.rewired(blocks | _previews(diagram, blocks))
+
+
+def _previews(diagram: Diagram, blocks: Mapping[str, Block]) -> dict[str, Block]:
+    """Return the references of a controller whose preview has changed, with the new one."""
+    new: dict[str, Block] = {}
+    for node in diagram.nodes:
+        before, time = preview_time(node.block), preview_time(blocks[node.name])
+        if time == before:
+            continue
+        goal = node.port("goal")
+        for origin in filter(None, (diagram.source_of(node, goal, i) for i in range(goal.size))):
+            source = origin[0].node.name
+            if not isinstance(block := blocks[source], Preview) or origin[0].port.name != "ahead":
+                raise ModelError(
+                    f"A factor changes the preview of {node.name!r}, but its goal comes from {origin[0].name}, whose future the "
+                    "diagram does not have. Make the loop with a preview of at least 1; the factor may then also be 0."
+                )
+            new[source] = replace(block, time=time)
+    return new
 
 
 def _split(path: str, blocks: Mapping[str, Block]) -> tuple[str, list[str]]:

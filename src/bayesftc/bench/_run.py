@@ -28,6 +28,7 @@ SECTIONS = (
     "isolation",
     "export",
     "learners",
+    "large_diagrams",
     "startup",
     "memory",
 )

@@ -1,15 +1,16 @@
-"""Design a controller from the plant itself, so that a scenario file needs no model."""
+"""Make a controller, or a nonlinear model, from the plant itself, so that a scenario file needs no matrices."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers import design
+from bayesftc.controllers import NonlinearModel, design
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import build
 
@@ -32,32 +33,51 @@ def designed(
     sensors : Sensors or None
         The sensors: their number, and the standard deviation if the table has none.
     """
-    from_file = {"plant": plant, **given}
+    return _of_plant(design, table, place, {"plant": plant, **given}, sensors)  # type: ignore[no-any-return]
+
+
+def model_of_plant(
+    table: Mapping[str, Any], place: Place, plant: Block, given: Mapping[str, Any], sensors: Sensors | None
+) -> NonlinearModel:
+    """Return the model that `NonlinearModel.from_fmu` makes of the plant, with the table's settings; see `designed`."""
+    if not isinstance(plant, FMU):
+        raise place.error("has kind = 'from_fmu', but the [plant] is no FMU. Give the path of an FMU in [plant].")
+    return _of_plant(NonlinearModel.from_fmu, table, place, {"fmu": plant, **given}, sensors)  # type: ignore[no-any-return]
+
+
+def _of_plant(
+    function: Callable[..., Any],
+    table: Mapping[str, Any],
+    place: Place,
+    from_file: dict[str, Any],
+    sensors: Sensors | None,
+) -> Any:
+    """Call a function that takes the plant, and what the sections [plant] and [sensors] have, with a table's settings."""
     settings = dict(table)
     if sensors is not None:
-        _refuse_uneven(sensors, place)
+        _refuse_uneven(sensors, place, "a design" if function is design else "a model of the plant")
         from_file["sensors"] = sensors.count
         if sensors.covariance is not None and "sensor_std" not in table:
             raise place.error(
-                "lacks 'sensor_std', which a design needs if [sensors] has a covariance: it assumes independent noise. Add "
+                "lacks 'sensor_std', which it needs if [sensors] has a covariance: it assumes independent noise. Add "
                 "sensor_std = ... (a number, or one for each sensor)."
             )
         std = sensors.std
         if np.any(std):
             settings.setdefault("sensor_std", std if isinstance(std, float) else list(std))
-    for name in ("plant", "measured", "actuated", "sensors"):
+    for name in ("plant", "fmu", "measured", "actuated", "sensors"):
         if name in table:
             raise (place / name).error("is already set by [plant] and [sensors]. Leave it out here.")
-    return build(design, settings, place, given=from_file)  # type: ignore[no-any-return]
+    return build(function, settings, place, given=from_file)
 
 
-def _refuse_uneven(sensors: Sensors, place: Place) -> None:
+def _refuse_uneven(sensors: Sensors, place: Place, what: str) -> None:
     matrix = sensors.matrix
     if sensors.function is None and matrix is None:
         return
     in_turn = [[float(j == i % sensors.signals) for j in range(sensors.signals)] for i in range(sensors.count)]
     if matrix is None or not np.array_equal(matrix, in_turn):
         raise place.error(
-            "cannot be a design, because [sensors] has a matrix. A design needs sensors that read the measured variables in "
-            "turn. Leave out the matrix, or choose a controller with a [model]."
+            f"cannot be {what}, because [sensors] has a matrix. That needs sensors that read the measured variables in turn. "
+            "Leave out the matrix, or choose a controller with a [model] of numbers."
         )

@@ -55,11 +55,14 @@ class Matrices:
         return LinearSystem(_rows(A), _rows(B), _rows(C), _rows(D), dt, *names)
 
 
-def linear_plant(table: dict[str, Any], place: Place) -> Block:
-    """Return the plant of the matrices, with the settings of `StateSpace`: ``initial``, ``process_noise``."""
+def linear_plant(table: dict[str, Any], place: Place, known: Sequence[str] = ("control", "measured")) -> Block:
+    """Return the plant of the matrices, with the settings of `StateSpace`: ``initial``, ``process_noise``.
+
+    `known` are further keys that the section may have.
+    """
     keys = [f.name for f in fields(Matrices)]
     others = [f.name for f in fields(StateSpace) if f.name in LINEAR]
-    place.refuse_unknown(table, ["control", "measured", *keys, *others])
+    place.refuse_unknown(table, [*known, *keys, *others])
     matrices: Matrices = build(Matrices, {key: value for key, value in table.items() if key in keys}, place)
     rest = {key: value for key, value in table.items() if key in others}
     return build(StateSpace, rest, place, given={"system": matrices.system(place)})  # type: ignore[no-any-return]

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
+from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.cosim.diagram.closed_loop import fault_block, noise_block
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.scenario._fmu_files import Shipped
 from bayesftc.scenario._place import Place
-from bayesftc.scenario._sections import Shipped, Wiring, fault_list
+from bayesftc.scenario._sections import Wiring, fault_list
 
 OF_PLANT = {f.name for cls in (Wiring, Shipped, FMU) for f in fields(cls)}
 """Keys of ``[plant]`` with an FMU; any other name after ``plant.`` is a parameter."""
-PARAMETERS = "plant.parameters."
+PARAMETERS = ".parameters."
 
 
 def line_of(path: str, content: Mapping[str, Any]) -> str:
@@ -34,11 +36,31 @@ def line_of(path: str, content: Mapping[str, Any]) -> str:
     str
         The path of the line. A path that names no block with a section is returned unchanged.
     """
-    first, _, rest = path.partition(".")
-    if first == "plant" and rest and "fmu" in content["plant"]:
-        return path if re.match(r"\w*", rest)[0] in OF_PLANT else PARAMETERS + rest  # type: ignore[index]
-    blocks = _lines_of_blocks(content)
-    return path if first not in blocks else f"{blocks[first]}.{rest}" if rest else blocks[first]
+    lines = {"plant": "plant", **_lines_of_blocks(content)}
+    names = [name for name in lines if path == name or path.startswith(f"{name}.")]
+    if not names:
+        return path
+    name = max(names, key=len)
+    line, rest = lines[name], path[len(name) + 1 :]
+    if rest and "fmu" in _table(content, line) and re.match(r"\w*", rest)[0] not in OF_PLANT:  # type: ignore[index]
+        return f"{line}{PARAMETERS}{rest}"
+    return f"{line}.{rest}" if rest else line
+
+
+def _steps(path: str) -> list[str | int]:
+    return [int(number) if number else key for key, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", path)]
+
+
+def _table(content: Any, line: str) -> Any:
+    """Return the table at a line, or an empty one if there is none."""
+    for step in _steps(line):
+        if isinstance(content, Mapping):
+            content = content.get(step)
+        else:
+            content = (
+                content[step] if isinstance(content, list) and isinstance(step, int) and step < len(content) else None
+            )
+    return content if isinstance(content, Mapping) else {}
 
 
 def _lines_of_blocks(content: Mapping[str, Any]) -> dict[str, str]:
@@ -49,6 +71,18 @@ def _lines_of_blocks(content: Mapping[str, Any]) -> dict[str, str]:
     for section, (name, faults) in lists.items():
         fault_blocks = fault_list(faults, root / section)
         lines |= {fault_block(fault, name): f"{section}[{i}]" for i, fault in enumerate(fault_blocks)}
+    for name in ("plant", "controller"):
+        lines |= _lines_inside(content[name], name, name)
+    return {**lines, **_lines_inside(content, "", "")}
+
+
+def _lines_inside(table: Any, name: str, line: str) -> dict[str, str]:
+    """Return the lines of the blocks of a table, and of the blocks of subsystems among them, by their names in the diagram."""
+    inside = table.get("blocks", {}) if isinstance(table, Mapping) else {}
+    lines: dict[str, str] = {}
+    for key, value in inside.items() if isinstance(inside, Mapping) else ():
+        own_name, own_line = f"{name}.{key}".strip("."), f"{line}.blocks.{key}".strip(".")
+        lines |= {own_name: own_line, **_lines_inside(value, own_name, own_line)}
     return lines
 
 
@@ -60,13 +94,12 @@ def set_line(content: Any, path: str, value: Any) -> None:
     ScenarioError
         If there is no such line.
     """
-    steps: list[str | int] = [
-        int(number) if number else key for key, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", path)
-    ]
-    if path.startswith(PARAMETERS):
-        content["plant"].setdefault("parameters", {})
-        if "." in path.removeprefix(PARAMETERS):  # an FMU's parameter name may contain dots
-            steps = ["plant", "parameters", path.removeprefix(PARAMETERS)]
+    steps = _steps(path)
+    block, of_fmu, parameter = path.partition(PARAMETERS)
+    if of_fmu and "fmu" in (table := _table(content, block)):
+        table.setdefault("parameters", {})
+        if "." in parameter:  # an FMU's parameter name may contain dots
+            steps = [*_steps(block), "parameters", parameter]
     at, so_far = content, ""
     for i, step in enumerate(steps):
         last = i == len(steps) - 1
@@ -84,6 +117,8 @@ def set_line(content: Any, path: str, value: Any) -> None:
                 return
         else:
             raise ScenarioError(f"The factor {path!r}: the scenario has no {step!r}{so_far}; {_there(at)}")
+        if isinstance(at[step], str) and (condition := When.read(at[step])):
+            at[step] = asdict(condition)  # a condition as text has the entries of its table
         at, so_far = at[step], f" in {'.'.join(map(str, steps[: i + 1]))}"
 
 

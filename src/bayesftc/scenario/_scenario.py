@@ -6,14 +6,17 @@ import os
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, fields
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.blocks.sensors import Sensors
-from bayesftc.cosim.diagram.closed_loop import closed_loop, with_invalid
+from bayesftc.cosim.diagram.closed_loop import base_step, closed_loop, with_invalid
 from bayesftc.scenario import _sections as sections
+from bayesftc.scenario._blocks import Added, Connection, Surroundings, blocks, connections
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import build
@@ -23,7 +26,10 @@ if TYPE_CHECKING:
     from bayesftc.cosim.diagram.diagram import Diagram
     from bayesftc.cosim.run.result import Result
 
-SECTIONS = ("simulation", "plant", "noise", "sensors", "faults", "input_faults", "reference", "model", "controller")
+SECTIONS = (
+    "simulation", "plant", "noise", "sensors", "faults", "input_faults", "reference", "model", "controller", "blocks",
+    "connections",
+)  # fmt: skip
 REQUIRED = ("simulation", "plant", "reference", "controller")
 
 
@@ -51,6 +57,10 @@ class Scenario:
         Sources for further inputs of the plant.
     input_faults : mapping of str to list of Fault
         Faults of actuators and of the process, by input of the plant.
+    blocks : mapping of str to (Block, int)
+        Further blocks, each with the number of base steps between its steps.
+    connections : list of (tuple of str, str)
+        The sources and the input of each connection of the further blocks.
     """
 
     path: Path
@@ -63,6 +73,8 @@ class Scenario:
     faults: list[Fault]
     noise: Mapping[str, Block]
     input_faults: Mapping[str, list[Fault]]
+    blocks: Added
+    connections: list[Connection]
 
     def loop(self) -> Diagram:
         """Return the diagram, built and ready; see `bayesftc.cosim.closed_loop`.
@@ -83,6 +95,8 @@ class Scenario:
                 faults=self.faults,
                 input_faults=self.input_faults,
                 noise=self.noise,
+                blocks=self.blocks,
+                connections=self.connections,
                 dt=self.simulation.dt,
             )
 
@@ -149,7 +163,8 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
         if name not in content:
             raise root.error(f"lacks the section [{name}]. A scenario needs {', '.join(f'[{r}]' for r in REQUIRED)}.")
     simulation: Simulation = build(Simulation, content["simulation"], root / "simulation")
-    plant, wiring = sections.plant(content["plant"], root / "plant", file.absolute().parent)
+    folder = file.absolute().parent
+    plant, wiring = sections.plant(content["plant"], root / "plant", folder, simulation)
     sensors = sections.sensors(content["sensors"], root / "sensors", wiring, plant) if "sensors" in content else None
     controller = sections.controller(content, root, simulation, plant, wiring, sensors)
     if sensors is not None:
@@ -168,4 +183,17 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
         input_faults=sections.input_faults(content["input_faults"], root / "input_faults")
         if "input_faults" in content
         else {},
+        blocks=_blocks(content["blocks"], root, Surroundings(folder, _step(root, controller, simulation)))
+        if "blocks" in content
+        else {},
+        connections=connections(content.get("connections", []), root / "connections"),
     )
+
+
+def _blocks(table: object, root: Place, around: Surroundings) -> Added:
+    return blocks(table, root / "blocks", around, taken=SECTIONS)
+
+
+def _step(root: Place, controller: Block, simulation: Simulation) -> Fraction:
+    with root.named():
+        return rational_step(base_step(controller, simulation.dt))

@@ -15,6 +15,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
+from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.scenario._place import Place
 
 SCALARS = {float: "number", int: "whole number", str: "text in quotes", bool: "true or false"}
@@ -49,8 +50,8 @@ def build(cls: Callable[..., Any], table: object, place: Place, *, given: Mappin
     values = {name: convert(value, hints[name], place / name) for name, value in entries.items()}
     missing = [name for name, required in settings.items() if required and name not in values]
     if missing:
-        expected = _expected(hints[missing[0]])
-        raise place.error(f"lacks {missing[0]!r}, which {cls.__name__} needs. Add {missing[0]} = ... ({expected}).")
+        phrase = expected(hints[missing[0]])
+        raise place.error(f"lacks {missing[0]!r}, which {cls.__name__} needs. Add {missing[0]} = ... ({phrase}).")
     with place.named():
         return cls(**values, **given)
 
@@ -91,6 +92,10 @@ def convert(value: object, hint: Any, place: Place) -> Any:
     classes = _dataclasses(hint)
     if classes and isinstance(value, Mapping) and not _is_sequence(hint, always=True):
         return _instance(classes, value, place)
+    if isinstance(value, str) and When in classes:
+        with place.named():
+            if condition := When.read(value):
+                return condition
     if isinstance(value, list) and _is_sequence(hint) and any(isinstance(item, Mapping) for item in value):
         return tuple(
             _instance(classes, item, place / i)
@@ -107,7 +112,7 @@ def convert(value: object, hint: Any, place: Place) -> Any:
         return _adapter(plain).validate_python(_tuples(value), strict=True)
     except ValidationError:
         shown = str(value).lower() if isinstance(value, bool) else repr(value)
-        raise place.error(f"is {shown}; it must be {_expected(hint, value)}.") from None
+        raise place.error(f"is {shown}; it must be {expected(hint, value)}.") from None
 
 
 def _instance(classes: Sequence[type[Any]], table: Mapping[str, Any], place: Place) -> Any:
@@ -177,7 +182,7 @@ def _writable(hint: Any) -> Any:
     return NoneType
 
 
-def _expected(hint: Any, value: object = None) -> str:
+def expected(hint: Any, value: object = None) -> str:
     """Return a phrase for the TOML values of a type: ``a number or a list of numbers``.
 
     `value` is the value in the file. If it names a class, the example of a table has that class.
@@ -198,8 +203,9 @@ def _tables(hint: Any, value: object) -> list[str]:
     if len(classes) == 1:
         needed = ", ".join(name for name, required in _settings(classes[0]).items() if required)
         return [
+            *(['a condition such as "plant.v > 22"'] if classes[0] is When else []),
             f"{'a list of tables' if of_many else 'a table'} with the settings of {classes[0].__name__}"
-            + (f" ({needed})" if needed else "")
+            + (f" ({needed})" if needed else ""),
         ]
     names = {_folded(cls.__name__): cls.__name__ for cls in classes}
     first = value[0] if isinstance(value, Sequence) and not isinstance(value, str) and value else value

@@ -8,19 +8,21 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.models.nonlinear import NonlinearModel
 from bayesftc.controllers.registry import CONTROLLERS
 from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.blocks import sources
 from bayesftc.cosim.blocks.faults import kinds as faults
+from bayesftc.cosim.blocks.kinds import SOURCES
 from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.closed_loop import check_count
-from bayesftc.cosim.errors import FMUError
+from bayesftc.cosim.diagram.subsystem import Subsystem
+from bayesftc.scenario._blocks import Surroundings, subsystem
+from bayesftc.scenario._fmu_files import fmu_of, taken
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
-
-SOURCES: tuple[type[Block], ...] = tuple(getattr(sources, name) for name in sources.__all__ if name != "Source")
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,14 @@ class Simulation:
         Seconds.
     dt : float or str, optional
         Base step in seconds, and the default step of the model and the controller. By default, the model's or controller's.
-    seed, engine, record, decimation
+    seed : int
+        Seed of noise and random faults.
+    engine : str
         As for `simulate`.
+    record : str or sequence of str, optional
+        Signals to record; by default all.
+    decimation : int
+        Every n-th step is recorded.
     """
 
     duration: float | str
@@ -58,42 +66,29 @@ class Wiring:
     measured: str | Sequence[str]
 
 
-@dataclass(frozen=True)
-class Shipped:
-    """An FMU: a shipped one by name and version of FMI, or a file."""
-
-    fmu: str
-    fmi: Literal["2.0", "3.0"] | None = None
-
-
-def plant(table: object, place: Place, folder: Path) -> tuple[Block, Wiring]:
+def plant(table: object, place: Place, folder: Path, simulation: Simulation) -> tuple[Block, Wiring]:
     """Return the plant of ``[plant]``, and its control and measured variables."""
     rest = dict(as_table(table, place))
-    wiring = build(Wiring, _taken(rest, Wiring), place)
-    if "fmu" in rest:
-        return _fmu(rest, place, folder), wiring
+    wiring = build(Wiring, taken(rest, Wiring), place)
+    if "fmu" in rest:  # first, because an FMU has a kind, too
+        return fmu_of(rest, place, folder), wiring
+    if "kind" in rest:
+        _, rest = choose((Subsystem,), rest, place)
+        return _subsystem(rest, place, folder, simulation), wiring
     if "A" in rest:
         from bayesftc.scenario._linear_plant import linear_plant
 
         return linear_plant(rest, place), wiring
     raise place.error(
-        "has no plant. Add fmu = '...' (a shipped name or a file), or the matrices A, B, C of a linear plant."
+        "has no plant. Add fmu = '...' (a shipped name or a file), the matrices A, B, C of a linear plant, or "
+        "kind = 'Subsystem' with blocks."
     )
 
 
-def _fmu(table: dict[str, Any], place: Place, folder: Path) -> Block:
-    from bayesftc import fmus
-    from bayesftc.cosim.fmi.fmu import FMU
-
-    chosen: Shipped = build(Shipped, _taken(table, Shipped), place)
-    is_file = chosen.fmu.lower().endswith(".fmu") or Path(chosen.fmu).name != chosen.fmu
-    if is_file and chosen.fmi is not None:
-        raise (place / "fmi").error("chooses the version of a shipped FMU, but 'fmu' is a file. Leave out 'fmi'.")
-    try:
-        path = folder / chosen.fmu if is_file else fmus.path(chosen.fmu, fmi=chosen.fmi or "2.0")
-    except (ValueError, FileNotFoundError) as error:
-        raise FMUError(f"{place / 'fmu'}: {error} The name of an FMU file must end with .fmu.") from None
-    return build(FMU, table, place, given={"path": path})  # type: ignore[no-any-return]
+def _subsystem(table: Mapping[str, Any], place: Place, folder: Path, simulation: Simulation) -> Block:
+    if simulation.dt is None:
+        raise place.error("is a subsystem, whose step is not known. Add dt = ... to [simulation].")
+    return subsystem(table, place, Surroundings(folder, rational_step(simulation.dt)))
 
 
 def noise(table: object, place: Place) -> dict[str, Block]:
@@ -111,7 +106,7 @@ def reference(value: object, place: Place) -> list[Block]:
 def _source(value: object, place: Place) -> Block:
     if isinstance(value, int | float) and not isinstance(value, bool):
         with place.named():
-            return sources.Constant(real(value))
+            return Constant(real(value))
     return build_one_of(SOURCES, value, place)  # type: ignore[no-any-return]
 
 
@@ -150,11 +145,15 @@ def controller(
     wiring: Wiring,
     sensors: Sensors | None,
 ) -> Block:
-    """Return the controller of ``[controller]``, with the model of ``[model]`` or designed for the plant."""
+    """Return the controller of ``[controller]``: with the model of ``[model]``, designed for the plant, or a subsystem."""
     from bayesftc.controllers import design
 
     place = root / "controller"
-    cls, rest = choose((*CONTROLLERS, design), content["controller"], place)
+    cls, rest = choose((*CONTROLLERS, design, Subsystem), content["controller"], place)
+    if cls is Subsystem:
+        if "model" in content:
+            raise (root / "model").error("cannot be used with kind = 'Subsystem', which has no model. Leave it out.")
+        return _subsystem(rest, place, Path(root.file).absolute().parent, simulation)
     settings = {f.name: f for f in fields(cls)} if isinstance(cls, type) else {}  # type: ignore[arg-type]
     if simulation.dt is not None and ("dt" in settings or cls is design) and "model" not in content:
         rest.setdefault("dt", simulation.dt)
@@ -168,7 +167,8 @@ def controller(
         return designed(rest, place, plant, {"measured": wiring.measured, "actuated": wiring.control}, sensors)
     given: dict[str, Any] = {}
     if "model" in content:
-        given["model"] = _model(content["model"], root / "model", simulation)
+        from_plant = plant, {"measured": wiring.measured, "actuated": wiring.control}, sensors
+        given["model"] = _model(content["model"], root / "model", simulation, from_plant)
     elif "model" in settings and settings["model"].default is MISSING:
         raise root.error(
             f"lacks the section [model], which {cls.__name__} needs. Add [model] with A, B, C, ... below it."
@@ -176,18 +176,31 @@ def controller(
     return build(cls, rest, place, given=given)  # type: ignore[no-any-return]
 
 
-def _model(table: object, place: Place, simulation: Simulation) -> LinearModel:
+def _model(
+    table: object,
+    place: Place,
+    simulation: Simulation,
+    from_plant: tuple[Block, Mapping[str, Any], Sensors | None],
+) -> LinearModel | NonlinearModel:
     rest = dict(as_table(table, place))
-    disturbance = rest.pop("disturbance", None)
     if "dt" not in rest and simulation.dt is not None:
         rest["dt"] = simulation.dt
+    if "kind" in rest:
+        from bayesftc.scenario._design import model_of_plant
+
+        _, rest = choose((NonlinearModel.from_fmu,), rest, place)
+        return model_of_plant(rest, place, *from_plant)
+    disturbance = rest.pop("disturbance", None)
+    late = {name: rest.pop(name) for name in ("input_delays", "sensor_delays") if name in rest}
     model: LinearModel = build(LinearModel, rest, place)
-    if disturbance is None:
-        return model
-    at = place / "disturbance"
-    given = build(Disturbance, {"covariance": disturbance}, at)
-    with at.named():
-        return model.with_disturbance(given.covariance)
+    if disturbance is not None:
+        at = place / "disturbance"
+        given = build(Disturbance, {"covariance": disturbance}, at)
+        with at.named():
+            model = model.with_disturbance(given.covariance)
+    delays: Delayed = build(Delayed, late, place)
+    with place.named():
+        return model.with_delays(delays.input_delays, delays.sensor_delays)
 
 
 @dataclass(frozen=True)
@@ -197,6 +210,9 @@ class Disturbance:
     covariance: float | Sequence[float] | Sequence[Sequence[float]]
 
 
-def _taken(table: dict[str, Any], cls: type[Any]) -> Mapping[str, Any]:
-    """Remove from the table the entries that are fields of `cls`, and return them."""
-    return {f.name: table.pop(f.name) for f in fields(cls) if f.name in table}
+@dataclass(frozen=True)
+class Delayed:
+    """``input_delays = 3`` and ``sensor_delays = [0, 2]`` in samples, as `LinearModel.with_delays` takes them."""
+
+    input_delays: int | Sequence[int] = 0
+    sensor_delays: int | Sequence[int] = 0

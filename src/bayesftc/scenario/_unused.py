@@ -13,6 +13,7 @@ import numpy as np
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import StepSizeError
+from bayesftc.scenario._blocks import faults_among
 from bayesftc.scenario._paths import line_of
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import Scenario, scenario_of
@@ -76,10 +77,12 @@ def _starts(scenario: Scenario) -> Iterator[tuple[str, float]]:
     for name, faults in lists.items():
         for i, fault in enumerate(faults):
             yield f"{name}[{i}]", fault.times[0]
+    for place, fault in faults_among(scenario.blocks):
+        yield place, fault.times[0]
 
 
 def _earliest(start: Any) -> float:
-    return 0.0 if isinstance(start, Mapping) else start  # a table is a condition
+    return 0.0 if isinstance(start, Mapping | str) else start  # a table or a text is a condition
 
 
 def _late(root: Place, starts: Mapping[str, list[float]], end: Fraction) -> Iterator[str]:

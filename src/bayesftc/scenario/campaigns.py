@@ -36,16 +36,36 @@ MOST = 30
 
 @dataclass(frozen=True)
 class Runs:
-    """Settings of a campaign file besides scenario, factors and metrics; see `bayesftc.cosim.Campaign`."""
+    """Settings of a campaign file besides scenario, factors and metrics; see `bayesftc.cosim.Campaign`.
 
-    seeds: int | Sequence[int] = 1  # runs of each point, or their seeds
+    Attributes
+    ----------
+    seeds : int or sequence of int
+        Runs of each point, or their seeds.
+    seed : int
+        The seed from which the seeds of the runs are computed.
+    independent : sequence of str
+        Factors whose values have different noise.
+    record : sequence of str
+        Signals to store.
+    decimation : int
+        Every n-th step is stored.
+    time_limit : float
+        Largest computing time of a run in seconds. A run that takes longer counts as failed.
+    piece : int
+        Number of runs that are written at once.
+    duration : float or str
+        Seconds of each run; by default the scenario's.
+    """
+
+    seeds: int | Sequence[int] = 1
     seed: int = 0
     independent: Sequence[str] = ()
     record: Sequence[str] = ()
     decimation: int = 1
     time_limit: float | None = None
     piece: int | None = None
-    duration: float | str | None = None  # seconds of each run; by default the scenario's
+    duration: float | str | None = None
 
 
 @dataclass(frozen=True)

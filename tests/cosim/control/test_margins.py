@@ -82,3 +82,11 @@ def test_margins_are_where_poles_reach_the_unit_circle(system):
     distances = np.abs(1.0 + system(np.exp(1j * angles)))
     assert found.modulus <= distances.min() * (1 + 1e-9)
     assert found.modulus == pytest.approx(distances.min(), rel=2e-3)
+
+
+def test_a_repeated_pole_at_one_has_margins():
+    """Its poles are computed as 1 ± 1e-8, but at z = 1 the matrix z I - A is singular."""
+    chain, b, c = np.array([[1.0, 0.125], [0.0, 1.0]]), np.array([[0.0], [1.0]]), np.array([[0.05, 0.5]])
+    turn, back = np.array([[1.0, 0.0], [1.0, 1.0]]), np.array([[1.0, 0.0], [-1.0, 1.0]])
+    found = margins_of(loop(turn @ chain @ back, turn @ b, c @ back))
+    assert found.phase == pytest.approx(margins_of(loop(chain, b, c)).phase, rel=1e-6)

@@ -225,3 +225,41 @@ def test_two_faults_of_a_kind_on_a_sensor_need_names():
         loop(faults=twice)
     named = [twice[0], cosim.Freeze(sensor=0, start=3.0, name="again")]
     assert "again" in [n.name for n in loop(faults=named).nodes]
+
+
+def test_further_blocks_and_their_connections(same_bits):
+    blocks = {"late": cosim.UnitDelay(), "slow": (cosim.Gain(2.0), 5)}
+    given = loop(
+        blocks=blocks, connections=[("controller.u", "late.u"), ("late.y", "plant.force"), ("plant.force", "slow.u")]
+    )
+    assert [node.name for node in given.nodes][-2:] == ["late", "slow"]
+    assert given["slow"].every == 5
+    result = given.simulate(1.0, engine="interpreted")
+    by_hand = cosim.Diagram("1/50")
+    names = ("plant", "sensors", "controller", "reference", "late")
+    nodes = {name: by_hand.add(given[name].block, name) for name in names}
+    for source, target in (
+        ("plant.speed", "sensors.u"), ("sensors.y", "controller.y"), ("reference.y", "controller.goal"),
+        ("controller.u", "late.u"), ("late.y", "plant.force"),
+    ):  # fmt: skip
+        (one, out), (other, into) = source.split("."), target.split(".")
+        by_hand.connect(nodes[one][out], nodes[other][into])
+    other = by_hand.simulate(1.0, engine="interpreted")
+    for name in other:
+        same_bits(result[name], other[name], name)
+    same_bits(
+        result["slow.y"][::5], 2.0 * result["controller.u"].ravel()[::5]
+    )  # what the loop itself feeds to the force
+
+
+def test_an_input_can_be_connected_anew():
+    diagram = cosim.Diagram(1)
+    one, two, gain = (
+        diagram.add(b, n) for b, n in ((cosim.Constant(1.0), "a"), (cosim.Constant(2.0), "b"), (cosim.Gain(1.0), "g"))
+    )
+    diagram.connect(one["y"], gain["u"])
+    diagram.disconnect(gain["u"])
+    diagram.connect(two["y"], gain["u"])
+    assert diagram.simulate(1)["g.y"][-1] == 2.0
+    with pytest.raises(cosim.ModelError, match="to disconnect ports, do so before build"):
+        diagram.disconnect(gain["u"])

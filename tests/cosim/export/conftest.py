@@ -4,10 +4,11 @@ import ctypes
 import subprocess
 from pathlib import Path
 
-import control
+import block_kinds
 import fmpy
 import numpy as np
 import pytest
+from block_kinds import DT
 from fmpy import fmi2, fmi3
 from fmpy.fmi1 import FMICallException
 
@@ -16,7 +17,6 @@ from bayesftc.cosim.export.c_file import write_c
 from bayesftc.cosim.export.program import program_of
 from bayesftc.cosim.ops import sin
 
-DT = "1/10"
 MODEL = controllers.LinearModel(
     A=[[0.95, 0.1], [0.0, 0.9]],
     B=[[0.0], [0.1]],
@@ -31,24 +31,6 @@ def brain(precision, **options):
     return controllers.BayesianController(MODEL, precision=precision, control_covariance=100.0, **options)
 
 
-WINDOW = {"start": 3.0, "stop": 9.0, "channels": 2}
-SIZES = {
-    "Drift": {"slope": 2.0},
-    "Bias": {"magnitude": 1.0},
-    "Injection": {"magnitude": 1.0},
-    "GainFault": {"factor": 2.0},
-    "Stuck": {"at": 1.0},
-    "NoiseGrowth": {"slope": 1.0},
-    "NoiseIncrease": {"std": 1.0},
-    "Spikes": {"magnitude": 3.0},
-    "Clipping": {"low": -0.5, "high": 0.5},
-    "Rounding": {"resolution": 0.5},
-    "Lag": {"time_constant": 0.5},
-    "Delay": {"delay": 0.3},
-}
-"""What the kinds of fault need beside a window."""
-
-
 def pendulum(x, u, x_next):
     x_next[0] = x[0] + 0.1 * x[1]
     x_next[1] = x[1] + 0.1 * (u[0] - sin(x[0]) - 0.1 * x[1])
@@ -59,83 +41,8 @@ def angles(x, y):
     y[1] = sin(x[0])
 
 
-def _subsystem():
-    inside = cosim.Diagram(DT)
-    gain, integral = inside.add(cosim.Gain(2.0), "gain"), inside.add(cosim.Integrator(low=-3.0), "integral", every=2)
-    total = inside.add(cosim.Sum("++"), "total")
-    inside.connect([gain["y"], integral["y"]], total["u"])
-    return cosim.Subsystem(inside, {"e": ["gain.u", "integral.u"]}, {"u": "total.y"})
-
-
 BLOCKS = {
-    "subsystem": _subsystem(),
-    "gain": cosim.Gain([[1.0, -2.0], [0.5, 3.0]]),
-    "sum": cosim.Sum("+-+"),
-    "delay": cosim.UnitDelay(size=2, initial=3.0),
-    "saturation": cosim.Saturation(-1.0, 1.5, size=2),
-    "sensors": cosim.Sensors(count=3, signals=2, std=0.3, bias=0.1, resolution=0.05, matrix=[[1, 0], [0, 1], [1, 1]]),
-    "sine": cosim.Sine(amplitude=1.0, period=0.7),
-    "constant": cosim.Constant(2.0),
-    "step": cosim.Step(time=1.0, before=2.0, after=3.0),
-    "ramp": cosim.Ramp(slope=2.0, offset=1.0, start=1.0),
-    "table": cosim.Table([0.0, 1.0, 2.5], [1.0, -1.0, 4.0]),
-    "noise": cosim.Gaussian(std=2.0, mean=1.0),
-    "system": cosim.StateSpace(
-        control.ss([[0.5, 0.2], [0.0, 0.9]], np.eye(2), [[1.0, 1.0]], 0, 0.1), process_noise=np.eye(2)
-    ),
-    "feedthrough": cosim.StateSpace(control.ss([[-1.0]], [[1.0, 0.5]], [[1.0], [2.0]], [[0, 0], [0, 3.0]])),
-    "abs": cosim.Abs(2),
-    "sign": cosim.Sign(2),
-    "dead zone": cosim.DeadZone(-0.5, 0.3, size=2),
-    "quantizer": cosim.Quantizer(0.25),
-    "polynomial": cosim.Polynomial([1.0, -2.0, 0.5]),
-    "lookup": cosim.LookupTable([-1.0, 0.0, 2.0], [3.0, 1.0, -1.0], size=2),
-    "lookup held": cosim.LookupTable([-1.0, 0.0, 2.0], [3.0, 1.0, -1.0], interpolate=False),
-    "lookup 2D": cosim.LookupTable2D([-1.0, 0.0, 2.0], [0.0, 1.0], [[3.0, 1.0], [-1.0, 0.5], [0.0, 2.0]]),
-    "product": cosim.Product("*/*"),
-    "minimum": cosim.Minimum(3),
-    "maximum": cosim.Maximum(3),
-    "switch": cosim.Switch(size=2),
-    **{operation: cosim.Logic(operation) for operation in ("and", "or", "xor", "not")},
-    "compare": cosim.Compare("<="),
-    "integrator": cosim.Integrator(1.0, low=-2.0, high=3.0, size=2),
-    "integrator with a reset": cosim.Integrator(1.0, reset=True),
-    "exponential filter": cosim.ExponentialFilter(0.3, size=2),
-    "moving average": cosim.MovingAverage(3, size=2),
-    "rate limiter": cosim.RateLimiter(2.0, 1.0, size=2),
-    "hysteresis": cosim.Hysteresis(0.5, -0.5),
-    "sample and hold": cosim.SampleAndHold(2.0, size=2),
-    "counter": cosim.Counter(limit=3.0),
-    "variable delay": cosim.VariableDelay(0.4, size=2),
-    "pulse": cosim.Pulse(2.0, period=0.4),
-    "PRBS": cosim.PRBS(1.0, interval=0.2, order=5),
-    "chirp": cosim.Chirp(1.0, 0.5, 2.0, 3.0),
-    "exponential chirp": cosim.Chirp(1.0, 0.5, 2.0, 3.0, sweep="exponential"),
-    "transfer function": cosim.TransferFunction([1.0, 2.0], [1.0, 0.6, 1.0]),
-    **{kind.__name__: kind(sensor=1, **SIZES.get(kind.__name__, {}), **WINDOW) for kind in cosim.FAULTS[:-1]},
-    "RandomFaults": cosim.RandomFaults(channels=2, mean_time_to_fault=3.0, mean_time_to_recovery=2.0),
-    "faults that remember": cosim.RandomFaults(
-        kinds=(cosim.Lag(time_constant=0.5), cosim.Freeze(), cosim.Delay(delay=0.3)),
-        channels=2,
-        mean_time_to_fault=3.0,
-        mean_time_to_recovery=2.0,
-    ),
-    "fault on a condition": cosim.Lag(
-        time_constant=0.5,
-        sensor=1,
-        channels=2,
-        start=cosim.when("plant.v", ">", 0.5),
-        stop=cosim.when("plant.v", "<=", -0.5),
-        duration=0.7,
-    ),
-    "random faults on a delayed condition": cosim.RandomFaults(
-        channels=2,
-        mean_time_to_fault=0.5,
-        mean_time_to_recovery=2.0,
-        start=cosim.when("controller.u", "<", 0.5, delayed=True),
-        latching=False,
-    ),
-    "fault for a duration": cosim.Drift(slope=2.0, channels=2, start=3.0, duration=2.0),
+    **block_kinds.BLOCKS,
     **{learner.__name__: brain(learner()) for learner in controllers.LEARNERS},
     "joint belief": brain(controllers.GammaPrecision(), belief="joint", posterior_outputs=True),
     "precision matrix": brain(controllers.PointMassPrecision(full=True)),
@@ -144,6 +51,12 @@ BLOCKS = {
         MODEL,
         goal_on=[[1.0, 0.0]],
         precision=controllers.GammaPrecision(window=7, calibration=controllers.Calibration(2.0, -1.0)),
+    ),
+    "lqg with a preview": controllers.LQGController(
+        MODEL, goal_on=[[1.0, 0.0]], precision=controllers.FixedPrecision(), preview=4, u_max=3.0
+    ),
+    "lqg with delays": controllers.LQGController(
+        MODEL.with_delays(2, [0, 2, 1]), goal_on=[[1.0, 0.0]], precision=controllers.FixedPrecision()
     ),
     "nonlinear": controllers.NonlinearBayesianController(
         controllers.NonlinearModel(

@@ -106,9 +106,9 @@ def test_conditions_of_faults_are_inside_where_their_signals_are(tmp_path):
     loop = cruise_control(controllers.GammaPrecision(forgetting=0.95), fault)
     path = cosim.export_fmu(loop, tmp_path / "front.fmu", fmi="3.0", blocks=["sensors", "freeze_0"])
     description = cosim.FMU(path).description.variables
-    assert {v.name: v.start for v in description if v.name.endswith("value")} == {
-        "freeze_0.start.value": 22.0,
-        "freeze_0.stop.value": 19.0,
+    assert {v.name: (v.start, v.unit) for v in description if v.name.endswith("value")} == {
+        "freeze_0.start.value": (22.0, "m/s"),
+        "freeze_0.stop.value": (19.0, "m/s"),
     }
     assert [port.name for port in cosim.FMU(path).inputs] == ["sensors.u", "sensors.noise", "freeze_0.start_signal"]
     found = cosim.verify_fmu(path, loop, duration=8.0, engine="interpreted")

@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
+from random_diagrams import PATHS, build, elements_of, inputs_of, plans
 
 from bayesftc import cosim
 from bayesftc.cosim import Port
@@ -131,64 +132,29 @@ KINDS = {
 }
 
 
-TWO_OUTPUTS = {"clip", "dead zone", "delay", "integral", "matrix", "noise", "sum over time"}
-
-
 @st.composite
-def plans(draw):
-    """Blocks (kind, number, every), for each input element the block and element that feeds it, and the level of each block."""
-    kinds = ["noise", *draw(st.lists(st.sampled_from(sorted(KINDS)), min_size=2, max_size=9))]
-    blocks = [(kind, draw(NUMBER), draw(st.sampled_from([1, 1, 2, 3, 5]))) for kind in kinds]
-    widths = [2 if kind in TWO_OUTPUTS else 1 for kind in kinds]
-    wires = []
-    for i, kind in enumerate(kinds):
-        sources = range(len(kinds) if len(KINDS[kind]) > 3 else i)
-        elements = [(j, e) for j in sources for e in range(widths[j])]
-        wires.append([draw(st.sampled_from(elements)) for _ in range(KINDS[kind][0])])
-    levels = [draw(st.sampled_from([0, 0, 1, 2])) for _ in kinds]
-    return blocks, widths, wires, draw(st.permutations(range(len(kinds)))), levels
+def known_blocks(draw):
+    """A kind of `KINDS` and its number, and the block."""
+    kind, number = draw(st.sampled_from(sorted(KINDS))), draw(NUMBER)
+    return (kind, number), KINDS[kind][1](number)
 
 
-PATHS = ("", "part.", "part.deep.")
-"""Where a block stands: outside, in a subsystem, in a subsystem of it."""
-
-
-def names_of(plan):
-    return [f"{PATHS[level]}b{i}" for i, level in enumerate(plan[4])]
-
-
-def build(plan, level=0):
-    """Return the diagram of a level, the outputs of its blocks and of those inside, and the inputs that are fed from outside."""
-    blocks, _, wires, order, levels = plan
-    diagram, outputs, inputs = cosim.Diagram(STEP), {}, {}
-    for i in [i for i in order if levels[i] == level]:
-        kind, number, every = blocks[i]
-        node = diagram.add(KINDS[kind][1](number), f"b{i}", every=every)
-        outputs[i] = node["y"]
-        inputs |= {(i, slot): node["u"][slot] for slot in range(len(wires[i]))}
-    if any(each > level for each in levels):
-        inside, inner_outputs, inner_inputs = build(plan, level + 1)
-        ports = {f"u{i}_{slot}": port for (i, slot), port in inner_inputs.items()}
-        part = cosim.Subsystem(inside, inputs=ports, outputs={f"y{i}": port for i, port in inner_outputs.items()})
-        node = diagram.add(part, PATHS[level + 1].split(".")[level])
-        outputs |= {i: node[f"y{i}"] for i in inner_outputs}
-        inputs |= {place: node["u{}_{}".format(*place)] for place in inner_inputs}
-    outside = {}
-    for (i, slot), port in inputs.items():
-        j, e = wires[i][slot]
-        if j in outputs:
-            diagram.connect(outputs[j][e], port)
-        else:
-            outside[i, slot] = port
-    return diagram, outputs, outside
+def known_parts(plan):
+    """Return kind, number and rate of each block, the sizes of their outputs, and what feeds each element of their inputs."""
+    blocks = [(*known, every) for known, _, every in plan.blocks]
+    wires = [
+        [plan.wires[i, port.name, e][::2] for port, e in inputs_of(block)]
+        for i, (_, block, _) in enumerate(plan.blocks)
+    ]
+    return blocks, [len(elements_of(i, block)) for i, (_, block, _) in enumerate(plan.blocks)], wires
 
 
 def meaning(plan, steps, seed):
     """Outputs and inputs by block and element, computed on demand, without any schedule."""
-    blocks, _, wires, _, _ = plan
+    blocks, _, wires = known_parts(plan)
     noise = [
         [numbers(seed, f"{name}.noise", steps + 1, channel=c) for c in range(2)] if kind == "noise" else None
-        for name, (kind, _, _) in zip(names_of(plan), blocks)
+        for name, (kind, _, _) in zip(plan.names, blocks)
     ]
     kept = [KINDS[kind][4](number) if len(KINDS[kind]) > 3 else () for kind, number, _ in blocks]
     held, seen = {}, [[] for _ in blocks]
@@ -219,12 +185,12 @@ def meaning(plan, steps, seed):
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(plan=plans(), seed=st.integers(0, 2**64 - 1), pieces=st.booleans())
+@given(plan=plans(known_blocks(), STEP), seed=st.integers(0, 2**64 - 1), pieces=st.booleans())
 def test_random_diagrams(plan, seed, pieces, run_both, same_bits):
-    steps, (blocks, widths, wires, _, levels), names = 70, plan, names_of(plan)
+    steps, (blocks, widths, wires), levels, names = 70, known_parts(plan), plan.levels, plan.names
     diagram = build(plan)[0]
     record = [f"{name}.y" for name in names] + [f"{name}.u" for name, fed in zip(names, wires) if fed]
-    record += [f"{PATHS[1]}y{i}" for i, level in enumerate(levels) if level]
+    record += [f"{PATHS[1]}y{i}_y" for i, level in enumerate(levels) if level]
     with pytest.MonkeyPatch.context() as patch:
         if pieces:
             patch.setattr(_running, "BREATH", 0.0)  # a return to Python at every step
@@ -242,7 +208,7 @@ def test_random_diagrams(plan, seed, pieces, run_both, same_bits):
             got = result[f"{names[i]}.u"].reshape(steps + 1, -1)
             same_bits(got + 0.0, np.repeat(seen[i], every, axis=0)[: steps + 1] + 0.0, f"b{i}.u of {blocks[i]}")
         if levels[i]:
-            same_bits(result[f"{PATHS[1]}y{i}"], result[f"{names[i]}.y"], "the output of the subsystem")
+            same_bits(result[f"{PATHS[1]}y{i}_y"], result[f"{names[i]}.y"], "the output of the subsystem")
 
 
 def test_decimation_keeps_every_nth_row(run_both, same_bits):

@@ -13,6 +13,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.blocks.faults.conditions import RELATIONS
 from bayesftc.cosim.blocks.faults.kinds import FAULTS
 from bayesftc.cosim.errors import AlgebraicLoopError, ModelError, UnknownNameError
+from bayesftc.cosim.judging.conditions import never_began
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
 
@@ -315,11 +316,34 @@ def test_python_control_gets_the_same_loop():
         (("plant.v", ">", nan), "on plant.v has value=nan; it must be a finite number"),
         (("plant.v", ">", inf), "value=inf"),
         (("plant.v", ">", "22"), "value='22'"),
+        (("plant.v => 22",), r"'plant\.v => 22' is no condition; write signal, relation and number"),
+        (("plant.v > fast",), "is no condition"),
+        (("plant.v > 22 m/s",), "is no condition"),
+        (("plant.v", ">"), "'plant.v' is no condition"),
+        ((7,), "7 is no condition"),
+        (("plant.v > inf",), "value=inf"),
+        (("v > 1",), "signal='v'"),
     ],
 )
 def test_bad_conditions(arguments, sentence):
     with pytest.raises(ModelError, match=sentence):
         cosim.when(*arguments)
+
+
+@pytest.mark.parametrize("relation", ["<", "<=", "==", "!=", ">=", ">"])
+@pytest.mark.parametrize("text", ["plant.y[0,1]{}-2e3", "  plant.y[0,1]  {} -2000 "])
+def test_conditions_as_text(relation, text):
+    assert cosim.when(text.format(relation)) == cosim.when("plant.y[0,1]", relation, -2000.0)
+    assert cosim.when(text.format(relation), delayed=True).delayed
+
+
+def test_a_fault_that_never_began_is_noted():
+    loop = car(faults=[cosim.Freeze(start=cosim.when("plant.v > 500")), cosim.Drift(slope=1.0, start=WHEN)])
+    result = loop.simulate(2.0, seed=1, engine="interpreted")
+    assert result["drift_0.active"].any()
+    assert list(never_began(loop, result)) == [
+        "The fault 'freeze_0' did not occur: it begins on the condition plant.v > 500."
+    ]
 
 
 @pytest.mark.parametrize(
