@@ -7,21 +7,27 @@ import subprocess
 import sys
 from pathlib import Path
 
+import public_names
 import pytest
 import readme
+import repository_files
 
 from bayesftc import controllers, cosim, fmus, monitoring
 from bayesftc.fmus._compiler import why_no_compiler
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"]  # last: its loops are compiled by then
+MADE = {"project", "api", "gallery"}
+"""Folders that the site writes."""
+PAGES = [p for p in sorted((ROOT / "docs").rglob("*.md")) if not MADE & set(p.parts)]
+PAGES.append(ROOT / "README.md")  # last: its loops are compiled by then
 PUBLIC = {
     f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, cosim.statistics, controllers, monitoring) for n in m.__all__
 }
 
 
-LONG = {"bring-your-own-fmu.md", "detectability.md", "precision.md", "reproduce.md"}
-"""Pages whose snippets take long."""
+RECIPES = [p.name for p in PAGES if p.parent.name == "how-to"]
+LONG = {"bring-your-own-fmu.md", "detectability.md", "precision.md", "reproduce.md"} | set(RECIPES) - set(RECIPES[::5])
+"""Pages whose snippets take long, and four of five recipes, which are much alike."""
 
 
 @pytest.mark.parametrize(
@@ -40,6 +46,7 @@ def test_snippets_run(page, tmp_path, monkeypatch, capsys):
         printed = done.stdout
     else:
         monkeypatch.chdir(tmp_path)
+        monkeypatch.syspath_prepend(tmp_path)  # of modules that a page writes, as for a script in this folder
         names = {"__name__": "__main__"}
         try:
             exec(compile(readme.python(page), page.name, "exec"), names)
@@ -56,7 +63,9 @@ def test_what_the_page_on_extending_names_is_there():
     folders = [ROOT / name for name in ("benchmarks", "controllers", "cosim", "docs", "fmus", "src", "tests", "tools")]
     files = [f for folder in folders for end in ("py", "pyi", "c", "h", "md") for f in folder.rglob(f"*.{end}")]
     words = {word for f in files if f.suffix != ".md" for word in re.findall(r"\w+", f.read_text(encoding="utf-8"))}
-    prose = re.sub(r"^```.*?^```", "", (ROOT / "docs" / "extend.md").read_text(encoding="utf-8"), flags=re.S | re.M)
+    prose = re.sub(
+        r"^```.*?^```", "", (ROOT / "docs" / "reference" / "extend.md").read_text(encoding="utf-8"), flags=re.S | re.M
+    )
     named = {name.removeprefix("python ").removeprefix("bayesftc.") for name in re.findall(r"`([^`]+)`", prose)}
     for name in named:
         if re.fullmatch(r"[\w/*]+\.(py|pyi|c|h|md)", name):
@@ -84,7 +93,7 @@ def test_links_of_the_pages_lead_somewhere():
 
 def test_every_page_leads_to_the_glossary():
     for page in PAGES:
-        if page.name not in {"glossary.md", "reference.md"}:
+        if page.name != "glossary.md":
             assert "glossary.md)" in page.read_text(encoding="utf-8"), f"{page.name} does not link to the glossary"
 
 
@@ -125,10 +134,9 @@ def test_examples_folder_ships_with_the_package():
 
 def test_whatever_is_listed_is_public():
     """A fault, learner, source, law, controller or model that is forgotten in the stub cannot be reached by name."""
-    from bayesftc.cosim.blocks import sources
     from bayesftc.cosim.campaign.runs.metrics import METRICS
 
-    listed = [(cosim, cls) for cls in cosim.FAULTS] + [(cosim, getattr(sources, name)) for name in sources.__all__]
+    listed = [(cosim, cls) for cls in (*cosim.FAULTS, *cosim.BLOCKS)]
     listed += [(cosim, cls) for cls in METRICS]
     for classes in (controllers.LEARNERS, controllers.LAWS, controllers.CONTROLLERS):
         listed += [(controllers, cls) for cls in classes]
@@ -138,43 +146,65 @@ def test_whatever_is_listed_is_public():
 
 
 def test_every_learner_has_a_row_in_the_page_of_learners():
-    text = (ROOT / "docs" / "precision.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "explanation" / "precision.md").read_text(encoding="utf-8")
     for cls in controllers.LEARNERS:
-        assert re.search(rf"^\| `{cls.__name__}\(", text, re.M), f"docs/precision.md lacks a row for {cls.__name__}"
+        assert re.search(rf"^\| `{cls.__name__}\(", text, re.M), (
+            f"docs/explanation/precision.md lacks a row for {cls.__name__}"
+        )
+
+
+def test_every_block_has_a_row_with_its_formula():
+    text = (ROOT / "docs" / "reference" / "blocks.md").read_text(encoding="utf-8")
+    for cls in cosim.BLOCKS:
+        assert re.search(rf"^\|[^|]*`{cls.__name__}`[^|]*\|", text, re.M), (
+            f"docs/reference/blocks.md lacks a row for {cls.__name__}"
+        )
+
+
+def test_the_page_of_scenario_files_has_every_section_and_key():
+    from dataclasses import fields
+
+    from bayesftc.scenario import Simulation
+    from bayesftc.scenario._blocks import Ports
+    from bayesftc.scenario._fmu_files import Shipped
+    from bayesftc.scenario._linear_plant import LINEAR, Matrices
+    from bayesftc.scenario._scenario import SECTIONS
+    from bayesftc.scenario._sections import Wiring
+
+    text = (ROOT / "docs" / "reference" / "scenarios.md").read_text(encoding="utf-8")
+    for section in SECTIONS:
+        assert re.search(rf"^\| `\[+{section}\b", text, re.M), f"docs/reference/scenarios.md lacks [{section}]"
+    kinds = (Simulation, Wiring, Shipped, Matrices, Ports, cosim.Sensors)
+    keys = {f.name for kind in kinds for f in fields(kind)} - {"function"} | {*LINEAR, "every", "from", "to"}
+    for key in keys:
+        assert f"`{key}`" in text or f"`{key} " in text, f"docs/reference/scenarios.md lacks the key {key}"
 
 
 def test_exit_codes_are_distinct_and_documented():
     from bayesftc.cosim import errors
 
     kinds = [e for e in vars(errors).values() if inspect.isclass(e) and issubclass(e, errors.BayesFTCError)]
-    text = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "reference" / "command-line.md").read_text(encoding="utf-8")
     assert len({kind.exit_code for kind in kinds}) == len(kinds)
     for kind in kinds:
         assert re.search(rf"^\| {kind.exit_code} \|.*`{kind.__name__}` \|$", text, re.M), kind.__name__
 
 
-def reference():
-    """Return the page of all public names and what their docstrings begin with; ``python tests/test_docs.py`` writes it."""
-    rows = {}
+def test_every_public_name_has_a_page_of_the_site():
+    pages = {module: public_names.page(sys.modules[module]) for module in public_names.MODULES}
     for name, thing in PUBLIC.items():
-        module, short = name.removeprefix("bayesftc.").rsplit(".", 1)
-        summary = " ".join((inspect.getdoc(thing) or "").split("\n\n")[0].split())
-        if not (inspect.isclass(thing) or inspect.isroutine(thing) or inspect.ismodule(thing)):
-            summary = f"The {type(thing).__name__} of all kinds that scenario files and tests choose from."
-        rows.setdefault(module, []).append(f"| `{short}` | {summary.replace('|', chr(92) + '|')} |")
-    head = "# All public names\n\nWhat each takes, in which units and shapes, and what it raises: `help(bayesftc.cosim.FMU)`.\n"
-    tables = (
-        "\n".join([f"\n## bayesftc.{m}\n", "| name | what it is |", "|---|---|", *sorted(r, key=str.lower)])
-        for m, r in rows.items()
+        if not inspect.ismodule(thing):
+            module, short = name.rsplit(".", 1)
+            assert f"   ~{module}.{short}\n" in pages[module], f"{name} has no page"
+
+
+def test_links_out_of_the_pages_lead_to_copies_or_downloads():
+    text = (
+        "[c](../../CHANGELOG.md#a) [m](../../examples/firmware/main.c) [g](glossary.md) "
+        "![f](../figures/a.png)\n```\n[x](y)\n```\n"
     )
-    return head + "\n".join(tables) + "\n"
-
-
-def test_reference_page_has_every_public_name_and_its_summary():
-    assert (ROOT / "docs" / "reference.md").read_text(encoding="utf-8") == reference(), (
-        "write it anew: python tests/test_docs.py"
+    expected = (
+        "[c](../project/changelog.md#a) {download}`m <../../examples/firmware/main.c>` [g](glossary.md) "
+        "![f](../figures/a.png)\n```\n[x](y)\n```\n"
     )
-
-
-if __name__ == "__main__":
-    (ROOT / "docs" / "reference.md").write_text(reference(), encoding="utf-8")
+    assert repository_files.linked(text, "docs/reference/a.md", "docs/reference/a.md") == expected
