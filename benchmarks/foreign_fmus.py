@@ -1,8 +1,8 @@
 """FMUs of other tools, run here and with fmpy: the same steps and inputs, and the differences of the results.
 
 Run it with ``python benchmarks/foreign_fmus.py FOLDER_OR_FMU... [--json FILE]``. Each FMU runs in a separate process, in each of
-its kinds, for 200 steps; its real inputs change at the 50th step. It prints a table by exporter, as in docs/other-tools.md, and
-the FMUs that do not run, with the message.
+its kinds, for 200 steps; its real inputs change at the 50th step. It prints a table by exporter, as in
+docs/reports/other-tools.md, and the FMUs that do not run, with the message.
 """
 
 import argparse

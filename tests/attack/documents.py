@@ -97,6 +97,20 @@ u_min = -12.0
 u_max = 12.0
 """
 
+BLOCKS = (
+    '[blocks.limiter]\nkind = "RateLimiter"\nrising = 9.5\nfalling = 7.5\nevery = 2\n[[connections]]\nfrom = "controller.u"\n'
+    'to = "limiter.u"\n[[connections]]\nfrom = "limiter.y"\nto = "plant.force"\n',
+    '[blocks.smooth]\nkind = "MovingAverage"\nsamples = 3\nsize = 2\n[[connections]]\nfrom = "controller.y"\nto = "smooth.u"\n'
+    '[[connections]]\nfrom = ["smooth.y[0]", "smooth.y[1]"]\nto = "controller.y"\n',
+    '[blocks.part]\nkind = "Subsystem"\ninputs = { e = ["a.u", "b.u[0]"] }\noutputs = { y = "deep.y" }\n'
+    '[blocks.part.blocks]\na = { kind = "Hysteresis", on = 20.0, off = 19.0 }\nb = { kind = "Product", operations = "*/" }\n'
+    '[blocks.part.blocks.deep]\nkind = "Subsystem"\n[blocks.part.blocks.deep.blocks.table]\nkind = "LookupTable"\n'
+    'points = [0.0, 1.0, 2.0]\nvalues = [0.0, 3.0, -1.0]\n[[blocks.part.connections]]\nfrom = "a.y"\nto = "b.u[1]"\n'
+    '[[blocks.part.connections]]\nfrom = "b.y"\nto = "deep.u"\n[[connections]]\nfrom = "plant.v"\nto = "part.e"\n',
+    '[blocks.lag]\nkind = "TransferFunction"\nnumerator = [1.0]\ndenominator = [0.1, 1.0]\n[blocks.count]\nkind = "Counter"\n'
+    'limit = 4.0\n[blocks.edge]\nkind = "Compare"\nrelation = ">"\n[[connections]]\nfrom = "reference.y"\nto = "lag.u"\n'
+    '[[connections]]\nfrom = ["lag.y", "sensors.y[0]"]\nto = "edge.u"\n[[connections]]\nfrom = "edge.y"\nto = "count.u"\n',
+)
 LOOP = """
 [simulation]
 duration = 0.2
@@ -127,6 +141,17 @@ dt = 0.02
 [controller]
 kind = "BayesianController"
 precision = { kind = "FixedPrecision" }
+[blocks.part]
+kind = "Subsystem"
+[blocks.part.blocks.limiter]
+kind = "RateLimiter"
+rising = 9.5
+[[connections]]
+from = "controller.u"
+to = "part.u"
+[[connections]]
+from = "part.y"
+to = "plant.u"
 """
 """A small loop, for campaigns."""
 
@@ -172,4 +197,5 @@ def scenario(rng: np.random.Generator) -> str:
         *(plant, f"[sensors]\n{any_of(SENSORS, rng)}", faults, f"[reference]\n{any_of(SOURCES, rng)}\n"),
         *(MODEL, f"[controller]\n{controller}", f"[controller.precision]\n{learner}\n"),
     )
-    return head + "".join(parts)
+    blocks = any_of(BLOCKS, rng) if rng.random() < 0.4 and "input_faults" not in faults else ""
+    return head + "".join(parts) + blocks

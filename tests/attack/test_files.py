@@ -26,6 +26,7 @@ signal = "plant.y"
 reference = "reference.y"
 [factors]
 "sensors.std" = [0.5, 1.0]
+"part.limiter.rising" = [5.0]
 [factors."controller.precision"]
 gamma = { kind = "gamma_precision", forgetting = 0.9 }
 fixed = { kind = "fixed_precision" }

@@ -40,7 +40,7 @@ def run_car(bayesftc_, *options):
 def test_version_and_help(bayesftc_):
     assert bayesftc_("--version").output.strip() == f"bayesftc {bayesftc.__version__}"
     text = bayesftc_("--help").output
-    page = (Path(__file__).parents[2] / "docs" / "command-line.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "command-line.md").read_text(encoding="utf-8")
     for command in COMMANDS:
         assert re.search(rf"\b{command}\b", text)
         assert f"`bayesftc {command}" in page

@@ -66,9 +66,15 @@ def record(controller, rng, missing, steps):
     return [np.array(column) for column in zip(*rows, strict=True)]
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(problems())
-def test_belief_is_filterpys_for_every_goal_and_control_prior(problem):
+@pytest.mark.parametrize("count", [12, pytest.param(200, marks=pytest.mark.slow)])
+def test_belief_is_filterpys_for_every_goal_and_control_prior(count):
+    checked = settings(
+        max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
+    )
+    checked(given(problems())(check_problem))()
+
+
+def check_problem(problem):
     model, priors, missing, rng = problem
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", controllers.UnstableLoopWarning)

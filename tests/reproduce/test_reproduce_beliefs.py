@@ -212,7 +212,7 @@ def test_wrong_settings_are_a_sentence():
 
 @pytest.mark.slow
 def test_five_times_wrong_is_safe():
-    """What ``docs/precision.md`` says, on other noise: all but sizes in the per-sensor form, where a drift may be lost."""
+    """``docs/explanation/precision.md`` on other noise: all but sizes in the per-sensor form, where a drift may be lost."""
     report = reproduce.beliefs(seed=1, jobs=2, settings=Beliefs(runs=200, training_streams=1))
     for form in (SWITCHING, FORM):
         for row, cells in (report["errors"][form] | report["coarse"]["errors"][form]).items():

@@ -294,7 +294,7 @@ def test_the_page_gets_the_table_between_its_marks(report, tmp_path):
 
 
 def test_the_page_on_learners_has_the_familys_marks():
-    page = Path(__file__).resolve().parents[2] / "docs" / "which-learner.md"
+    page = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "which-learner.md"
     text = page.read_text(encoding="utf-8")
     assert text.index(family_page.BEGIN) < text.index(family_page.END)
     for name in _family.all_learners():

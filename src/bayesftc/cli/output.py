@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DASH = "–"
 TRACKING = (
-    "The tracking error uses the reference at the same instant. The controller steers the state to it one step later."
+    "The tracking error uses the reference at the same instant. Without preview the controller steers the state to it one step "
+    "later."
 )
 ACTUATORS = "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control."
 DOTS_PER_INCH = 150
@@ -43,8 +44,8 @@ SENSOR_ROWS = (
     ("mean detection delay (s)", "delay", "{:.2f}"),
     ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
     ("AUC", "auc", "{:.3f}"),
-    ("mean precision without fault", "precision_healthy", "{:.3g}"),
-    ("mean precision in fault", "precision_faulty", "{:.3g}"),
+    ("mean precision without fault{}", "precision_healthy", "{:.3g}"),
+    ("mean precision in fault{}", "precision_faulty", "{:.3g}"),
 )
 INPUT_ROWS = (
     ("share of time in fault", "fault_share", "{:.1%}"),
@@ -283,13 +284,19 @@ def _errors(numbers: Mapping[str, Any]) -> tuple[str, Table]:
 
 def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
     table = empty_table(*(f"sensor {s['sensor']}" for s in sensors))
+    units = {s["unit"] for s in sensors}
+    precision = f" ({_inverse_square(units.pop())})" if len(units) == 1 and None not in units else ""
     missing = any(s["missing_share"] for s in sensors)
     for label, key, form in SENSOR_ROWS:
         if key in MISSING_ROWS and not missing:
             continue
         of_beta = key == "auc" and any(s["ranked_by"] == "beta" for s in sensors)
-        table.add_row("AUC of beta" if of_beta else label, *(_number(s[key], form) for s in sensors))
+        table.add_row("AUC of beta" if of_beta else label.format(precision), *(_number(s[key], form) for s in sensors))
     return "Faults and their detection", table
+
+
+def _inverse_square(unit: str) -> str:
+    return f"1/{unit}²" if unit.isalpha() else f"1/({unit})²"
 
 
 def _by_name(columns: list[dict[str, Any]], rows: Iterable[tuple[str, str, str]]) -> Table:

@@ -24,7 +24,7 @@ SECTIONS = ("dt", "time", "invalid", "model", "sensors", "inputs", "errors", "pr
 
 
 @dataclass(frozen=True)
-class _Start:
+class Start:
     """The initial belief in ``[model]``."""
 
     initial_mean: float | Sequence[float] | None = None
@@ -32,8 +32,18 @@ class _Start:
 
 
 @dataclass(frozen=True)
-class _Head:
-    """The settings above all sections."""
+class Head:
+    """The settings above all sections.
+
+    Attributes
+    ----------
+    dt : float or str
+        Sample time in seconds.
+    time : str
+        The column of the time stamps, in seconds.
+    invalid : sequence of float
+        Values that devices record in place of a sample, for all sensors and inputs.
+    """
 
     dt: float | str
     time: str = "t"
@@ -61,10 +71,10 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     for name in ("dt", "model", "sensors"):
         if name not in content:
             raise root.error(f"lacks {name!r}. A model file needs dt = ..., [model] and [sensors.<name>].")
-    head: _Head = build(_Head, {key: content[key] for key in ("dt", "time", "invalid") if key in content}, root)
+    head: Head = build(Head, {key: content[key] for key in ("dt", "time", "invalid") if key in content}, root)
     table = dict(as_table(content["model"], root / "model"))
-    start: _Start = build(
-        _Start, {key: table.pop(key) for key in ("initial_mean", "initial_std") if key in table}, root / "model"
+    start: Start = build(
+        Start, {key: table.pop(key) for key in ("initial_mean", "initial_std") if key in table}, root / "model"
     )
     sensors = _named(content["sensors"], Sensor, root / "sensors")
     errors = content.get("errors", [])

@@ -293,7 +293,7 @@ def test_the_scale_of_the_noise_is_found():
 
 @pytest.mark.slow
 def test_all_modes_are_learned_within_the_sampling_error():
-    """The table of ``docs/precision.md``: three sensors for 4000 s, of a state that moves, from right and wrong beginnings."""
+    """A table of ``docs/explanation/precision.md``: three sensors for 4000 s, a state that moves, right and wrong beginnings."""
     modes = (
         Frozen(200.0, 5.0),
         Offset(100.0, 10.0, walk=0.0),

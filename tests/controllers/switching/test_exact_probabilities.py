@@ -203,8 +203,8 @@ def test_the_grid_is_numerical_integration():
 
 
 def table():
-    """Return what docs/precision.md says: by mode, pace and form the largest difference."""
-    page = (Path(__file__).resolve().parents[3] / "docs" / "precision.md").read_text(encoding="utf-8")
+    """Return what docs/explanation/precision.md says: by mode, pace and form the largest difference."""
+    page = (Path(__file__).resolve().parents[3] / "docs" / "explanation" / "precision.md").read_text(encoding="utf-8")
     part = page.split("## How far from the exact posterior")[1].split("\n## ")[0]
     rows = re.findall(r"^\| `?([^`|]+?)`?(, [^|]+?)? \| (.+) \|$", part, re.M)
     columns = [(DEFAULT, JOINT), (DEFAULT, APART), (OFTEN, JOINT), (OFTEN, APART)]

@@ -303,7 +303,7 @@ def test_every_listed_mode_is_tried_and_runs_and_can_be_said(mode, tmp_path):
 
 
 def test_the_page_and_the_module_say_how_a_mode_is_called():
-    page = (Path(__file__).resolve().parents[3] / "docs" / "extend.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "extend.md").read_text(encoding="utf-8")
     arguments = f"({', '.join(argument_names(drops))})"
     assert arguments in page
     assert arguments in fault_modes.__doc__
@@ -311,7 +311,7 @@ def test_the_page_and_the_module_say_how_a_mode_is_called():
 
 @pytest.mark.parametrize("mode", controllers.FAULT_MODES, ids=lambda c: c.__name__)
 def test_the_table_of_modes_has_their_defaults(mode):
-    page = (Path(__file__).resolve().parents[3] / "docs" / "precision.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[3] / "docs" / "explanation" / "precision.md").read_text(encoding="utf-8")
     (row,) = re.findall(rf"^\| `{mode.__name__}` \|.* = .*$", page, re.M)
     told = {name: literal_eval(value) for name, value in re.findall(r"`(\w+)` = ([\d.]+|\([\d., ]+\))", row)}
     times = {"time_to_fault": 300.0, "time_to_recovery": 10.0}

@@ -18,6 +18,7 @@ from bayesftc.cli.commands.compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed
 from bayesftc.cosim.diagram.wiring import find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
+from bayesftc.cosim.judging.conditions import never_began
 from bayesftc.cosim.judging.metrics import figures, without_nan
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
@@ -134,6 +135,11 @@ def _compare(scenario: Scenario) -> None:
         return
     if sensors is not None and (sensors.function is not None or sensors.matrix is not None):
         return  # the sensors measure a function of the plant's outputs
+    if any(
+        not target.startswith(("controller.goal", *(f"{name}." for name in scenario.blocks)))
+        for _, target in scenario.connections
+    ):
+        return  # the controller controls the plant together with blocks
     limits = {name: getattr(controller, name) for name in ("u_min", "u_max") if hasattr(controller, name)}
     compare_with_plant(
         controller.model,  # type: ignore[attr-defined]
@@ -162,7 +168,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "stopped": result.stopped,
         "units": {q.name: q.unit for q in signals.quantities},
         **figures(signals).to_dict(),
-        "notes": _notes(scenario, signals),
+        "notes": [*_notes(scenario, signals), *(never_began(loop, result) if result.decimation == 1 else ())],
     }
     if pace := result.metadata.get("pace"):
         numbers["pace"] = pace

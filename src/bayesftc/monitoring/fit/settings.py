@@ -1,7 +1,7 @@
 """All choices of a fit with their reasons: windows, quantiles and thresholds.
 
-They were made with the recorded drive of ``docs/monitor.md`` in view: a wheel that fails in braking at 31.5 s, and a stretch of
-five calm seconds (`louder`, `rare`). They were not tested on other recordings.
+They were made with the recorded drive of ``docs/tutorials/monitor.md`` in view: a wheel that fails in braking at 31.5 s, and
+a stretch of five calm seconds (`louder`, `rare`). They were not tested on other recordings.
 """
 
 from __future__ import annotations

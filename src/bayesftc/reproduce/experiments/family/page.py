@@ -1,6 +1,6 @@
 """Write the family into a page.
 
-python -m bayesftc.reproduce.experiments.family.page results/family.json docs/which-learner.md
+python -m bayesftc.reproduce.experiments.family.page results/family.json docs/explanation/which-learner.md
 """
 
 from __future__ import annotations
