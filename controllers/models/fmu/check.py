@@ -107,12 +107,10 @@ def _followed(prediction: Prediction, course: Course) -> Floats:
     move = replace(
         prediction, controls=len(prediction.held), scales=(1.0,) * (len(prediction.states) + len(prediction.held))
     )
-    move.pool.first()
-    function = move.function("move")
     after = np.empty_like(course.states[1:])
-    for x, u, following in zip(course.states[:-1], course.inputs, after, strict=True):
-        function(x.copy(), u, following)
-    move.close()
+    with move.briefly("move") as function:
+        for x, u, following in zip(course.states[:-1], course.inputs, after, strict=True):
+            function(x.copy(), u, following)
     return after
 
 

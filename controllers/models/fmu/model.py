@@ -65,12 +65,11 @@ def model_of_fmu(
     n = len(of.names)
     wide = replace(prediction, controls=len(u), scales=(*of.scales, *_sizes(u)))
     F, B = np.empty((n, n)), np.empty((n, len(u)))
-    wide.pool.first()
-    wide.function("move_slopes")(course.states[0], u, F, B)
-    wide.close()
+    with wide.briefly("move_slopes") as slopes:
+        slopes(course.states[0], u, F, B)
     Q = covariance_by_inputs(B[:, columns], u[columns], inputs, range(p), noise)
     loads = 0
-    if disturbance is not None and disturbance is not False:
+    if disturbance is not None:
         loads = p
         Q = np.block(
             [[Q, np.zeros((n, p))], [np.zeros((p, n)), as_covariance("The disturbance's covariance", disturbance, p)]]

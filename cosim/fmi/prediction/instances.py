@@ -59,7 +59,7 @@ class _Tabled:
         self._kept: list[Any] = []
         numbers = {
             words.PLANT_STATES: n, words.DRIVEN: p, words.LOADS: loads, words.INPUTS: len(layout.held),
-            words.OUTPUTS: outputs, words.READINGS: sensors, words.PARTS: layout.parts,
+            words.OUTPUTS: outputs, words.PARTS: layout.parts,
         }  # fmt: skip
         arrays = {
             words.HELD: layout.held.copy(), words.VALUES: layout.held.copy(), words.SHOWN: np.zeros(n + outputs),

@@ -93,9 +93,8 @@ def _table_of(pool, i):
 
 @callee
 def _given_back(pool, i, result):
-    if result == BROKEN:
-        call_block(word(pool, REPLACE), 0, pool, 0, 0, 0.0, i)
-    _unlock(pool + 8 * (HEAD + PLACE * i + LOCK))
+    if result != BROKEN or call_block(word(pool, REPLACE), 0, pool, 0, 0, 0.0, i) == 0:
+        _unlock(pool + 8 * (HEAD + PLACE * i + LOCK))
 
 
 @callee

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import _thread
 import atexit
 import ctypes
 import logging
 import threading
 import time
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,6 +19,10 @@ from bayesftc.cosim.fmi.running.by_address import ENTRY
 
 WAIT = 1e-4
 """Seconds that a thread waits for an instance before it looks again."""
+
+
+LATER = 0.02
+"""Seconds after which Ctrl-C is raised again."""
 
 
 class Placed(Protocol):
@@ -34,7 +40,8 @@ class Placed(Protocol):
 class Pool:
     """The instances of one prediction.
 
-    Compiled code takes a free instance and calls back only if there is none, or if the FMU fails.
+    Compiled code takes a free instance and calls back only if there is none, or if the FMU fails. An instance that fails and
+    cannot be replaced stays locked: no thread uses it again.
 
     Parameters
     ----------
@@ -50,74 +57,114 @@ class Pool:
 
     def __init__(self, title: str, open_instance: Callable[[], Placed], sizes: tuple[int, int, int], most: int):
         self._title, self._open, self._most = title, open_instance, most
-        self._placed: list[Placed] = []
+        self._placed: list[Placed | None] = []  # None: it could not be replaced
         self._changing = threading.Lock()
-        self.trouble: BaseException | None = None
+        self._users = 0
+        self._trouble: Exception | None = None
         self.failures = 0
-        self._callbacks = ENTRY(self._add), ENTRY(self._replace)
+        self._callbacks = ENTRY(_without_interrupts(self._add)), ENTRY(_without_interrupts(self._replace))
         self.words = np.zeros(words.HEAD + words.PLACE * most, dtype=np.int64)
         addresses = [ctypes.cast(callback, ctypes.c_void_p).value or 0 for callback in self._callbacks]
         self.words[: words.COUNT] = [*addresses, *sizes]
-        atexit.register(self.close)
+        atexit.register(self._free)
 
-    def first(self) -> None:
-        """Open the first instance, so that errors are raised here.
+    def keep(self) -> None:
+        """Keep the instances until the process ends, for functions that stay in use."""
+        with self._changing:
+            self._users += 1
+
+    @contextmanager
+    def briefly(self) -> Iterator[None]:
+        """Open the first instance, so that errors are raised here; at the end free all, if no other user is left.
 
         Raises
         ------
         FMUError
             If the FMU cannot be instantiated or initialized.
         """
-        if not self._placed and self._add(0, 0, 0, 0, 0.0, 0):
-            assert self.trouble is not None
-            raise self.trouble
+        self.keep()
+        try:
+            if not self._placed and self._add(0, 0, 0, 0, 0.0, 0):
+                assert self._trouble is not None
+                raise self._trouble
+            yield
+        finally:
+            with self._changing:
+                self._users -= 1
+                if not self._users:
+                    self._free()
+
+    def _opened(self) -> Placed | None:
+        """Return a new instance; None if it cannot be opened, as no error passes through compiled code."""
+        try:
+            return self._open()
+        except Exception as error:  # noqa: BLE001 - it cannot pass through compiled code
+            if self._trouble is None and self._placed:
+                self._warn(f"cannot be opened once more. {error}")
+            self._trouble = error
+            return None
+
+    def _warn(self, what: str) -> None:
+        logging.getLogger("bayesftc").warning("%s%s %s", self._title[0].upper(), self._title[1:], what)
 
     def _add(self, state: int, parameters: int, inputs: int, outputs: int, t: float, k: int) -> int:
         """Open one more instance, or wait for one; return 1 if there is none and none can be opened."""
         with self._changing:
             count = len(self._placed)
-            if count < self._most:
-                try:
-                    placed = self._open()
-                except BaseException as error:  # noqa: BLE001 - it cannot pass through compiled code
-                    self.trouble = error
-                    if count == 0:
-                        return 1
-                else:
-                    self._placed.append(placed)
-                    self.words[words.HEAD + words.PLACE * count + words.TABLE] = placed.table.ctypes.data
-                    self.words[words.COUNT] = count + 1
-                    return 0
+            placed = self._opened() if count < self._most else None
+            if placed is not None:
+                self._placed.append(placed)
+                self._point(count, placed)
+                self.words[words.COUNT] = count + 1
+                return 0
+            if not any(self._placed):
+                return 1
         time.sleep(WAIT)
         return 0
 
     def _replace(self, state: int, parameters: int, inputs: int, outputs: int, t: float, k: int) -> int:
-        """Replace an instance after an error, which FMI does not let continue."""
+        """Replace an instance after an error, which FMI does not let continue; return 1 if that is impossible."""
         with self._changing:
             failed = self._placed[k]
+            assert failed is not None
             self.failures += 1
             if self.failures == 1:
-                logging.getLogger("bayesftc").warning(
-                    "%s has failed as a model. Where it fails, the model counts as not finite. %s",
-                    self._title[0].upper() + self._title[1:],
-                    failed.messages(),
+                self._warn(
+                    f"has failed as a model. Where it fails, the model counts as not finite. {failed.messages()}"
                 )
-            failed.close(healthy=False)
-            try:
-                self._placed[k] = self._open()
-            except BaseException as error:  # noqa: BLE001 - as above
-                self.trouble = error
+            self._placed[k] = None
+            failed.close(healthy=False)  # first, as some FMUs allow one instance only
+            self._placed[k] = placed = self._opened()
+            if placed is None:
                 return 1
-            self.words[words.HEAD + words.PLACE * k + words.TABLE] = self._placed[k].table.ctypes.data
+            self._point(k, placed)
         return 0
 
-    def close(self) -> None:
-        """Free all instances; further use opens new ones."""
-        with self._changing:
-            self.words[words.COUNT] = 0
-            for placed in self._placed:
+    def _point(self, k: int, placed: Placed) -> None:
+        self.words[words.HEAD + words.PLACE * k + words.TABLE] = placed.table.ctypes.data
+
+    def _free(self) -> None:
+        """Free all instances but those that a thread uses; further use opens new ones."""
+        locks = self.words[words.HEAD + words.LOCK :: words.PLACE]
+        for placed, lock in zip(self._placed, locks, strict=False):
+            if placed is not None and not lock:
                 placed.close(healthy=True)
-            self._placed.clear()
+        self._placed.clear()
+        self.words[words.COUNT] = 0
+        locks[:] = 0
+
+
+def _without_interrupts(function: Callable[..., int]) -> Callable[..., int]:
+    """Raise Ctrl-C after the compiled code that calls the function, because no error passes through that code."""
+
+    def call(*arguments: Any) -> int:
+        try:
+            return function(*arguments)
+        except KeyboardInterrupt:
+            threading.Timer(LATER, _thread.interrupt_main).start()
+            return 1
+
+    return call
 
 
 __all__ = ["Placed", "Pool"]

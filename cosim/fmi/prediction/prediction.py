@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -98,9 +99,17 @@ class Prediction:
         """Return ``move(x, u, x_next)``, ``move_slopes(x, u, F, B)``, ``read(x, y)`` or ``read_slopes(x, C)``."""
         return PredictionFunction(self, role)
 
-    def close(self) -> None:
-        """Free the instances; further use opens new ones."""
-        self.pool.close()
+    @contextmanager
+    def briefly(self, role: str) -> Iterator[PredictionFunction]:
+        """Return a function whose instances are freed at the end of the body, unless something else uses them.
+
+        Raises
+        ------
+        FMUError
+            If the FMU cannot be instantiated or initialized.
+        """
+        with self.pool.briefly():
+            yield PredictionFunction(self, role, kept=False)
 
     def _open(self) -> Placed:
         archive, description = self.fmu._read()
@@ -133,10 +142,12 @@ class PredictionFunction(Foreign):
         The FMU and the choice of its variables.
     role : str
         See `Prediction.function`.
+    kept : bool
+        Whether the instances stay until the process ends.
     """
 
-    def __init__(self, prediction: Prediction, role: str):
-        self.prediction, self.role = prediction, role
+    def __init__(self, prediction: Prediction, role: str, *, kept: bool = True):
+        self.prediction, self.role, self.kept = prediction, role, kept
         self.arguments, stored = _ROLES[role]
         self.stored = frozenset(stored)
         self.symbol = f"bayesftc_{role}_{prediction.digest}"
@@ -145,8 +156,10 @@ class PredictionFunction(Foreign):
     def defined(self) -> int:
         """See `Foreign.defined`."""
         with _lock:
+            pool = self.prediction.pool
+            if self.kept:
+                pool.keep()
             if self.symbol not in _addresses:
-                pool = self.prediction.pool
                 _addresses[self.symbol] = _bound(
                     self.symbol, int(compiled(self.role).address), pool.words.ctypes.data, self.arguments
                 )

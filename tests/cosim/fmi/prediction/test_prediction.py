@@ -1,6 +1,7 @@
 """The equations of an FMU as functions: against the same Runge-Kutta method, and its derivatives by CasADi's differentiation."""
 
 import threading
+import time
 
 import casadi as ca
 import numpy as np
@@ -108,6 +109,68 @@ def test_threads_use_instances_of_their_own(model):
     for thread in threads:
         thread.join()
     assert (together == alone).all()
+
+
+def test_building_an_equal_model_frees_nothing_that_is_in_use(model):
+    made, x, u = model("directional"), np.array([0.4, 0.1]), np.ones(1)
+    F, B = np.empty((2, 2)), np.empty((2, 1))
+    made.f_jacobian(x, u, F, B)
+    expected, wrong, stop = F.copy(), [], threading.Event()
+
+    def work():
+        F, B = np.empty((2, 2)), np.empty((2, 1))
+        while not stop.is_set():
+            made.f_jacobian(x, u, F, B)
+            if not np.array_equal(F, expected):
+                wrong.append(F.copy())
+
+    threads = [threading.Thread(target=work) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for _ in range(10):
+        model("directional")
+    stop.set()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def pool_of(made):
+    return made.f.__closure__[0].cell_contents.prediction.pool
+
+
+def test_an_instance_that_cannot_be_replaced_is_not_used_again(model, monkeypatch, caplog):
+    made, following = model("plain"), np.zeros(2)
+    pool = pool_of(made)
+    here = np.array([0.1, 0.2])
+    made.f(here, np.zeros(1), following)
+    expected = following.copy()
+
+    def no_memory():
+        raise MemoryError("no memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pool, "_open", no_memory)
+        for x in (np.array([11.0, 0.0]), here):
+            made.f(x, np.zeros(1), following)
+            assert np.isnan(following).all()
+    assert "cannot be opened once more. no memory" in caplog.text
+    made.f(here, np.zeros(1), following)  # it can be opened again
+    assert following.tolist() == expected.tolist()
+
+
+def test_ctrl_c_while_an_instance_is_opened_is_not_lost(model, monkeypatch):
+    made = model("plain", sensor_std=0.5)
+    pool = pool_of(made)
+    pool._free()
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(pool, "_open", interrupted)
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - it comes after the call
+        made.f(np.zeros(2), np.zeros(1), np.zeros(2))
+        time.sleep(5.0)
 
 
 @pytest.mark.parametrize(
