@@ -5,6 +5,7 @@ import inspect
 import re
 import subprocess
 import sys
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import public_names
@@ -16,7 +17,7 @@ from bayesftc import controllers, cosim, fmus, monitoring
 from bayesftc.fmus._compiler import why_no_compiler
 
 ROOT = Path(__file__).resolve().parents[1]
-MADE = {"project", "api", "gallery"}
+MADE = {"project", "api"}
 """Folders that the site writes."""
 PAGES = [p for p in sorted((ROOT / "docs").rglob("*.md")) if not MADE & set(p.parts)]
 PAGES.append(ROOT / "README.md")  # last: its loops are compiled by then
@@ -25,15 +26,23 @@ PUBLIC = {
 }
 
 
-RECIPES = [p.name for p in PAGES if p.parent.name == "how-to"]
-LONG = {"bring-your-own-fmu.md", "detectability.md", "precision.md", "reproduce.md"} | set(RECIPES) - set(RECIPES[::5])
+RECIPES = [p for p in PAGES if p.parent.name == "how-to" and p.name != "index.md"]
+LONG = {
+    ROOT / "docs" / page
+    for page in (
+        "tutorials/bring-your-own-fmu.md",
+        "reports/detectability.md",
+        "explanation/precision.md",
+        "reports/reproduce.md",
+    )
+} | set(RECIPES) - set(RECIPES[::5])
 """Pages whose snippets take long, and four of five recipes, which are much alike."""
 
 
 @pytest.mark.parametrize(
     "page",
-    [pytest.param(p, marks=[pytest.mark.slow] * (p.name in LONG)) for p in PAGES if readme.python(p)],
-    ids=lambda p: p.name,
+    [pytest.param(p, marks=[pytest.mark.slow] * (p in LONG)) for p in PAGES if readme.python(p)],
+    ids=lambda p: p.relative_to(ROOT).as_posix(),
 )
 def test_snippets_run(page, tmp_path, monkeypatch, capsys):
     """The README in a process of its own, as one who is new runs it; the pages here, where much is imported and compiled."""
@@ -162,20 +171,23 @@ def test_every_block_has_a_row_with_its_formula():
 
 
 def test_the_page_of_scenario_files_has_every_section_and_key():
-    from dataclasses import fields
-
-    from bayesftc.scenario import Simulation
-    from bayesftc.scenario._blocks import Ports
-    from bayesftc.scenario._fmu_files import Shipped
-    from bayesftc.scenario._linear_plant import LINEAR, Matrices
+    """The key classes are all dataclasses of the modules of sections, so that a new one cannot be forgotten."""
+    from bayesftc.scenario import _blocks, _fmu_files, _linear_plant, _sections
     from bayesftc.scenario._scenario import SECTIONS
-    from bayesftc.scenario._sections import Wiring
+    from bayesftc.scenario._schema import settings
 
     text = (ROOT / "docs" / "reference" / "scenarios.md").read_text(encoding="utf-8")
     for section in SECTIONS:
         assert re.search(rf"^\| `\[+{section}\b", text, re.M), f"docs/reference/scenarios.md lacks [{section}]"
-    kinds = (Simulation, Wiring, Shipped, Matrices, Ports, cosim.Sensors)
-    keys = {f.name for kind in kinds for f in fields(kind)} - {"function"} | {*LINEAR, "every", "from", "to"}
+    kinds = {
+        value
+        for module in (_sections, _blocks, _fmu_files, _linear_plant)
+        for value in vars(module).values()
+        if is_dataclass(value) and value.__module__ == module.__name__
+    } - {_blocks.Surroundings}
+    assert len(kinds) >= 6
+    keys = {key for kind in (*kinds, cosim.Sensors) for key in settings(kind)} - {"function"}
+    keys |= {*_linear_plant.LINEAR, "every", "from", "to"}
     for key in keys:
         assert f"`{key}`" in text or f"`{key} " in text, f"docs/reference/scenarios.md lacks the key {key}"
 

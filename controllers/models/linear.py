@@ -74,7 +74,7 @@ class LinearModel:
     names : SignalNames, optional
         Names of controls, sensors and the plant's states, for `to_control` and for messages.
     delays : Delays, optional
-        What `with_delays` made of the model; not for you to set.
+        Result of `with_delays`; leave it out.
 
     Raises
     ------
@@ -91,7 +91,7 @@ class LinearModel:
     disturbances: int = 0
     constant: bool = False
     names: SignalNames | None = field(default=None, kw_only=True)
-    delays: Delays | None = field(default=None, kw_only=True)
+    delays: Delays | None = field(default=None, kw_only=True, metadata={"derived": True})
 
     def __post_init__(self) -> None:
         A = as_matrix("The model's A", self.A)

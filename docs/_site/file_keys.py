@@ -1,6 +1,7 @@
-"""Tables of the keys of scenario, campaign and model files, from the dataclasses that are their schema.
+"""Tables of the keys of scenario, campaign and model files, from the dataclasses and functions that are their schema.
 
-``{keys} bayesftc.cosim.Freeze`` is a table of a class's keys; ``{kinds} bayesftc.cosim.FAULTS`` has one for each class of a list.
+``{keys} bayesftc.cosim.Freeze`` is a table of a class's or function's keys; ``{kinds} bayesftc.cosim.FAULTS`` has one for each
+class of a list.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
-from dataclasses import MISSING, Field, fields
+from dataclasses import MISSING, fields
 from typing import Any, get_type_hints
 
 from docutils import nodes
@@ -17,26 +18,44 @@ from docutils.statemachine import StringList
 from numpydoc.docscrape import NumpyDocString
 from sphinx.application import Sphinx
 
-from bayesftc.scenario._schema import expected
+from bayesftc.scenario._schema import expected, settings
 
 
 def thing(path: str) -> Any:
     """Return what a full name stands for."""
-    module, _, name = path.rpartition(".")
-    return getattr(importlib.import_module(module), name)
+    parts = path.split(".")
+    for i in range(len(parts) - 1, 0, -1):
+        try:
+            found: Any = importlib.import_module(".".join(parts[:i]))
+        except ImportError:
+            continue
+        for part in parts[i:]:
+            found = getattr(found, part)
+        return found
+    raise ImportError(path)
 
 
-def described(cls: type[Any]) -> dict[str, str]:
-    """Return the first sentence about each field, from the docstrings of a class and its bases."""
-    found: dict[str, str] = {}
-    for base in reversed(cls.__mro__[:-1]):
+def described(schema: Any) -> dict[str, str]:
+    """Return the first sentence about each key, from the docstring; of a class also from those of its bases."""
+    texts: dict[str, str] = {}
+    for base in reversed(schema.__mro__[:-1]) if isinstance(schema, type) else [schema]:
         text = NumpyDocString(inspect.cleandoc(base.__doc__ or ""))
         for entry in (*text["Parameters"], *text["Attributes"]):
             words = " ".join(entry.desc)
             if words and not words.startswith("See "):
                 for name in re.split(r",\s*", entry.name):
-                    found[name] = words
-    return found
+                    texts[name] = words
+    return texts
+
+
+def defaults(schema: Any) -> dict[str, Any]:
+    """Return the default of each key; MISSING for a required one."""
+    if isinstance(schema, type):
+        return {f.name: MISSING if f.default_factory is MISSING else None for f in fields(schema)} | {
+            f.name: f.default for f in fields(schema) if f.default is not MISSING
+        }
+    parameters = inspect.signature(schema).parameters
+    return {name: MISSING if p.default is p.empty else p.default for name, p in parameters.items()}
 
 
 def meaning(text: str) -> str:
@@ -45,39 +64,32 @@ def meaning(text: str) -> str:
     return text.replace("|", r"\|") or " "
 
 
-def default(setting: Field[Any]) -> str:
+def shown(value: Any) -> str:
     """Return how a default is written in a file."""
-    value = setting.default if setting.default is not MISSING else None
-    if setting.default is MISSING and setting.default_factory is MISSING:
+    if value is MISSING:
         return "required"
-    if value is None or (not isinstance(value, bool | int | float | str | tuple)):
-        return " "
-    if isinstance(value, tuple):
-        return f"`[{', '.join(map(repr, value))}]`" if value else " "
-    return (
-        f"`{str(value).lower()}`"
-        if isinstance(value, bool)
-        else f'`"{value}"`'
-        if isinstance(value, str)
-        else f"`{value}`"
-    )
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    if isinstance(value, str):
+        return f'`"{value}"`'
+    if isinstance(value, int | float):
+        return f"`{value}`"
+    return f"`[{', '.join(map(repr, value))}]`" if isinstance(value, tuple) and value else " "
 
 
-def table(cls: type[Any], without: set[str]) -> list[str]:
-    """Return the Markdown table of the keys that a class has in a file."""
-    hints, texts = get_type_hints(cls), described(cls)
+def table(schema: Any, without: set[str]) -> list[str]:
+    """Return the Markdown table of the keys that a class or function has in a file."""
+    hints, texts, given = get_type_hints(schema), described(schema), defaults(schema)
     rows = []
-    for setting in fields(cls):
-        phrase = expected(hints[setting.name])
-        if setting.init and setting.name not in without and phrase:
-            rows.append(
-                f"| `{setting.name}` | {phrase} | {default(setting)} | {meaning(texts.get(setting.name, ''))} |"
-            )
+    for name in settings(schema):
+        phrase = expected(hints[name]) if name not in without else ""
+        if phrase:
+            rows.append(f"| `{name}` | {phrase} | {shown(given[name])} | {meaning(texts.get(name, ''))} |")
     return ["| key | value | default | meaning |", "|---|---|---|---|", *rows, ""] if rows else ["No further keys.", ""]
 
 
 class Keys(Directive):
-    """A table of the keys of a class; the option ``without`` leaves some out."""
+    """A table of the keys of a class or function; the option ``without`` leaves some out."""
 
     required_arguments = 1
     option_spec = {"without": str}  # noqa: RUF012 - as docutils has it

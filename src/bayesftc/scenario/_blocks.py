@@ -44,7 +44,15 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Ports:
-    """The ports of a subsystem: for each the ports of blocks inside; see `bayesftc.cosim.Subsystem`."""
+    """The ports of a subsystem; see `bayesftc.cosim.Subsystem`.
+
+    Attributes
+    ----------
+    inputs : table, optional
+        For each input its ports inside, one or a list; by default the inputs inside that are not connected.
+    outputs : table, optional
+        For each output its port inside; by default the outputs inside that are not connected.
+    """
 
     inputs: Mapping[str, str | Sequence[str]] | None = None
     outputs: Mapping[str, str | Sequence[str]] | None = None

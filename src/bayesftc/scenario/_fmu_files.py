@@ -15,7 +15,15 @@ from bayesftc.scenario._schema import build
 
 @dataclass(frozen=True)
 class Shipped:
-    """An FMU: a shipped one by name and version of FMI, or a file."""
+    """An FMU: a shipped one by name and version of FMI, or a file.
+
+    Attributes
+    ----------
+    fmu : str
+        Name of a shipped FMU, or a file, relative to the scenario.
+    fmi : str, optional
+        Version of a shipped FMU.
+    """
 
     fmu: str
     fmi: Literal["2.0", "3.0"] | None = None

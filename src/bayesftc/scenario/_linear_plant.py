@@ -19,9 +19,18 @@ from bayesftc.scenario._schema import build
 
 @dataclass(frozen=True)
 class Matrices:
-    """The linear system of ``[plant]``: matrices, sample time (0 for continuous time), and names of the signals.
+    """The linear system of ``[plant]``.
 
-    Signals without names get the names of the ports of python-control's systems: ``u`` and ``y``, or ``u0``, ``u1``, ...
+    Attributes
+    ----------
+    A, B, C : matrix
+        Matrices of the system: n x n, n x p and m x n numbers.
+    dt : float or str
+        Sample time in seconds, 0 for continuous time.
+    D : matrix, optional
+        Direct feedthrough, m x p numbers; zero by default.
+    inputs, outputs : sequence of str, optional
+        Names of the signals, by default those of python-control's systems: ``u`` and ``y``, or ``u0``, ``u1``, ...
     """
 
     A: Sequence[Sequence[float]]

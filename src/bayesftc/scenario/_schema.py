@@ -44,11 +44,11 @@ def build(cls: Callable[..., Any], table: object, place: Place, *, given: Mappin
     """
     given = dict(given or {})
     entries = as_table(table, place)
-    settings = {name: required for name, required in _settings(cls).items() if name not in given}
+    known = {name: required for name, required in settings(cls).items() if name not in given}
     hints = get_type_hints(cls)
-    place.refuse_unknown(entries, settings)
+    place.refuse_unknown(entries, known)
     values = {name: convert(value, hints[name], place / name) for name, value in entries.items()}
-    missing = [name for name, required in settings.items() if required and name not in values]
+    missing = [name for name, required in known.items() if required and name not in values]
     if missing:
         phrase = expected(hints[missing[0]])
         raise place.error(f"lacks {missing[0]!r}, which {cls.__name__} needs. Add {missing[0]} = ... ({phrase}).")
@@ -126,10 +126,14 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
     return TypeAdapter(hint)
 
 
-def _settings(cls: Callable[..., Any]) -> dict[str, bool]:
-    """Return the names of a dataclass's fields, or of a function's arguments, and whether each is required."""
+def settings(cls: Callable[..., Any]) -> dict[str, bool]:
+    """Return the names of a dataclass's fields, or of a function's arguments, and whether each is required.
+
+    Fields with ``metadata={"derived": True}`` are results of methods, not settings.
+    """
     if isinstance(cls, type):
-        return {f.name: f.default is MISSING and f.default_factory is MISSING for f in fields(cls) if f.init}
+        known = (f for f in fields(cls) if f.init and not f.metadata.get("derived"))
+        return {f.name: f.default is MISSING and f.default_factory is MISSING for f in known}
     return {name: p.default is p.empty for name, p in signature(cls).parameters.items()}
 
 
@@ -201,7 +205,7 @@ def _tables(hint: Any, value: object) -> list[str]:
         return []
     of_many = _is_sequence(hint)
     if len(classes) == 1:
-        needed = ", ".join(name for name, required in _settings(classes[0]).items() if required)
+        needed = ", ".join(name for name, required in settings(classes[0]).items() if required)
         return [
             *(['a condition such as "plant.v > 22"'] if classes[0] is When else []),
             f"{'a list of tables' if of_many else 'a table'} with the settings of {classes[0].__name__}"

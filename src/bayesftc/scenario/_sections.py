@@ -22,7 +22,7 @@ from bayesftc.cosim.diagram.subsystem import Subsystem
 from bayesftc.scenario._blocks import Surroundings, subsystem
 from bayesftc.scenario._fmu_files import fmu_of, taken
 from bayesftc.scenario._place import Place
-from bayesftc.scenario._schema import as_table, build, build_one_of, choose
+from bayesftc.scenario._schema import as_table, build, build_one_of, choose, settings
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,15 @@ class Simulation:
 
 @dataclass(frozen=True)
 class Wiring:
-    """The plant's control inputs and measured outputs."""
+    """The plant's control inputs and measured outputs.
+
+    Attributes
+    ----------
+    control : str or sequence of str
+        Inputs of the plant that the controller drives.
+    measured : str or sequence of str
+        Outputs or local variables of the plant that the sensors measure.
+    """
 
     control: str | Sequence[str]
     measured: str | Sequence[str]
@@ -154,8 +162,8 @@ def controller(
         if "model" in content:
             raise (root / "model").error("cannot be used with kind = 'Subsystem', which has no model. Leave it out.")
         return _subsystem(rest, place, Path(root.file).absolute().parent, simulation)
-    settings = {f.name: f for f in fields(cls)} if isinstance(cls, type) else {}  # type: ignore[arg-type]
-    if simulation.dt is not None and ("dt" in settings or cls is design) and "model" not in content:
+    by_name = {f.name: f for f in fields(cls)} if isinstance(cls, type) else {}  # type: ignore[arg-type]
+    if simulation.dt is not None and ("dt" in by_name or cls is design) and "model" not in content:
         rest.setdefault("dt", simulation.dt)
     if cls is design:
         from bayesftc.scenario._design import designed
@@ -169,7 +177,7 @@ def controller(
     if "model" in content:
         from_plant = plant, {"measured": wiring.measured, "actuated": wiring.control}, sensors
         given["model"] = _model(content["model"], root / "model", simulation, from_plant)
-    elif "model" in settings and settings["model"].default is MISSING:
+    elif "model" in by_name and by_name["model"].default is MISSING:
         raise root.error(
             f"lacks the section [model], which {cls.__name__} needs. Add [model] with A, B, C, ... below it."
         )
@@ -190,29 +198,30 @@ def _model(
 
         _, rest = choose((NonlinearModel.from_fmu,), rest, place)
         return model_of_plant(rest, place, *from_plant)
-    disturbance = rest.pop("disturbance", None)
-    late = {name: rest.pop(name) for name in ("input_delays", "sensor_delays") if name in rest}
+    place.refuse_unknown(rest, [*settings(LinearModel), *settings(Extension)])
+    extension: Extension = build(Extension, taken(rest, Extension), place)
     model: LinearModel = build(LinearModel, rest, place)
-    if disturbance is not None:
-        at = place / "disturbance"
-        given = build(Disturbance, {"covariance": disturbance}, at)
-        with at.named():
-            model = model.with_disturbance(given.covariance)
-    delays: Delayed = build(Delayed, late, place)
+    if extension.disturbance is not None:
+        with (place / "disturbance").named():
+            model = model.with_disturbance(extension.disturbance)
     with place.named():
-        return model.with_delays(delays.input_delays, delays.sensor_delays)
+        return model.with_delays(extension.input_delays, extension.sensor_delays)
 
 
 @dataclass(frozen=True)
-class Disturbance:
-    """``disturbance = 1e-4``: a number, a diagonal, or a matrix, as `LinearModel.with_disturbance` takes it."""
+class Extension:
+    """Keys of ``[model]`` beside those of `LinearModel`.
 
-    covariance: float | Sequence[float] | Sequence[Sequence[float]]
+    Attributes
+    ----------
+    disturbance : number, sequence or matrix, optional
+        Covariance per sample of an unknown load on each control: see `LinearModel.with_disturbance`.
+    input_delays : int or sequence of int
+        Samples by which each control acts late: see `LinearModel.with_delays`.
+    sensor_delays : int or sequence of int
+        Samples by which the values of each sensor are old.
+    """
 
-
-@dataclass(frozen=True)
-class Delayed:
-    """``input_delays = 3`` and ``sensor_delays = [0, 2]`` in samples, as `LinearModel.with_delays` takes them."""
-
+    disturbance: float | Sequence[float] | Sequence[Sequence[float]] | None = None
     input_delays: int | Sequence[int] = 0
     sensor_delays: int | Sequence[int] = 0
