@@ -39,14 +39,13 @@ VARIANCE_CAP = 1e20
 def extended_mean(model: Any, values: Floats, mean: object) -> object:
     """Extend a mean of the plant's states by past signals, zero disturbances and a constant; return any other `mean` unchanged.
 
-    Past controls are 0, and past readings equal to the present ones.
+    Past controls are those of the operating point, and past readings equal to the present ones.
     """
     plant, delays = model.states - model.disturbances, model.delays
     if delays is not None and values.shape in {(delays.plant,), (1,)}:
-        own = np.broadcast_to(values, delays.plant)
-        reading = np.zeros(model.states)
-        reading[: delays.plant], reading[delays.places] = own, delays.present @ own
-        values = mean = reading[:plant]
+        present = np.broadcast_to(values, delays.plant)
+        values = np.concatenate([present, delays.present @ present + delays.rest])
+        mean = values
     if model.disturbances and values.shape in {(plant,), (1,)}:
         others = np.zeros(model.disturbances)
         others[-1] = getattr(model, "constant", False)

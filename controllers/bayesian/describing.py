@@ -96,7 +96,7 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] |
     B, C = model.matrix("B")[:plant], model.matrix("C")[:, :plant]
     Q, R = model.matrix("process_covariance")[:plant, :plant], model.matrix("sensor_covariance")
     whole = controller.closed_loop_matrix()
-    if np.abs(np.linalg.eigvals(whole)).max() >= 1.0 - LASTING:
+    if np.abs(controller.closed_loop_poles()).max() >= 1.0 - LASTING:
         return None
     _, given, _, direct = controller.feedback()
     noise = np.vstack([B @ direct[:, :m], given[:, :m]])
@@ -111,18 +111,17 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] |
     return _std(G @ covariance[:plant, :plant] @ G.T), _std(G @ belief @ G.T)
 
 
-def pole_lines(poles: Any) -> list[str]:
+def pole_lines(poles: Any, at_zero: int) -> list[str]:
     """Return a line with the poles of plant and filter together."""
-    return [f"Poles of the closed loop, the filter's included: {listed(poles)}."]
+    return [f"Poles of the closed loop, the filter's included: {listed(poles, at_zero)}."]
 
 
 def listed(poles: Any, at_zero: int = 0) -> str:
-    """Return poles as text, the slowest first; of those of delays, which are 0 except for rounding, only the number."""
+    """Return poles as text, the slowest first; `at_zero` is the number of further ones at 0, those of delays."""
     ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))
     slowest = abs(ordered[0]) if ordered else 0.0
     zeros = f", and {at_zero} at 0 for the delays" if at_zero else ""
-    kept = ordered[: len(ordered) - at_zero]
-    return ", ".join(shown(pole) for pole in kept) + zeros + f"; the slowest of magnitude {slowest:.3f}"
+    return ", ".join(shown(pole) for pole in ordered) + zeros + f"; the slowest of magnitude {slowest:.3f}"
 
 
 def _differs(value: Any, setting: Any) -> bool:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from fractions import Fraction
-from functools import cache
-from typing import Any, NamedTuple
+from functools import cache, cached_property
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -303,7 +303,42 @@ class BayesianController(BayesianBlock):
         the control on the belief, and those of the filter. No control moves an estimated disturbance, so only the poles of its
         estimate count.
         """
+        if self.undelayed is not None:
+            return np.append(self.undelayed.closed_loop_poles(), np.zeros(2 * self._apart[1]))
         return np.linalg.eigvals(self.closed_loop_matrix()).astype(np.complex128)
+
+    @cached_property
+    def undelayed(self) -> Self | None:
+        """Return the controller of the plant without delays, which has the same poles but those at 0; None if they differ.
+
+        Delays multiply signals by powers of z, and the spectra whose factors have the poles of filter and control by powers whose
+        product is 1. This needs noises, and costs of controls, that are uncorrelated between signals of different delays, and
+        estimation apart from control. Eigenvalues of the whole matrix would be wrong: rounding moves those of a chain of n delays
+        from 0 to about the n-th root of 1e-16.
+        """
+        model, delays = self.model, self.model.delays
+        if delays is None or self.belief != "filtered":
+            return None
+        pairs = [(model.sensor_covariance, delays.sensors), (self.control_covariance, delays.inputs)]
+        if any(_mixed(np.asarray(matrix, dtype=np.float64), steps) for matrix, steps in pairs if matrix is not None):
+            return None
+        keep = delays.others(model.states)
+        values = {f.name: getattr(self, f.name) for f in fields(self)} | {
+            "model": model.undelayed,
+            "goal_on": self.goal_matrix[:, keep],
+            "initial_mean": np.asarray(self.initial_mean)[keep],
+            "initial_covariance": np.asarray(self.initial_covariance)[np.ix_(keep, keep)],
+        }
+        twin = object.__new__(type(self))  # no warning of its own
+        twin.__dict__.update(values)
+        return twin
+
+    @property
+    def _apart(self) -> tuple[Self, int]:
+        """The controller that has the poles, and the number of past signals, each with a pole at 0 in plant and belief."""
+        if self.undelayed is None or self.model.delays is None:
+            return self, 0
+        return self.undelayed, self.model.delays.states
 
     def closed_loop_matrix(self) -> Floats:
         """Return the transition matrix of the plant's states and the predicted mean together; see `closed_loop_poles`."""
@@ -333,7 +368,8 @@ class BayesianController(BayesianBlock):
     def _pole_lines(self) -> list[str]:
         from bayesftc.controllers.bayesian.describing import pole_lines
 
-        return pole_lines(self._relevant_poles())
+        of, past = self._apart
+        return pole_lines(of._relevant_poles(), 2 * past)
 
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
         """Return the gains of filter and control in steady state."""
@@ -360,11 +396,20 @@ class BayesianController(BayesianBlock):
 
     def _relevant_poles(self) -> NDArray[np.complex128]:
         """Return the loop's poles without those of constants that no control moves, such as a sensor's bias."""
+        if self.undelayed is not None:
+            return np.append(self.undelayed._relevant_poles(), np.zeros(2 * self._apart[1]))
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
         poles = self.closed_loop_poles()
         for eigenvalue in np.linalg.eigvals(A):
+            if abs(abs(eigenvalue) - 1.0) > 1e-9:
+                continue
             reach = np.linalg.svd(np.hstack([eigenvalue * np.eye(plant) - A, B]), compute_uv=False)[-1]
-            if abs(abs(eigenvalue) - 1.0) <= 1e-9 and reach <= 1e-9 * np.abs(A).max():
+            if reach <= 1e-9 * np.abs(A).max():
                 poles = np.delete(poles, np.argmin(np.abs(poles - eigenvalue)))
         return poles
+
+
+def _mixed(matrix: Floats, delays: tuple[int, ...]) -> bool:
+    """Return whether a matrix has entries between signals of different delays."""
+    return matrix.ndim == 2 and bool(matrix[np.not_equal.outer(delays, delays)].any())

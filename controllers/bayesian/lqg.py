@@ -213,12 +213,11 @@ class LQGController(BayesianController):
         )
 
     def _pole_lines(self) -> list[str]:
-        plant = self.model.states - self.model.disturbances
-        A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
-        delays = self.model.delays
-        past, known = (delays.states, sum(delays.inputs)) if delays else (0, 0)  # the filter knows past controls
-        lines = [f"Closed-loop poles of the control: {listed(self.regulator.poles(A, B), past)}."]
-        lines.append(f"All poles, the filter's included: {listed(self._relevant_poles(), past + known)}.")
+        of, past = self._apart
+        plant = of.model.states - of.model.disturbances
+        A, B = of.model.matrix("A")[:plant, :plant], of.model.matrix("B")[:plant]
+        lines = [f"Closed-loop poles of the control: {listed(of.regulator.poles(A, B), past)}."]
+        lines.append(f"All poles, the filter's included: {listed(of._relevant_poles(), 2 * past)}.")
         lines.append(f"Without control: {listed(np.linalg.eigvals(A), past)}.")
         if self.preview:
             ahead = show(self.preview * self.model.step)
@@ -232,6 +231,8 @@ class LQGController(BayesianController):
 
     def _relevant_poles(self) -> NDArray[np.complex128]:
         poles = super()._relevant_poles()
+        if self.undelayed is not None:
+            return poles
         return poles[np.argsort(np.abs(poles - 1.0))[self.regulator.drifting :]] if self.regulator.drifting else poles
 
     def _priors(self) -> tuple[Floats, Floats, Floats]:

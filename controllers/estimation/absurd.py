@@ -216,7 +216,7 @@ def screening(block: Any, model: LinearModel) -> tuple[dict[str, Any], dict[str,
     parameters = {
         "plant": (np.arange(model.states) < plant).astype(np.float64),
         "invalid": invalid_values(type(block).__name__, block.invalid, m),
-        "witnesses": _witnesses(model.matrix("C")[:, :plant]),
+        "witnesses": _witnesses(model.quantities[:, :plant]),
         "patience": float(max(math.ceil(PATIENCE / model.step), LEAST_SAMPLES)),
         "certain": 1.0 if block.precision.why_no_probability is None else NAN,
     }

@@ -112,13 +112,16 @@ def identify(
     held_out: float,
     past: int | None,
     input_delays: int | Sequence[int] = 0,
+    sensor_delays: int | Sequence[int] = 0,
 ) -> Identification:
     """Identify the model of a recording; see `LinearModel.identify`."""
     table = read_table(data, "identify()")
     names_in, names_out = named_columns(table, inputs, "input"), named_columns(table, outputs, "output")
     step = sample_time(table, time, dt)
     u, y = (table[names].to_numpy(dtype=np.float64) for names in (names_in, names_out))
-    u, y = _undelayed(u, y, whole_delays("identify() has input_delays", input_delays, len(names_in), "input"))
+    late = whole_delays("identify() has input_delays", input_delays, len(names_in), "input")
+    old = whole_delays("identify() has sensor_delays", sensor_delays, len(names_out), "output")
+    u, y = _undelayed(u, y, late, old)
     share = as_number("identify() has held_out", held_out, above=0, below=1)
     for name, value in (("order", order), ("past", past)):
         if value is not None:
@@ -157,20 +160,18 @@ def identify(
         model, u[split:], y[split:], split, 2 * past, yardstick,
         inputs=tuple(names_in), outputs=tuple(names_out), correlations=correlations, doubts=doubts,
     )  # fmt: skip
-    return replace(identification, model=model.with_delays(inputs=input_delays))
+    return replace(identification, model=model.with_delays(input_delays, sensor_delays))
 
 
-def _undelayed(u: Floats, y: Floats, delays: Sequence[int]) -> tuple[Floats, Floats]:
-    """Return the inputs as they act, and the outputs, without the rows before the first effect."""
-    first = max(delays)
-    if not first:
-        return u, y
-    if first >= len(y):
+def _undelayed(u: Floats, y: Floats, late: Sequence[int], old: Sequence[int]) -> tuple[Floats, Floats]:
+    """Return the inputs as they act, and the outputs as they are, without the rows for which one of them is unknown."""
+    first, last = max(late), len(y) - max(old)
+    if first >= last:
         raise ModelError(
-            f"identify() has input_delays up to {first}, but the recording has only {len(y)} samples; record more."
+            f"identify() has delays up to {first + max(old)}, but the recording has only {len(y)} samples; record more."
         )
-    acting = [u[first - steps : len(u) - steps, j] for j, steps in enumerate(delays)]
-    return np.column_stack(acting), y[first:]
+    acting = [u[first - steps : last - steps, j] for j, steps in enumerate(late)]
+    return np.column_stack(acting), np.column_stack([y[first + steps : last + steps, i] for i, steps in enumerate(old)])
 
 
 def _enough(

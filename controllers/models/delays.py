@@ -28,6 +28,8 @@ class Delays:
         Number of the plant's states, which stand before those of past signals.
     present : ndarray, states of past signals x plant
         The present value of each past reading, as a row over the plant's states; 0 for past controls.
+    rest : ndarray
+        The past signals at rest: the control at the operating point; 0 for past readings, which follow from the state.
     labels : tuple of str
         Names of the past signals, such as ``u[-1]``.
     """
@@ -36,6 +38,7 @@ class Delays:
     sensors: tuple[int, ...]
     plant: int
     present: Floats
+    rest: Floats
     labels: tuple[str, ...]
 
     @property
@@ -47,6 +50,10 @@ class Delays:
     def places(self) -> slice:
         """The places of these states."""
         return slice(self.plant, self.plant + self.states)
+
+    def others(self, states: int) -> list[int]:
+        """Return the places of the other ones of all states."""
+        return [*range(self.plant), *range(self.plant + self.states, states)]
 
 
 def with_delays(model: Any, inputs: int | Sequence[int], sensors: int | Sequence[int]) -> Any:
@@ -62,7 +69,8 @@ def with_delays(model: Any, inputs: int | Sequence[int], sensors: int | Sequence
         return model
     if model.delays is not None:
         raise ModelError(
-            "The model already has delays; apply with_delays() once, with those of inputs and sensors together."
+            "The model already has delays; apply with_delays() once, with those of inputs and sensors together. identify() "
+            "and design() take both, too: input_delays= and sensor_delays=."
         )
     n, d = model.states - model.disturbances, model.disturbances
     A, B, C, Q = (model.matrix(name) for name in ("A", "B", "C", "process_covariance"))
@@ -80,12 +88,14 @@ def with_delays(model: Any, inputs: int | Sequence[int], sensors: int | Sequence
     )
     new_A[np.ix_(keep, keep)], new_Q[np.ix_(keep, keep)] = A, Q
     new_B[keep], new_C[:, keep] = B, C
-    present, labels, at = np.zeros((k, n)), [], n
+    present, rest, labels, at = np.zeros((k, n)), np.zeros(k), [], n
+    operating = np.zeros(len(late)) if model.operating_control is None else model.operating_control
     controls, readings = _names(model)
     for j, steps in enumerate(late):
         if steps:
             new_A[keep, at + steps - 1], new_B[keep, j], new_B[at, j] = B[:, j], 0.0, 1.0
             _shift(new_A, at, steps)
+            rest[at - n : at - n + steps] = operating[j]
             labels += [f"{controls[j]}[-{i}]" for i in range(1, steps + 1)]
             at += steps
     for row, steps in zip(rows, chains, strict=True):
@@ -98,7 +108,7 @@ def with_delays(model: Any, inputs: int | Sequence[int], sensors: int | Sequence
             present[at - n : at - n + steps] = row
             labels += [f"{readings[same[0]]}[-{i}]" for i in range(1, steps + 1)]
             at += steps
-    delays = Delays(late, old, n, frozen(present), tuple(labels))
+    delays = Delays(late, old, n, frozen(present), frozen(rest), tuple(labels))
     names = model.names and replace(model.names, states=(*model.names.states, *labels))
     return replace(model, A=new_A, B=new_B, C=new_C, process_covariance=new_Q, delays=delays, names=names)
 
@@ -118,7 +128,7 @@ def extended_covariance(model: Any, name: str, value: object) -> object:
     if size is None:
         return value
     whole = np.zeros((model.states, model.states))
-    keep = [*range(delays.plant), *range(delays.plant + delays.states, model.states)][:size]
+    keep = delays.others(model.states)[:size]
     covariance = as_covariance(name, value, size, singular=True)
     whole[np.ix_(keep, keep)] = covariance
     past = delays.present @ covariance[: delays.plant, : delays.plant] @ delays.present.T
@@ -142,6 +152,8 @@ def whole_delays(title: str, value: object, size: int, what: str) -> tuple[int, 
     ModelError
         If they are no whole numbers from 0 to `MOST`, or their number is not `size`.
     """
+    if isinstance(value, bool):
+        raise ModelError(f"{title}={value}; it must be a number of samples or a list of them.")
     given = as_numbers(title, value, "it must be a number of samples or a list of them")
     counts = np.full(size, given) if given.ndim == 0 else given
     if counts.shape != (size,):

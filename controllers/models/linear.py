@@ -73,6 +73,8 @@ class LinearModel:
         uncertainty.
     names : SignalNames, optional
         Names of controls, sensors and the plant's states, for `to_control` and for messages.
+    operating_control : sequence of float, optional
+        Control at the operating point, a result of `about`; leave it out.
     delays : Delays, optional
         Result of `with_delays`; leave it out.
 
@@ -91,6 +93,7 @@ class LinearModel:
     disturbances: int = 0
     constant: bool = False
     names: SignalNames | None = field(default=None, kw_only=True)
+    operating_control: Sequence[float] | None = field(default=None, kw_only=True, metadata={"derived": True})
     delays: Delays | None = field(default=None, kw_only=True, metadata={"derived": True})
 
     def __post_init__(self) -> None:
@@ -192,6 +195,25 @@ class LinearModel:
                 if steps:
                     effects[:, j] = self.matrix("A")[:, last]
         return frozen(effects)
+
+    @property
+    def undelayed(self) -> LinearModel:
+        """The model without the delays of `with_delays`."""
+        if self.delays is None:
+            return self
+        keep = self.delays.others(self.states)
+        disturbances = slice(self.states - self.disturbances, self.states)
+        C = self.quantities.copy()
+        C[:, disturbances] = self.matrix("C")[:, disturbances]
+        return replace(
+            self,
+            A=self.matrix("A")[np.ix_(keep, keep)],
+            B=self.effects[keep],
+            C=C[:, keep],
+            process_covariance=self.matrix("process_covariance")[np.ix_(keep, keep)],
+            delays=None,
+            names=self.names and replace(self.names, states=self.names.states[: self.delays.plant]),
+        )
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -421,6 +443,7 @@ class LinearModel:
         held_out: float = 0.3,
         past: int | None = None,
         input_delays: int | Sequence[int] = 0,
+        sensor_delays: int | Sequence[int] = 0,
     ) -> Identification:
         """Identify a model from a recording; the result has it as `model`, with measures of its quality.
 
@@ -456,9 +479,9 @@ class LinearModel:
             Share of the recording, at its end, that is held out for tests.
         past : int, optional
             Length of the underlying autoregression; by default chosen by Akaike's criterion.
-        input_delays : int or sequence of int
-            Known dead times in samples, of all inputs or of each. The rest of the plant is then identified, and the model gets
-            the delays by `with_delays`. Without them a delay of d samples needs d states of the identified model.
+        input_delays, sensor_delays : int or sequence of int
+            Known dead times in samples, of all inputs and outputs or of each. The rest of the plant is then identified, and the
+            model gets the delays by `with_delays`. Without them a delay of d samples needs d states of the identified model.
 
         Returns
         -------
@@ -493,6 +516,7 @@ class LinearModel:
             held_out=held_out,
             past=past,
             input_delays=input_delays,
+            sensor_delays=sensor_delays,
         )
 
     def with_disturbance(self, covariance: Matrix = 1e-4) -> LinearModel:
@@ -559,8 +583,8 @@ class LinearModel:
 
         The plant's states stay the first ones of ``x_hat``. Past signals follow (`state_names`: ``u[-1]`` is the control of the
         sample before), then disturbances. Past signals have no process noise and no goals. Matrices over the states, initial
-        means and initial covariances may leave them out: past controls then count as 0 and known, past readings as equal to
-        the present ones, and as uncertain.
+        means and initial covariances may leave them out. Past controls then count as known: 0, or the control at the operating
+        point of `about`. Past readings count as equal to the present ones, and as uncertain.
 
         Apply it last: after `with_disturbance` and `about`. Estimated disturbances of the controls act without delay.
 
@@ -623,6 +647,7 @@ class LinearModel:
             process_covariance=Q,
             disturbances=self.disturbances + 1,
             constant=True,
+            operating_control=tuple(u.tolist()),
         )
 
 

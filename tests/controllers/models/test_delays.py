@@ -229,10 +229,93 @@ def test_integrators_that_goals_do_not_see_stay_so_with_late_sensors():
     assert controller.regulator.poles(model.matrix("A"), model.matrix("B")).size == model.states - 1
 
 
-def test_actuator_faults_are_inferred_through_a_delay():
-    switching = controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
-    model = position().with_delays(5, (0, 2))
-    assert LQGController(model, switching).actuator_kinds == ("LostEffect",)
+@pytest.mark.parametrize(
+    ("mode", "fault"),
+    [
+        (controllers.LostEffect(), cosim.GainFault(start=8.0, factor=0.4)),
+        (controllers.InputOffset(), cosim.Bias(start=8.0, magnitude=1.0)),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_actuator_faults_are_inferred_through_a_delay(mode, fault):
+    model = LinearModel(A, B, [[1.0, 0.0], [1.0, 0.0]], 1e-2 * B @ B.T + 1e-8 * np.eye(2), 1e-4, dt=0.1).with_delays(3)
+    switching = controllers.SwitchingPrecision(actuator_modes=[mode])
+    loop = cosim.closed_loop(
+        cosim.StateSpace(control.ss(A, B, [[1.0, 0.0]], 0, 0.1)),
+        LQGController(model, switching, goal_covariance=0.01),
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count=2, std=0.01),
+        input_faults={"u": [fault, cosim.Delay(delay=0.3)]},
+        reference=cosim.Sine(amplitude=1.0, period=6.0),
+    )
+    result = loop.simulate(16.0, seed=1, engine="interpreted")
+    probability = result["controller.actuator_fault_probability"].ravel()
+    assert probability[30:80].max() < 0.5
+    assert probability[-20:].min() > 0.9
+    assert result["controller.fault_probability"][-20:].max() < 0.1
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_poles_are_those_of_the_plant_without_delays_and_zeros(seed):
+    """Of short delays the eigenvalues of the whole matrix are exact enough; those that are not near 0 must be the same."""
+    rng = np.random.default_rng(seed)
+    inputs, sensors = rng.integers(0, 3, 2).tolist(), rng.integers(0, 3, 3).tolist()
+    transition = rng.normal(size=(3, 3))
+    transition *= 0.9 / np.abs(np.linalg.eigvals(transition)).max()
+    model = LinearModel(
+        transition, rng.normal(size=(3, 2)), rng.normal(size=(3, 3)), np.diag(rng.uniform(0.1, 1.0, 3)),
+        np.diag(rng.uniform(0.1, 1.0, 3)), dt=0.1,
+    ).with_delays(inputs, sensors)  # fmt: skip
+    controller = LQGController(model, FixedPrecision(), goal_on=np.eye(2, 3), control_covariance=[1.0, 2.0])
+    whole, poles = np.linalg.eigvals(controller.closed_loop_matrix()), controller.closed_loop_poles()
+    assert len(whole) == len(poles)
+    for one, other in ((whole, poles), (poles, whole)):
+        large = one[np.abs(one) > 0.02]
+        assert np.abs(large[:, None] - other).min(axis=1).max(initial=0.0) < 1e-6
+
+
+def test_poles_with_noise_that_sensors_of_different_delays_share_are_computed_as_they_are():
+    shared = R + 1e-4
+    late = LinearModel(A, B, C, Q, shared, dt=0.1).with_delays(0, OLD)
+    controller = LQGController(late, FixedPrecision(), goal_on=[[1.0, 0.0]])
+    assert controller.undelayed is None
+    whole = np.linalg.eigvals(controller.closed_loop_matrix())
+    np.testing.assert_array_equal(np.sort_complex(controller.closed_loop_poles()), np.sort_complex(whole))
+
+
+def test_poles_of_a_long_delay_are_not_rounding():
+    for steps in (5, 60):
+        controller = LQGController(position().with_delays(steps, (0, steps)), FixedPrecision(), goal_covariance=0.01)
+        plain = LQGController(position(), FixedPrecision(), goal_covariance=0.01)
+        poles = np.sort_complex(controller.closed_loop_poles())
+        np.testing.assert_allclose(poles[poles != 0.0], np.sort_complex(plain.closed_loop_poles()), atol=1e-12)
+
+
+def test_a_plant_at_rest_stays_at_rest_although_its_control_is_late():
+    """About an operating point whose control is not 0, the past controls are those of that point."""
+    model = position().about([0.5, 0.0], 0.7, [0.5, 0.5], following=[0.5, 0.0]).with_delays(4, (0, 1))
+    controller = LQGController(model, FixedPrecision(), goal_covariance=0.01, initial_mean=[0.5, 0.0]).online(
+        compiled=False
+    )
+    for _ in range(8):
+        out = controller(y=[0.5, 0.5], goal=[0.5])
+        np.testing.assert_allclose(out.u, 0.7, atol=1e-9)
+    np.testing.assert_allclose(out.x_hat[:2], [0.5, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize("old", [(0, 0), (2, 2), (0, 2)])
+def test_a_late_sensor_vouches_against_an_absurd_one(old):
+    model = LinearModel(A, B, [[1.0, 0.0], [1.0, 0.0]], 1e-2 * B @ B.T, 4e-4, dt=0.1).with_delays(0, old)
+    estimator = StateEstimator(model, controllers.SwitchingPrecision()).online(compiled=False)
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        y = 0.02 * rng.normal(size=2)
+        if 25 <= k < 45:
+            y[1] = 3e8 * (1.0 + 0.01 * rng.normal())
+        out = estimator(y=y, u=np.zeros(1))
+        assert abs(out.x_hat[0]) < 0.1
+    assert out.fault_probability[0] < 0.1
 
 
 @pytest.mark.parametrize(
@@ -243,6 +326,7 @@ def test_actuator_faults_are_inferred_through_a_delay():
         ({"sensors": [1, 2]}, r"sensors=\[1, 2\]; give one number for all, or one for each sensor \(3\)"),
         ({"inputs": "2"}, "inputs is '2'; it must be a number of samples"),
         ({"inputs": 150, "sensors": 150}, "need 450 states"),
+        ({"inputs": True}, "inputs=True; it must be a number of samples"),
         ({"sensors": float("nan")}, "sensors=nan; a delay is a whole number"),
     ],
 )
@@ -317,6 +401,16 @@ def test_a_known_delay_leaves_the_plants_order():
         LinearModel.identify(table, inputs="u", outputs="y", input_delays=[1, 2])
     with pytest.raises(ModelError, match="has only 5 samples; record more"):
         LinearModel.identify(table.head(5), inputs="u", outputs="y", input_delays=6)
+
+
+def test_a_known_delay_of_a_sensor_leaves_the_plants_order_too():
+    table, poles = recording()
+    late = table.assign(y=table["y"].shift(4)).dropna()
+    found = LinearModel.identify(late, inputs="u", outputs="y", input_delays=6, sensor_delays=4)
+    assert (found.model.plant_states, found.model.delays.sensors) == (2, (4,))
+    np.testing.assert_allclose(
+        np.sort_complex(np.linalg.eigvals(found.model.matrix("A")[:2, :2])), np.sort_complex(poles), atol=0.02
+    )
 
 
 def test_a_design_with_delays_and_preview_follows_a_sine():
