@@ -24,13 +24,13 @@ class Foreign(ABC):
 
     To write one you must:
 
-    1. give `arguments` and `stored`, the names of its arrays, and of those that it writes completely;
+    1. give `arguments`, the names of its arrays, each with its number of elements, and `stored`, those that it writes completely;
     2. give a `symbol` that is a name in C and different for functions that compute different things, in every process;
     3. define the symbol in `defined`, and return its address;
     4. make it picklable.
     """
 
-    arguments: tuple[str, ...]
+    arguments: dict[str, int]
     stored: frozenset[str]
     symbol: str
     title: str
@@ -48,12 +48,19 @@ class Foreign(ABC):
         """Call the function."""
         if len(arrays) != len(self.arguments):
             raise TypeError(f"{self.symbol} takes {', '.join(self.arguments)}.")
-        for array in arrays:
-            if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not array.flags.c_contiguous:
+        title = self.title[0].upper() + self.title[1:]
+        for array, (name, size) in zip(arrays, self.arguments.items(), strict=True):
+            if isinstance(array, np.ndarray) and array.dtype == object:
                 raise KernelError(
-                    f"{self.title[0].upper()}{self.title[1:]} computes with numbers only, so its step function cannot be traced "
-                    "or differentiated. Give its derivatives."
+                    f"{title} computes with numbers only, so its step function cannot be traced or differentiated. Give its "
+                    "derivatives."
                 )
+            if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not array.flags.c_contiguous:
+                raise KernelError(f"{title} needs a contiguous float64 array for {name}, with {size} elements.")
+            if array.size != size:
+                raise KernelError(f"{title} needs {size} elements for {name}, not {array.size}.")
+            if name in self.stored and not array.flags.writeable:
+                raise KernelError(f"{title} writes {name}, but this array cannot be written to.")
         self._entry(*(array.ctypes.data for array in arrays))
 
     def __getstate__(self) -> dict[str, Any]:

@@ -60,7 +60,7 @@ class Pool:
         self._placed: list[Placed | None] = []  # None: it could not be replaced
         self._changing = threading.Lock()
         self._users = 0
-        self._trouble: Exception | None = None
+        self._warned = False
         self.failures = 0
         self._callbacks = ENTRY(_without_interrupts(self._add)), ENTRY(_without_interrupts(self._replace))
         self.words = np.zeros(words.HEAD + words.PLACE * most, dtype=np.int64)
@@ -84,9 +84,9 @@ class Pool:
         """
         self.keep()
         try:
-            if not self._placed and self._add(0, 0, 0, 0, 0.0, 0):
-                assert self._trouble is not None
-                raise self._trouble
+            with self._changing:
+                if not self._placed:
+                    self._append(self._open())
             yield
         finally:
             with self._changing:
@@ -98,10 +98,10 @@ class Pool:
         """Return a new instance; None if it cannot be opened, as no error passes through compiled code."""
         try:
             return self._open()
-        except Exception as error:  # noqa: BLE001 - it cannot pass through compiled code
-            if self._trouble is None and self._placed:
+        except Exception as error:  # noqa: BLE001 - as above
+            if not self._warned:
                 self._warn(f"cannot be opened once more. {error}")
-            self._trouble = error
+            self._warned = True
             return None
 
     def _warn(self, what: str) -> None:
@@ -110,12 +110,9 @@ class Pool:
     def _add(self, state: int, parameters: int, inputs: int, outputs: int, t: float, k: int) -> int:
         """Open one more instance, or wait for one; return 1 if there is none and none can be opened."""
         with self._changing:
-            count = len(self._placed)
-            placed = self._opened() if count < self._most else None
+            placed = self._opened() if len(self._placed) < self._most else None
             if placed is not None:
-                self._placed.append(placed)
-                self._point(count, placed)
-                self.words[words.COUNT] = count + 1
+                self._append(placed)
                 return 0
             if not any(self._placed):
                 return 1
@@ -139,6 +136,11 @@ class Pool:
                 return 1
             self._point(k, placed)
         return 0
+
+    def _append(self, placed: Placed) -> None:
+        self._placed.append(placed)
+        self._point(len(self._placed) - 1, placed)
+        self.words[words.COUNT] = len(self._placed)
 
     def _point(self, k: int, placed: Placed) -> None:
         self.words[words.HEAD + words.PLACE * k + words.TABLE] = placed.table.ctypes.data

@@ -148,7 +148,10 @@ class PredictionFunction(Foreign):
 
     def __init__(self, prediction: Prediction, role: str, *, kept: bool = True):
         self.prediction, self.role, self.kept = prediction, role, kept
-        self.arguments, stored = _ROLES[role]
+        names, stored = _ROLES[role]
+        n, p, m = len(prediction.states) + prediction.loads, prediction.controls, len(prediction.order)
+        sizes = {"x": n, "u": p, "x_next": n, "F": n * n, "B": n * p, "y": m, "C": m * n}
+        self.arguments = {name: sizes[name] for name in names}
         self.stored = frozenset(stored)
         self.symbol = f"bayesftc_{role}_{prediction.digest}"
         self.title = f"the FMU {prediction.fmu.path}"
@@ -161,7 +164,7 @@ class PredictionFunction(Foreign):
                 pool.keep()
             if self.symbol not in _addresses:
                 _addresses[self.symbol] = _bound(
-                    self.symbol, int(compiled(self.role).address), pool.words.ctypes.data, self.arguments
+                    self.symbol, int(compiled(self.role).address), pool.words.ctypes.data, list(self.arguments)
                 )
             return _addresses[self.symbol]
 

@@ -62,7 +62,9 @@ class Expressions(Conditions):
     def foreign(self, node: ast.Call, function: Foreign) -> None:
         """Call a function of other compiled code, which takes arrays only and returns nothing."""
         if node.keywords or len(node.args) != len(function.arguments):
-            self.refuse(node, f"calls {ast.unparse(node.func)!r} with wrong arguments; they are {function.arguments}")
+            self.refuse(
+                node, f"calls {ast.unparse(node.func)!r} with wrong arguments; they are {', '.join(function.arguments)}"
+            )
         arguments = self.values(node.args)
         for name, argument in zip(function.arguments, arguments, strict=True):
             if not isinstance(argument.kind, Array):

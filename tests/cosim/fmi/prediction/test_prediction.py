@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesftc.controllers import NonlinearModel
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import KernelError, ModelError
 from bayesftc.cosim.fmi.fmu import FMU
 
 DT, PARTS = 0.05, 3
@@ -133,6 +133,21 @@ def test_building_an_equal_model_frees_nothing_that_is_in_use(model):
     for thread in threads:
         thread.join()
     assert not wrong
+
+
+def test_arrays_of_wrong_size_or_type_are_refused(model):
+    made, x, u, following = model("plain"), np.zeros(2), np.zeros(1), np.zeros(2)
+    fixed = np.zeros(2)
+    fixed.flags.writeable = False
+    for arguments, message in (
+        ((x[:1], u, following), "needs 2 elements for x, not 1"),
+        ((x, u, following[:1]), "needs 2 elements for x_next, not 1"),
+        ((x, [0.0], following), "needs a contiguous float64 array for u, with 1 elements"),
+        ((np.zeros(2, dtype=int), u, following), "needs a contiguous float64 array for x"),
+        ((x, u, fixed), "writes x_next, but this array cannot be written to"),
+    ):
+        with pytest.raises(KernelError, match=message):
+            made.f(*arguments)
 
 
 def pool_of(made):
