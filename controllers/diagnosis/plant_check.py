@@ -61,7 +61,7 @@ class Mismatch:
     ratio : float
         Size of the plant's response relative to the model's; negative for the opposite sign.
     delay : int
-        Delay of the plant's response in samples.
+        Delay of the plant's response in samples; negative if it comes earlier than the model's.
     runs_away : bool
         Whether the plant's response grows without bound and the model's does not.
     """
@@ -80,6 +80,11 @@ class Mismatch:
                 f"With a step of {self.control}, {self.output} grows without bound in the plant, but not in the model. The FMU's "
                 f"solver may be unstable at communication steps of {dt:.3g} s: give a shorter dt, or use kind='model exchange' "
                 "if possible. Otherwise the plant has an instability that the model lacks."
+            )
+        if self.delay < 0:
+            return (
+                f"{where} {-self.delay * dt:.3g} s earlier in the plant than in the model. The delays of the model are too long "
+                "by this."
             )
         if self.delay:
             return (
@@ -145,10 +150,11 @@ def compare_with_plant(
     if baseline is None or baseline.shape[1] > model.sensors:
         return ()
     differences: list[Mismatch] = []
+    dead = 0 if model.delays is None else max(model.delays.inputs) + max(model.delays.sensors)
     for j in range(p):
         expected = _steps(model, j)[:, : baseline.shape[1]]
         deviations = np.sqrt(np.diag(model.matrix("sensor_covariance")))[: baseline.shape[1]]
-        expected = expected[: _useful(expected)]
+        expected = expected[: _useful(expected, dead)]
         reach = float((np.abs(expected) / deviations).max())
         size = STANDARD_DEVIATIONS / reach if reach > 0.0 else 0.0
         room = max(high[j] - start[j], start[j] - low[j])
@@ -160,14 +166,18 @@ def compare_with_plant(
             continue
         name = names[j] if len(names) == p else f"control {j} ({', '.join(names)})"
         used = slice(len(expected))
-        differences += _differences(response[used] - baseline[used], expected * size, name, outputs)
+        differences += _differences(
+            response[used] - baseline[used], expected * size, name, outputs, delayed=model.delays is not None
+        )
     for mismatch in differences:
         warnings.warn(mismatch.sentence(float(model.step)), ModelMismatchWarning, stacklevel=2)
     return tuple(differences)
 
 
-def _differences(response: Floats, expected: Floats, control: str, outputs: Sequence[str]) -> list[Mismatch]:
-    """Return the differences of responses (samples x outputs) from those expected."""
+def _differences(
+    response: Floats, expected: Floats, control: str, outputs: Sequence[str], *, delayed: bool
+) -> list[Mismatch]:
+    """Return the differences of responses (samples x outputs) from those expected; a model with delays may be the later one."""
     differences = []
     largest = np.abs(expected).max(axis=0)
     for i in range(expected.shape[1]):
@@ -178,9 +188,12 @@ def _differences(response: Floats, expected: Floats, control: str, outputs: Sequ
             differences.append(Mismatch(control, name, float("inf"), 0, runs_away=True))
             continue
         ratio, left = _scaled(response[:, i], expected[:, i])
-        late = [(_scaled(response[:, i], _shifted(expected[:, i], k)), k) for k in range(1, len(expected) // 2)]
-        (later, least), delay = min(late, key=lambda each: each[0][1])
-        if least < LATER * left and later > 0 and delay > 1:
+        shifts = range(1, len(expected) // 2)
+        tries = [(_scaled(response[:, i], _shifted(expected[:, i], k)), k) for k in shifts]
+        if delayed:
+            tries += [(_scaled(_shifted(response[:, i], k), expected[:, i]), -k) for k in shifts]
+        (later, least), delay = min(tries, key=lambda each: each[0][1])
+        if least < LATER * left and later > 0 and (delay > 1 or delay < 0):
             differences.append(Mismatch(control, name, later, delay))
         elif not response[:, i].any() or ratio < 0 or abs(ratio - 1.0) > SIZE:
             differences.append(Mismatch(control, name, ratio if response[:, i].any() else 0.0, 0))
@@ -207,12 +220,12 @@ def _steps(model: LinearModel, j: int) -> Floats:
     return responses
 
 
-def _useful(responses: Floats) -> int:
-    """Return the number of samples to compare: all, unless the response runs away."""
+def _useful(responses: Floats, dead: int) -> int:
+    """Return the number of samples to compare: all, unless the response runs away after its dead time."""
     size = np.abs(responses).max(axis=1)
-    first = float(size[:6].max())
+    first = float(size[: 6 + dead].max())
     beyond = np.flatnonzero(size > GROWTH * first) if first > 0.0 else np.empty(0)
-    return max(int(beyond[0]), 6) if len(beyond) else len(responses)
+    return max(int(beyond[0]), 6 + dead) if len(beyond) else len(responses)
 
 
 def _response(

@@ -17,7 +17,7 @@ from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import part_of
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.subsystem import Boundary
-from bayesftc.cosim.diagram.wiring import element_name, find_controller, find_sensors, healthy_source
+from bayesftc.cosim.diagram.wiring import dead_time, element_name, find_controller, find_sensors, healthy_source
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmi.equations import ModelEquations
 from bayesftc.cosim.fmi.fmu import FMU
@@ -48,9 +48,9 @@ class Parts:
     Attributes
     ----------
     plant : Matrices
-        From the controls to the measured signals.
+        From the controls to the measured signals, with the dead times of the controls.
     controller : Matrices
-        From ``y`` and the goals, one after the other, to the controls.
+        From ``y`` and the goals, one after the other, to the controls, with the dead times of the samples.
     sensors : ndarray
         The measurement matrix, from the signals to the sensors.
     tracked : mapping of str to (int, ndarray)
@@ -78,7 +78,7 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     diagram : Diagram
         A diagram from `closed_loop`, or connected by hand in the same way.
     plant : control.StateSpace or control.TransferFunction, optional
-        Replaces the plant: from the controls in the order of ``u`` to the measured signals.
+        Replaces the plant, dead times of the diagram included: from the controls in the order of ``u`` to the measured signals.
 
     Raises
     ------
@@ -115,6 +115,9 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
             "measured signals. Give a system with an input for each control and an output for each measured signal."
         )
     law = _law(diagram, controller, rows @ start)
+    if plant is None:
+        linear = _late(linear, [_samples(diagram, node, *element, step) for element in driven])
+        law = _late(law, [_samples(diagram, controller, y, i, step) for i in range(y.size)])
     names = tuple(element_name(port, i) for port, i in driven)
     goals = tuple(element_name(controller.port("goal"), i) for i in range(controller.port("goal").size))
     quantities = find_roles(diagram).quantities
@@ -155,6 +158,17 @@ def _driven(diagram: Diagram, node: Node, controller: Node) -> list[Element]:
             f"Control {missing[0]} of {controller.name!r} does not lead to the plant {node.name!r} through faults alone. {_WHOLE}"
         )
     return [inputs[j] for j in sorted(inputs)]
+
+
+def _samples(diagram: Diagram, node: Node, port: Port, i: int, step: Fraction) -> int:
+    """Return the dead time of one element of an input in samples of the controller."""
+    late = dead_time(diagram, node, port, i)
+    if (late / step).denominator != 1:
+        raise ModelError(
+            f"{node.name}.{element_name(port, i)} has a dead time of {show(late)} s, which is no multiple of the controller's "
+            f"sample time of {show(step)} s. Round it, or give the plant with its dead time: loop.linear(plant=...)."
+        )
+    return int(late / step)
 
 
 # --- Linearize the parts ---------------------------------------------------------------------------------------------
@@ -198,6 +212,18 @@ def _of_block(
         )
     a, b = _repeated(a, b, int(ratio))
     return Matrices(a, b[:, columns], c[lines], d[np.ix_(lines, columns)]), np.asarray(y)[lines]
+
+
+def _late(system: Matrices, samples: Sequence[int]) -> Matrices:
+    """Return a system whose first inputs act some samples later: the past inputs are further states."""
+    A, B, C, D = system
+    for j, late in enumerate(samples):
+        for _ in range(late):  # the last input of the chain acts; each new state is put before it
+            n = len(A)
+            A, B = np.block([[A, B[:, [j]]], [np.zeros((1, n + 1))]]), np.vstack([B, np.eye(1, B.shape[1], j)])
+            C, D = np.hstack([C, D[:, [j]]]), D.copy()
+            B[:n, j], D[:, j] = 0.0, 0.0
+    return Matrices(A, B, C, D)
 
 
 def _inputs(node: Node) -> list[Port]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterator
+from fractions import Fraction
 
-from bayesftc.cosim.blocks.faults.kinds import Fault
+from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
@@ -96,6 +97,19 @@ def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tu
         fault = origin[0].node
         origin = next(diagram.origins_of(fault, fault.port("u"), origin[1]), None)
     return None if origin is None else (origin[0].node, origin[0].port, origin[1])
+
+
+def dead_time(diagram: Diagram, node: Node, port: Port, element: int) -> Fraction:
+    """Return the seconds by which faults that are always present delay one element of an input: its dead time."""
+    late = Fraction(0)
+    origin = next(diagram.origins_of(node, port, element), None)
+    while origin is not None and isinstance(origin[0].node.block, Fault):
+        fault, channel = origin[0].node, origin[1]
+        if isinstance(fault.block, Delay) and fault.block.permanent and fault.block.sensor == channel:
+            step = diagram.step * fault.every
+            late += int(fault.block.numbers(step)[0]) * step
+        origin = next(diagram.origins_of(fault, fault.port("u"), channel), None)
+    return late
 
 
 def elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, Port, int]]:

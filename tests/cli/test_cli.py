@@ -297,6 +297,52 @@ def test_what_tracking_compares_is_said(bayesftc_):
     assert "steers the state to it one step later" in " ".join(run_car(bayesftc_, "--duration", "1").output.split())
 
 
+LATE = """
+[simulation]
+duration = 2.0
+[plant]
+fmu = "PositionServo"
+control = "voltage"
+measured = "angle"
+[sensors]
+count = 2
+std = 0.01
+[[input_faults.voltage]]
+kind = "Delay"
+delay = 0.1
+initial = 0.0
+[reference]
+kind = "Sine"
+amplitude = 0.5
+period = 4.0
+[controller]
+kind = "design"
+input_delays = DELAYS
+preview = PREVIEW
+"""
+
+
+@pytest.mark.parametrize(
+    ("delays", "preview", "sentence", "warning"),
+    [
+        (10, 30, "at the same instant. Faults", None),
+        (14, 0, "The regulator lags behind a moving reference", "0.04 s earlier in the plant than in the model"),
+    ],
+)
+def test_dead_times_of_the_loop_count_in_the_check_before_a_run(
+    bayesftc_, tmp_path, recwarn, delays, preview, sentence, warning
+):
+    file = tmp_path / "late.toml"
+    file.write_text(LATE.replace("DELAYS", str(delays)).replace("PREVIEW", str(preview)))
+    output = " ".join(bayesftc_("run", str(file)).output.split())
+    assert sentence in output
+    warned = [str(w.message) for w in recwarn if "in the plant" in str(w.message)] + [
+        line for line in [output] if "in the plant than in the model" in line
+    ]
+    assert bool(warned) == (warning is not None)
+    assert warning is None or any(warning in text for text in warned)
+
+
 @pytest.mark.parametrize("record", ['["plant.v"]', '"reference.*"'])
 def test_check_kalman_records_what_it_needs(bayesftc_, tmp_path, record):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", f"record = {record}"))

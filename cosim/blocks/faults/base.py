@@ -128,6 +128,12 @@ class Fault(Block):
         values = (getattr(self, f.name) for f in fields(self) if f.name not in COMMON)
         return tuple(float(value) if isinstance(value, bool) else real(value) for value in values)
 
+    @property
+    def permanent(self) -> bool:
+        """Whether the fault is present from the first to the last step of every run."""
+        whole = not isinstance(self.start, When) and not isinstance(self.stop, When) and self.mean_time_to_fault is None
+        return whole and self.start <= 0.0 and self.stop == self.duration == inf  # type: ignore[operator]
+
     def numbers(self, step: Fraction) -> tuple[float, ...]:
         """Return the settings as the value function of this kind gets them, at a sample time of `step` seconds."""
         return self.settings

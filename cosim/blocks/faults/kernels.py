@@ -22,6 +22,7 @@ Value = Callable[..., Any]
 
 NAN = float("nan")
 TAU = tau
+LARGEST = 1.7976931348623157e308
 HALF = 0.5  # a state for yes or no is 1.0 or 0.0; comparing it with the middle is safe
 
 
@@ -96,11 +97,14 @@ def lagging(sample, held, age, chance, noise, settings, memory):
 
 
 def delayed(sample, held, age, chance, noise, settings, memory):
-    """Return an earlier sample; settings: steps; memory: 1 after the first step, then samples, the newest last."""
+    """Return an earlier sample; settings: steps, and the value before the first sample, infinite for the first sample itself.
+
+    Memory: 1 after the first step, then samples, the newest last.
+    """
     newest = memory.shape[0] - 1
-    value = sample
+    value, first = sample, select(settings[1] > LARGEST, sample, settings[1])
     for i in range(1, newest):
-        memory[i] = select(memory[0] > HALF, memory[i + 1], sample)
+        memory[i] = select(memory[0] > HALF, memory[i + 1], first)
     memory[newest] = sample
     for i in range(1, newest):
         value = select(newest - i == settings[0], memory[i], value)

@@ -29,15 +29,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from functools import partial
-from math import expm1, inf
+from math import expm1, inf, isfinite, isinf
 
 import numpy as np
 
-from bayesftc.cosim.base.numbers import reals
+from bayesftc.cosim.base.numbers import real, reals
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.blocks.faults import kernels
 from bayesftc.cosim.blocks.faults.base import Fault
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 
 MOST_DELAY = 10_000_000
@@ -295,23 +295,39 @@ class Lag(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Delay(Fault):
-    """The channel has the sample of `delay` seconds ago, and at first the first sample.
+    """The channel has the sample of `delay` seconds ago.
+
+    As an input fault from the start to the end of a run it is the dead time of an actuator. `loop.linear()` and the check of a
+    model before a run include such delays.
 
     Parameters
     ----------
     delay : float
         Seconds, not negative; rounded to whole steps.
+    initial : float, optional
+        Value of the channel until the first sample arrives, NaN for a missing one; by default the first sample.
     """
 
     delay: float = field(metadata={"unit": "s"})
+    initial: float | None = None
     value = staticmethod(kernels.delayed)
     remembers = True
 
     def check(self) -> None:
         """See `Fault.check`."""
-        super().check()
+        if not isfinite(real(self.delay)):
+            raise ModelError(f"Delay has delay={brief(self.delay)}; it must be a finite number of seconds.")
         if self.delay < 0:
             raise ModelError(f"Delay has delay={self.delay!r}; it must not be negative.")
+        if self.initial is not None and isinf(real(self.initial)):
+            raise ModelError(
+                f"Delay has initial={brief(self.initial)}; it must be a number, or NaN for a missing sample."
+            )
+
+    @property
+    def settings(self) -> tuple[float, ...]:
+        """See `Fault.settings`; infinity stands for the first sample."""
+        return real(self.delay), inf if self.initial is None else real(self.initial)
 
     def numbers(self, step: Fraction) -> tuple[float, ...]:
         """See `Fault.numbers`."""
@@ -321,7 +337,7 @@ class Delay(Fault):
                 f"Delay has delay={self.delay!r}, which is {steps:.3g} steps; use at most {MOST_DELAY:,}. A fault that "
                 "keeps the first sample for ever is a Freeze."
             )
-        return (float(round(steps)),)
+        return (float(round(steps)), self.settings[1])
 
     def memory(self, step: Fraction) -> int:
         """See `Fault.memory`."""

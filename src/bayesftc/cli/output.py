@@ -26,10 +26,7 @@ if TYPE_CHECKING:
 
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DASH = "–"
-TRACKING = (
-    "The tracking error uses the reference at the same instant. Without preview the controller steers the state to it one step "
-    "later."
-)
+TRACKING = "The tracking error uses the reference at the same instant."
 ACTUATORS = "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control."
 DOTS_PER_INCH = 150
 PERIOD = 10.0
@@ -250,7 +247,7 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
         if numbers[what]:
             tables.append((heading, _by_name(numbers[what], rows), sentence))
     if numbers["tracking"]:
-        tables.insert(0, (*_errors(numbers), TRACKING))
+        tables.insert(0, (*_errors(numbers), f"{TRACKING} {numbers['law']}".rstrip()))
     if "kalman" in numbers:
         tables.append((*_kalman(numbers["kalman"]), numbers["kalman"]["verdict"]))
     for heading, table, sentence in tables:

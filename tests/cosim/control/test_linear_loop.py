@@ -309,3 +309,49 @@ def test_a_model_exchange_fmu_is_linearized_at_its_start(casadi_fmu):
     np.testing.assert_allclose(
         np.sort(np.abs(loop.poles())), np.sort(np.abs(controller.closed_loop_poles())), atol=1e-6
     )
+
+
+def test_dead_times_of_the_diagram_are_part_of_the_linear_loop():
+    """The poles are those of the same loop whose plant has the delays as states; a delay only for a time is a fault."""
+    A, B, C = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])
+    model = controllers.LinearModel(A, B, np.vstack([C, C]), 1e-2 * B @ B.T + 1e-8 * np.eye(2), 1e-4, dt=0.1)
+    controller = controllers.LQGController(
+        model.with_delays(3, (0, 2)), controllers.FixedPrecision(), goal_covariance=0.01
+    )
+
+    def loop(delay, old):
+        return cosim.closed_loop(
+            cosim.StateSpace(control.ss(A, B, C, 0, 0.1)),
+            controller,
+            control="u",
+            measured="y",
+            sensors=cosim.Sensors(count=2, std=0.01),
+            input_faults={"u": [cosim.Delay(delay=0.3, **delay)]},
+            faults=[cosim.Delay(delay=0.2, sensor=1, **old)],
+            reference=0.0,
+        )
+
+    right = loop({"initial": 0.0}, {"initial": float("nan")}).linear()
+    poles = right.poles()
+    slow = np.sort_complex(poles[np.abs(poles) > 0.05])
+    expected = controller.closed_loop_poles()
+    np.testing.assert_allclose(slow, np.sort_complex(expected[np.abs(expected) > 0.05]), atol=1e-9)
+    assert right.margins().delay > 0.0
+    without = loop({"stop": 5.0}, {"start": 1.0}).linear()
+    assert len(without.poles()) == len(poles) - 5
+    with pytest.raises(ModelError, match=r"has a dead time of 0.3 s, which is no multiple of .* sample time of 0.2 s"):
+        slower().linear()
+
+
+def slower():
+    A, B = np.array([[0.9]]), np.array([[0.1]])
+    model = controllers.LinearModel(A, B, [[1.0]], 1e-3, 1e-4, dt=0.2)
+    return cosim.closed_loop(
+        cosim.StateSpace(control.ss(A, B, [[1.0]], 0, 0.1)),
+        controllers.LQGController(model, controllers.FixedPrecision()),
+        control="u",
+        measured="y",
+        input_faults={"u": [cosim.Delay(delay=0.3)]},
+        reference=0.0,
+        dt=0.1,
+    )

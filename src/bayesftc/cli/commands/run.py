@@ -16,7 +16,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli.commands.compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed
-from bayesftc.cosim.diagram.wiring import find_controller
+from bayesftc.cosim.diagram.wiring import dead_time, elements, find_controller, healthy_source
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.conditions import never_began
 from bayesftc.cosim.judging.metrics import figures, without_nan
@@ -26,7 +26,8 @@ from bayesftc.scenario import Scenario, load_scenario
 from bayesftc.scenario._unused import unused
 
 if TYPE_CHECKING:
-    from bayesftc.controllers import BayesianController
+    from bayesftc.controllers import BayesianController, LinearModel
+    from bayesftc.cosim.block import Block
     from bayesftc.cosim.diagram.diagram import Diagram
     from bayesftc.cosim.run.result import Result
     from bayesftc.cosim.run.running import Progress
@@ -141,14 +142,32 @@ def _compare(scenario: Scenario) -> None:
     ):
         return  # the controller controls the plant together with blocks
     limits = {name: getattr(controller, name) for name in ("u_min", "u_max") if hasattr(controller, name)}
+    model: LinearModel = controller.model  # type: ignore[attr-defined]
+    if model.delays is not None:
+        model = _of_plant_alone(model, scenario.loop())
     compare_with_plant(
-        controller.model,  # type: ignore[attr-defined]
+        model,
         scenario.plant,
         control=wiring.control,
         measured=wiring.measured,
-        at=controller.initial_mean,  # type: ignore[attr-defined]
+        at=np.asarray(controller.initial_mean)[: model.plant_states],  # type: ignore[attr-defined]
         **limits,
     )
+
+
+def _of_plant_alone(model: LinearModel, loop: Diagram) -> LinearModel:
+    """Return the model without the dead times that the loop has outside of its plant."""
+    assert model.delays is not None
+    node, step = find_controller(loop), model.step
+    late = {}
+    for plant, port, i in elements(loop, {each.name for each in loop.nodes if each.name != "plant"}):
+        source = healthy_source(loop, plant, port, i)
+        if source is not None and source[0] is node and source[1].name == "u":
+            late[source[2]] = round(dead_time(loop, plant, port, i) / step)
+    old = [round(dead_time(loop, node, node.port("y"), i) / step) for i in range(model.sensors)]
+    inputs = [max(steps - late.get(j, 0), 0) for j, steps in enumerate(model.delays.inputs)]
+    sensors = [max(steps - outside, 0) for steps, outside in zip(model.delays.sensors, old, strict=True)]
+    return model.undelayed.with_delays(inputs, sensors)
 
 
 def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any], LoopSignals]:
@@ -167,6 +186,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "steps": steps,
         "stopped": result.stopped,
         "units": {q.name: q.unit for q in signals.quantities},
+        "law": _law(scenario.controller),
         **figures(signals).to_dict(),
         "notes": [*_notes(scenario, signals), *(never_began(loop, result) if result.decimation == 1 else ())],
     }
@@ -174,6 +194,19 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         numbers["pace"] = pace
         numbers["notes"].append(_in_time(pace))
     return numbers, signals
+
+
+def _law(controller: Block) -> str:
+    """Return a sentence about the lag that the control law has by itself; empty without one."""
+    from bayesftc.controllers import BayesianController, LQGController
+
+    if isinstance(controller, LQGController):
+        return (
+            ""
+            if controller.preview
+            else "The regulator lags behind a moving reference, unless preview=n knows it ahead."
+        )
+    return "The controller steers the state to it one step later." if isinstance(controller, BayesianController) else ""
 
 
 def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any] | None:

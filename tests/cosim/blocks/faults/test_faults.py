@@ -65,6 +65,14 @@ KINDS = [
     (cosim.Rounding(resolution=0.5), lambda f, u, held, age, chance, noise: np.floor(u / 0.5 + 0.5) * 0.5),
     (cosim.Lag(time_constant=0.1), lambda f, u, held, age, chance, noise: followed(0.1, u, held, age)),
     (cosim.Delay(delay=0.1), lambda f, u, held, age, chance, noise: u[np.maximum(np.arange(len(u)) - 5, 0)]),
+    (
+        cosim.Delay(delay=0.1, initial=7.0, name="delay_from_seven"),
+        lambda f, u, held, age, chance, noise: np.concatenate([np.full(min(5, len(u)), 7.0), u])[: len(u)],
+    ),
+    (
+        cosim.Delay(delay=0.1, initial=nan, name="delay_from_nothing"),
+        lambda f, u, held, age, chance, noise: np.concatenate([np.full(min(5, len(u)), nan), u])[: len(u)],
+    ),
     (cosim.Delay(delay=0.0, name="no_delay"), lambda f, u, held, age, chance, noise: u),
 ]
 FORMULAS = {type(fault): formula for fault, formula in KINDS if fault.name is None}
@@ -363,6 +371,7 @@ def test_plain_settings(kind):
         (cosim.Lag, {"time_constant": inf}, "finite"),
         (cosim.Delay, {"delay": -0.1}, "not be negative"),
         (cosim.Delay, {"delay": nan}, "finite"),
+        (cosim.Delay, {"delay": 0.1, "initial": inf}, "must be a number, or NaN"),
         (cosim.RandomFaults, {"kinds": ()}, "at least one kind"),
         (cosim.RandomFaults, {"kinds": (cosim.RandomFaults(),)}, "at least one kind"),
         (cosim.RandomFaults, {"kinds": (cosim.Freeze(start=1.0),)}, "its own start=1.0"),
