@@ -8,6 +8,7 @@ from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
+from bayesftc.cosim.diagram.subsystem import INSIDE, Boundary
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
 
@@ -99,11 +100,23 @@ def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tu
 
 
 def elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, Port, int]]:
-    """Yield each element of each input, except for those of faults and of the named blocks."""
+    """Yield each element of each input, except for those of faults and of the named blocks.
+
+    An input of a subsystem counts once: neither what its ports show nor the inputs inside that they feed are yielded.
+    """
     for node in diagram.nodes:
         for port in () if isinstance(node.block, Fault) or node.name in others else node.inputs:
             for i in range(port.size):
-                yield node, port, i
+                if not _of_boundary(diagram, node, port, i):
+                    yield node, port, i
+
+
+def _of_boundary(diagram: Diagram, node: Node, port: Port, element: int) -> bool:
+    """Return whether an input is the inside of a subsystem's boundary, or is fed by an input of the subsystem around it."""
+    if isinstance(node.block, Boundary) and port.name == INSIDE:
+        return True
+    origin = next(diagram.origins_of(node, port, element), None)
+    return origin is not None and isinstance(origin[0].node.block, Boundary) and origin[0].direction == "input"
 
 
 def element_name(port: Port, i: int) -> str:
