@@ -20,9 +20,9 @@ from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.goals_ahead import check_goals_ahead, preview_time
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.subsystem import outermost, port_named
+from bayesftc.cosim.diagram.wiring import check_goals_ahead, preview_time
 from bayesftc.cosim.errors import (
     ConnectionError,
     ModelError,

@@ -11,7 +11,6 @@ import numpy as np
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.goals_ahead import preview_time
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.wiring import (
     element_name,
@@ -21,6 +20,7 @@ from bayesftc.cosim.diagram.wiring import (
     find_controller,
     find_sensors,
     label_of,
+    preview_time,
 )
 from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.cosim.ports import Port

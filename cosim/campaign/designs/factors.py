@@ -12,8 +12,8 @@ import numpy as np
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.goals_ahead import goals_ahead, lies_ahead, present_origin, preview_time
 from bayesftc.cosim.diagram.nodes import Node, PortRef
+from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_time
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 
