@@ -140,6 +140,8 @@ REFUSED = {
     "substeps": ({"substeps": 3}, ModelError, "substeps= is for FMUs for model exchange"),
     "two noises": ({"noise": {"torque": 1}, "process_covariance": 1.0}, ModelError, "leave one of them out"),
     "unknown input": ({"actuated": "forse"}, UnknownNameError, "'forse'; did you mean 'force'"),
+    "no name": ({"measured": 3}, ModelError, "measured=3; give the name of at least one variable"),
+    "no list of names": ({"actuated": [["force"]]}, ModelError, r"actuated=\[\['force'\]\]; give the name"),
     "unknown output": ({"measured": "angel"}, UnknownNameError, "'angel'; did you mean 'angle'"),
 }  # fmt: skip
 
