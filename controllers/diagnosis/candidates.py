@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.controllers.diagnosis.explanations import delayed, faster, holding, innovations, lagged
+from bayesftc.controllers.diagnosis.explanations import (
+    delayed,
+    earlier,
+    faster,
+    holding,
+    innovations,
+    lagged,
+)
 from bayesftc.controllers.diagnosis.judge import Explanation, Judge
 from bayesftc.controllers.estimation.observers import observers
 
@@ -43,8 +50,11 @@ Course = tuple[str, tuple[float, ...], "Floats"]
 def explanations(judge: Judge) -> list[Explanation]:
     """Return the best explanation of each kind, the best first."""
     model = judge.model
-    coarse = judge.inputs([*_late(judge), *(c for j in range(model.controls) for c in _limits(judge, j))])
-    fine = judge.inputs([*_late(judge, coarse), *(c for j in range(model.controls) for c in _limits(judge, j, coarse))])
+    controls = range(model.controls)
+    coarse = judge.inputs([*_late(judge), *_early(judge), *(c for j in controls for c in _limits(judge, j))])
+    fine = judge.inputs(
+        [*_late(judge, coarse), *_early(judge, coarse), *(c for j in controls for c in _limits(judge, j, coarse))]
+    )
     results = coarse + fine + _times(judge) + _pushed(judge)
     best: dict[str, Explanation] = {}
     for x in results:
@@ -102,15 +112,45 @@ def _best(results: list[Explanation], kind: str, chosen: Callable[[Explanation],
 def _late(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]:
     """Return late controls: a coarse search, or a fine one about the best of `coarse`."""
     u, dt = judge.recording.u, float(judge.model.step)
-    most = max(1, min(round(LATEST / dt), 2 * len(u) // 3))
-    steps = sorted({max(1, round(k)) for k in np.linspace(1, most, COARSE)})
+    most = _most_steps(judge)
     if coarse is None:
         lags: list[Course] = [("late", (most * f * dt, 1.0), lagged(u, most * f)) for f in LAGS]
-        return lags + [("late", (k * dt, 0.0), delayed(u, k)) for k in steps]
-    best = round(_best(coarse, "late", lambda x: not x.values[1]).values[0] / dt)
-    width = -(-most // COARSE)
-    near = [k for k in range(max(1, best - width), best + width + 1) if k not in steps]
-    return [("late", (k * dt, 0.0), delayed(u, k)) for k in near]
+        return lags + [("late", (k * dt, 0.0), delayed(u, k)) for k in _coarse(most)]
+    best = _best(coarse, "late", lambda x: not x.values[1]).values[0] / dt
+    return [("late", (k * dt, 0.0), delayed(u, k)) for k in _near(best, most)]
+
+
+def _early(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]:
+    """Return controls that act earlier than the delays of the model say: a coarse search, or a fine one."""
+    delays, u, dt = judge.model.delays, judge.recording.u, float(judge.model.step)
+    if delays is None:
+        return []
+    possible = [late + min(delays.sensors) for late in delays.inputs]
+    most = min(max(possible), 2 * len(u) // 3)
+    if not most:
+        return []
+    if coarse is None:
+        steps = _coarse(most)
+    else:
+        best = _best(coarse, "early", lambda x: True).values[0] / dt
+        steps = [k for k in _near(best, most) if k <= most]
+    return [("early", (k * dt,), earlier(u, [min(k, longest) for longest in possible])) for k in steps]
+
+
+def _most_steps(judge: Judge) -> int:
+    """Return the longest delay to try, in samples."""
+    return max(1, min(round(LATEST / float(judge.model.step)), 2 * len(judge.recording.u) // 3))
+
+
+def _coarse(most: int) -> list[int]:
+    """Return the samples of the coarse search, up to the largest number."""
+    return sorted({max(1, round(k)) for k in np.linspace(1, most, COARSE)})
+
+
+def _near(best: float, most: int) -> list[int]:
+    """Return the samples of the fine search about the best of the coarse one."""
+    width, middle, tried = -(-most // COARSE), round(best), _coarse(most)
+    return [k for k in range(max(1, middle - width), middle + width + 1) if k not in tried]
 
 
 def _limits(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> list[Course]:

@@ -37,7 +37,7 @@ CUTS = (1e6, 300.0, 100.0, 30.0, 10.0, 6.0)
 
 After a loss of the plant, such as a fallen pendulum, no linear model holds; the cause shows before."""
 
-SIMPLE = frozenset({"sign", "gain", "dt", "late", "limit"})
+SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
 SIMPLEST = 4
@@ -64,14 +64,14 @@ class ModelFinding:
     ----------
     kind : str
         ``"sign"`` or ``"gain"`` of a column of B, ``"dt"`` (the plant is faster or slower), ``"late"`` (a delay or a lag of the
-        control), ``"limit"`` (of the control), ``"nonlinear"`` (far from the point of linearisation), ``"dynamics"`` (another
-        A), ``"load"`` (a constant load), ``"unknown"``.
+        control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control), ``"nonlinear"`` (far from the
+        point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
     values : tuple of float
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``dt``: the plant's speed relative
-        to the model's; ``late``: seconds, and 1 for a lag; ``limit``: low, high, and the control's number; ``load``: a value for
-        each control, in its unit; else empty.
+        to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
+        ``load``: a value for each control, in its unit; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str

@@ -101,6 +101,14 @@ def delayed(u: Floats, steps: int) -> Floats:
     return late
 
 
+def earlier(u: Floats, steps: Sequence[int]) -> Floats:
+    """Return each control some samples early, with its last value at the end."""
+    early = np.repeat(u[-1:], len(u), axis=0)
+    for j, k in enumerate(steps):
+        early[: len(u) - k, j] = u[k:, j]
+    return early
+
+
 def lagged(u: Floats, steps: float) -> Floats:
     """Return the controls through a first-order lag with a time constant of `steps` samples."""
     import pandas as pd  # scipy.signal takes a second to import

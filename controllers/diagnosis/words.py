@@ -62,6 +62,14 @@ def _late(values: Sequence[float], model: LinearModel) -> str:
     return f"{how}. Give the model this delay (LinearModel.with_delays), or weaken the control."
 
 
+def _early(values: Sequence[float], model: LinearModel) -> str:
+    seconds, samples = values[0], values[0] / float(model.step)
+    return (
+        f"the control acts earlier than in the model, by {seconds:.3g} s ({samples:.0f} samples). Shorten the delays of the "
+        "model (LinearModel.with_delays)."
+    )
+
+
 def _limit(values: Sequence[float], model: LinearModel) -> str:
     low, high, j = values
     sides = [f"below {low:.4g}"] * bool(np.isfinite(low)) + [f"above {high:.4g}"] * bool(np.isfinite(high))
@@ -112,6 +120,7 @@ _WORDS = {
     "gain": _gain,
     "dt": _dt,
     "late": _late,
+    "early": _early,
     "limit": _limit,
     "load": _load,
     "nonlinear": _nonlinear,

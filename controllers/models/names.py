@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,8 +29,8 @@ def names_of(given: Names, kind: str) -> list[str]:
     ModelError
         If there is no name, or one occurs twice.
     """
-    names = [given] if isinstance(given, str) else list(given)
-    if not names or len(set(names)) < len(names) or not all(isinstance(name, str) for name in names):
+    names = [given] if isinstance(given, str) else list(given) if isinstance(given, Iterable) else []
+    if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
         raise ModelError(f"{kind}={given!r}; give the name of at least one variable of the plant, each once.")
     return names
 

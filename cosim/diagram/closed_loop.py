@@ -22,6 +22,7 @@ from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.subsystem import outermost, port_named
+from bayesftc.cosim.diagram.wiring import check_goals_ahead, preview_time
 from bayesftc.cosim.errors import (
     ConnectionError,
     ModelError,
@@ -73,8 +74,8 @@ def closed_loop(
         The plant's outputs for the sensors: vectors as a whole, or elements of them.
     reference : Block, float or a sequence of them
         The goal: a source, a constant, or one for each element of the controller's ``goal``. For a controller whose property
-        ``preview`` is n > 0, each becomes a `Preview`: its ``y`` is the present goal, and the controller gets that of n of its
-        samples later.
+        ``preview`` is n > 0, each becomes a `Preview`: its ``y`` is the present goal, and the controller gets its ``ahead``,
+        that of n of its samples later. Blocks between reference and controller then get ``"reference.ahead"``.
     sensors : Sensors, optional
         By default one perfect sensor for each measured output. The controller gets their ``invalid`` values.
     faults : Fault or sequence of Fault
@@ -155,6 +156,7 @@ def closed_loop(
     for name, chain in remaining.items():
         _feed(diagram, _start_value(diagram, node[name], name), node[name], chain, name)
     _extend(diagram, blocks or {}, connections)
+    check_goals_ahead(diagram, controller_node)
     return diagram.build()
 
 
@@ -386,11 +388,6 @@ def _references(
     if time := preview_time(controller):
         return [(name, Preview(block, time), "ahead") for name, block in zip(names, blocks, strict=True)]
     return [(name, block, "y") for name, block in zip(names, blocks, strict=True)]
-
-
-def preview_time(controller: Block) -> Fraction:
-    """Return the seconds by which a controller's goal lies ahead, from its property ``preview``; else 0."""
-    return getattr(controller, "preview", 0) * (controller.sample_time or Fraction(0))
 
 
 def with_invalid(controller: Block, sensors: Sensors) -> Block:

@@ -9,6 +9,9 @@ from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.groups import components
 from bayesftc.cosim.errors import AlgebraicLoopError
 
+DELAYED = "when(..., delayed=True)"
+"""How a condition of a fault is delayed in Python; a scenario file has other words for it."""
+
 
 class Feedthrough:
     """The graph of direct feedthrough: which blocks need the outputs of which others at t_k.
@@ -100,6 +103,6 @@ class Feedthrough:
             + "\n".join(lines)
             + "\nPut a UnitDelay into one of these connections, declare an input feedthrough=False if that is true, or solve "
             "the loop at each step with build(coupling='iterated')."
-            + (f" A condition of {named[0]!r} can read the step before: when(..., delayed=True)." if named else "")
+            + (f" A condition of {named[0]!r} can read the step before: {DELAYED}." if named else "")
             + (f" {direct[0]!r} with timing='plant' has outputs for the inputs of the step before." if direct else "")
         )

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.blocks.preview import Preview
+from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.wiring import (
@@ -19,6 +20,7 @@ from bayesftc.cosim.diagram.wiring import (
     find_controller,
     find_sensors,
     label_of,
+    preview_time,
 )
 from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.cosim.ports import Port
@@ -52,7 +54,7 @@ class QuantityRole:
     truth : tuple of (float, Place), or None
         Weights and signals whose sum an ideal sensor reads; None if a signal is missing.
     reference : Place or None
-        The source of its element of the goal.
+        The source of its element of the goal; None if only a later value of it is a signal.
     belief : tuple of float, or None
         Weights of the controller's ``x_hat``; None if it is no linear function of ``x_hat``.
     goal : int or None
@@ -172,11 +174,19 @@ def _source(diagram: Diagram, node: Node, port: Port, element: int) -> Place | N
 
 
 def _reference(diagram: Diagram, controller: Node, goal: int) -> Place | None:
-    """Return the source of one element of the goal; of a goal that lies ahead, the present one."""
+    """Return the source of one element of the goal; of a goal that lies ahead, the present one.
+
+    None if the goal lies ahead and comes from a block that does not have its present value, such as a `RateLimiter`.
+    """
     source = diagram.source_of(controller, controller.port("goal"), goal)
-    if source is not None and isinstance(source[0].node.block, Preview):
-        return f"{source[0].node.name}.y", source[1]
-    return _source(diagram, controller, controller.port("goal"), goal)
+    if source is None:
+        return None
+    node, block = source[0].node, source[0].node.block
+    if isinstance(block, Preview):
+        return f"{node.name}.y", source[1]
+    if preview_time(controller.block) and not isinstance(block, Constant):
+        return None
+    return f"{node.name}.{source[0].port.name}", source[1]
 
 
 def _inputs(diagram: Diagram, others: Container[str], controller: Node) -> tuple[InputRole, ...]:

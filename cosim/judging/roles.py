@@ -167,6 +167,7 @@ def _quantity(reader: _Reader, role: QuantityRole, drawn: bool) -> QuantitySigna
         role.goal is not None,
         role.belief is not None,
         spread,
+        role.goal is not None and role.reference is None,
     )
 
 

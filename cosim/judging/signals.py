@@ -99,6 +99,8 @@ class QuantitySignals:
         Whether the controller states it as a linear function of ``x_hat``.
     spread : array or None
         Standard deviation of the belief; None if the controller has no covariance ``P``, or if not recorded.
+    only_ahead : bool
+        Whether only a later value of its goal is a signal, so that there is no reference.
     """
 
     name: str
@@ -110,6 +112,7 @@ class QuantitySignals:
     has_goal: bool
     has_belief: bool
     spread: Floats | None = None
+    only_ahead: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import sys
 from collections import defaultdict
 from pathlib import Path
 from types import ModuleType
@@ -99,6 +98,5 @@ def write_pages(app: Sphinx, _: object) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the extension."""
-    sys.setrecursionlimit(max(sys.getrecursionlimit(), 5000))
     app.connect("config-inited", write_pages)  # before Sphinx looks for its sources
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,5 +1,6 @@
 """Further blocks in scenario files: kinds, connections, subsystems, campaigns, and what is said of wrong ones."""
 
+import re
 from dataclasses import fields
 
 import block_kinds
@@ -310,6 +311,16 @@ def test_what_is_wrong_is_said_with_its_place(write, case):
     assert message.endswith((".", "?"))
     for word in words:
         assert word in message, message
+
+
+def test_the_remedy_of_a_loop_through_a_condition_is_one_of_files(write):
+    old = 'start = "plant.v > 24"\nduration = 5.0'
+    with pytest.raises(AlgebraicLoopError) as caught:
+        load_scenario(write(SMOOTH, (old, 'start = "controller.u > 500"'))).loop()
+    sentence = next(line for line in str(caught.value).splitlines() if "A condition of 'freeze_0'" in line)
+    assert "when(" not in sentence
+    table = re.search(r"give it as a table, (\{.*delayed = true \})\.", sentence)[1]
+    assert load_scenario(write(SMOOTH, (old, f"start = {table}"))).loop()["freeze_0"].block.start.delayed
 
 
 def test_a_fault_that_never_occurred_is_noted(write, bayesftc_):

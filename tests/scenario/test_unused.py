@@ -39,6 +39,47 @@ def test_a_fault_after_the_end_is_a_note_where_it_disturbs_nobody(bayesftc_, car
     assert unused(load_scenario("car.toml")) == []
 
 
+INSIDE = """
+[blocks.part]
+kind = "Subsystem"
+[blocks.part.blocks.late]
+kind = "Freeze"
+start = 50.0
+[blocks.part.blocks.inner]
+kind = "Subsystem"
+[blocks.part.blocks.inner.blocks.later]
+kind = "Freeze"
+start = 60.0
+[blocks.part.blocks.inner.blocks.soon]
+kind = "Freeze"
+start = 1.0
+[[blocks.part.blocks.inner.connections]]
+from = "later.y"
+to = "soon.u"
+[[blocks.part.connections]]
+from = "inner.y"
+to = "late.u"
+[[connections]]
+from = "plant.v"
+to = "part.u"
+"""
+
+
+def test_a_fault_inside_subsystems_has_its_note_and_is_none_of_the_plant(bayesftc_, car):
+    path = car()
+    path.write_text(path.read_text() + INSIDE)
+    scenario = load_scenario(path)
+    assert [text.partition(": ")[2].split(", but")[0] for text in unused(scenario)] == [
+        "'blocks.part.blocks.late' starts at 50 s",
+        "'blocks.part.blocks.inner.blocks.later' starts at 60 s",
+    ]
+    assert scenario.loop().simulate(0.1, engine="interpreted").roles.inputs == ()
+    done = bayesftc_("run", path, "--engine", "interpreted", "--duration", "2")
+    assert done.exit_code == 0, done.output
+    assert "inside[" not in done.stdout
+    assert "between the controller and the plant" not in done.stdout
+
+
 def test_sensors_and_variables_that_nobody_reads_are_said(car):
     path = car(("C = [[1.0], [1.0]]", "C = [[1.0], [0.0]]"), ("count = 2", "count = 2\nmatrix = [[0.0], [0.0]]"))
     said = unused(load_scenario(path))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 
 from bayesftc.controllers.models.fmu.states import FMUStates
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import FMUError, ModelError
+from bayesftc.cosim.fmi.equations import ModelEquations
 from bayesftc.cosim.fmi.prediction.prediction import Prediction
 from bayesftc.cosim.types import Floats
 
@@ -20,6 +22,12 @@ _ALIKE = 1e-5
 """Largest difference between a step of the model and of the FMU, in units of the states' sizes."""
 
 _MOST_PARTS = 256
+
+_TIMES = (0.73, 1.3, 13.7, 1009.3)
+"""Seconds at which equations must be those at t = 0; no whole multiples of a usual period."""
+
+_SAME = 1e-8
+"""Largest such difference: of a derivative times dt in units of the state's size, of an output relative to its size."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,36 @@ def compare(prediction: Prediction, course: Course) -> None:
         f"A step of the FMU {prediction.fmu.default_name!r} from its states is not the FMU's own step: after step {k + 1}, "
         f"{prediction.states[i]} is {after[k, i]:.6g} and not {course.states[k + 1, i]:.6g}. {remedy}."
     )
+
+
+def refuse_time(of: FMUStates, course: Course, step: Fraction) -> None:
+    """Refuse an FMU for model exchange whose derivatives or outputs change with time at the same states and inputs.
+
+    Raises
+    ------
+    ModelError
+        With the derivative or output that changes.
+    """
+    points = ((course.states[0], course.inputs[0]), (course.states[-1], course.inputs[-1]))
+    with ModelEquations(of.fmu) as model:
+
+        def values(t: float) -> Floats:
+            return np.array([np.concatenate([model.derivatives(x, u, t), model.outputs(x, u, t)]) for x, u in points])
+
+        first = values(0.0)
+        outputs = np.maximum(np.abs(first[:, len(course.sizes) :]).max(axis=0), 1.0)
+        most = _SAME * np.concatenate([course.sizes / float(step), outputs])
+        names = [*(f"the derivative of {name}" for name in model.state_names), *model.output_names]
+        for t in _TIMES:
+            now = values(t)
+            changed = np.argwhere(~(np.abs(now - first) <= most))
+            if len(changed):
+                k, i = changed[0]
+                raise ModelError(
+                    f"The FMU {of.fmu.default_name!r} depends on time, which a NonlinearModel does not: at the same states and "
+                    f"inputs, {names[i]} is {first[k, i]:.6g} at t = 0 s and {now[k, i]:.6g} at t = {t:g} s. Give the FMU "
+                    "that signal as an input, or write the equations as a NonlinearModel."
+                )
 
 
 def _followed(prediction: Prediction, course: Course) -> Floats:

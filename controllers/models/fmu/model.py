@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number
-from bayesftc.controllers.models.fmu.check import compare, course_of, enough_parts
+from bayesftc.controllers.models.fmu.check import compare, course_of, enough_parts, refuse_time
 from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.fmu.states import FMUStates, states_by_steps, states_of_equations
 from bayesftc.controllers.models.linear import SignalNames
@@ -60,6 +60,8 @@ def model_of_fmu(
     order, variances = sensors_of(rows, sensors, sensor_std)
     prediction = _prediction(of, p, order, step, u)
     course = course_of(prediction, of)
+    if fmu.kind == "model exchange":
+        refuse_time(of, course, step)
     prediction = enough_parts(prediction, course) if substeps is None else replace(prediction, parts=substeps)
     compare(prediction, course)
     n = len(of.names)

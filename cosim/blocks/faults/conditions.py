@@ -123,17 +123,20 @@ def when(signal: str, relation: str | None = None, value: float | None = None, *
     >>> fault.start == cosim.when("plant.v > 22")
     True
     """
-    if relation is not None and value is not None:
-        return When(signal, relation, value, delayed)
-    condition = (
-        When.read(signal, delayed=delayed) if relation is None and value is None and isinstance(signal, str) else None
-    )
-    if condition is None:
+    condition = When.read(signal, delayed=delayed) if isinstance(signal, str) else None
+    if condition is not None:
+        if relation is None and value is None:
+            return condition
+        raise ModelError(
+            f"{brief(signal)} is a whole condition, but there is also relation={brief(relation)} or value={brief(value)}. Leave "
+            "both out, or give only the name of the signal first."
+        )
+    if relation is None or value is None:
         raise ModelError(
             f"{brief(signal)} is no condition; write signal, relation and number, such as cosim.when('plant.v > 22') or "
             "cosim.when('plant.v', '>', 22.0)."
         )
-    return condition
+    return When(signal, relation, value, delayed)
 
 
 # --- Step functions --------------------------------------------------------------------------------------------------

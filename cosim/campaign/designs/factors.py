@@ -5,14 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.preview import Preview
-from bayesftc.cosim.diagram.closed_loop import preview_time
 from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.diagram.nodes import Node, PortRef
+from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_time
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 
@@ -84,16 +85,25 @@ def _previews(diagram: Diagram, blocks: Mapping[str, Block]) -> dict[str, Block]
         before, time = preview_time(node.block), preview_time(blocks[node.name])
         if time == before:
             continue
-        goal = node.port("goal")
-        for origin in filter(None, (diagram.source_of(node, goal, i) for i in range(goal.size))):
-            source = origin[0].node.name
-            if not isinstance(block := blocks[source], Preview) or origin[0].port.name != "ahead":
-                raise ModelError(
-                    f"A factor changes the preview of {node.name!r}, but its goal comes from {origin[0].name}, whose future the "
-                    "diagram does not have. Make the loop with a preview of at least 1; the factor may then also be 0."
-                )
-            new[source] = replace(block, time=time)
+        for i in range(node.port("goal").size):
+            if origin := present_origin(diagram, node, i):
+                _refuse_preview(node, origin)
+        for origin in goals_ahead(diagram, node):
+            block = blocks[origin.node.name]
+            if not isinstance(block, Preview):
+                _refuse_preview(node, origin)
+            new[origin.node.name] = replace(block, time=time)
     return new
+
+
+def _refuse_preview(controller: Node, origin: PortRef) -> NoReturn:
+    title = f"A factor changes the preview of {controller.name!r}, but its goal comes from {origin.name}, "
+    if isinstance(origin.node.block, Preview) and not lies_ahead(origin):
+        raise ModelError(f"{title}the present value. Connect '{origin.node.name}.ahead' in its place.")
+    raise ModelError(
+        f"{title}whose future the diagram does not have. Make the loop with a preview of at least 1; the factor may then also "
+        "be 0."
+    )
 
 
 def _split(path: str, blocks: Mapping[str, Block]) -> tuple[str, list[str]]:

@@ -137,7 +137,11 @@ def connections(value: object, place: Place) -> list[Connection]:
 
 
 def faults_among(added: Added, place: str = "blocks") -> Iterator[tuple[str, Fault]]:
-    """Yield the place and the fault of each block that is one."""
+    """Yield the place and the fault of each block that is one, also inside subsystems."""
     for name, (block, _) in added.items():
         if isinstance(block, Fault):
             yield f"{place}.{name}", block
+        if isinstance(block, Subsystem):
+            for node in block.diagram.nodes:  # a block of a subsystem inside has a dot in its name
+                if isinstance(node.block, Fault):
+                    yield f"{place}.{name}.blocks.{node.name.replace('.', '.blocks.')}", node.block

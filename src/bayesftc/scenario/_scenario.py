@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from contextlib import nullcontext
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +15,8 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.diagram.closed_loop import base_step, closed_loop, with_invalid
+from bayesftc.cosim.diagram.feedthrough import DELAYED
+from bayesftc.cosim.errors import AlgebraicLoopError
 from bayesftc.scenario import _sections as sections
 from bayesftc.scenario._blocks import Added, Connection, Surroundings, blocks, connections
 from bayesftc.scenario._files import find_scenario, read_toml
@@ -84,7 +86,7 @@ class Scenario:
         BayesFTCError
             If the parts do not fit together. The message begins with the file's name.
         """
-        with Place(str(self.path)).named():
+        with Place(str(self.path)).named(), _remedies_of_files():
             return closed_loop(
                 self.plant,
                 self.controller,
@@ -123,6 +125,16 @@ class Scenario:
         diagram = self.loop() if loop is None else loop
         with place:
             return diagram.simulate(**(defaults | given))
+
+
+@contextmanager
+def _remedies_of_files() -> Iterator[None]:
+    """Give the error of an algebraic loop the table of a delayed condition in place of the call in Python."""
+    try:
+        yield
+    except AlgebraicLoopError as error:
+        table = 'give it as a table, { signal = "controller.u", relation = ">", value = 500.0, delayed = true }'
+        raise AlgebraicLoopError(str(error).replace(DELAYED, table)) from error
 
 
 def load_scenario(path: str | os.PathLike[str]) -> Scenario:

@@ -9,7 +9,8 @@ from scipy.linalg import solve_discrete_are
 from wrong_models import LEARNERS, Case, cases, loop, parts, run
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.diagnosis.explanations import delayed, faster
+from bayesftc.controllers.diagnosis.diagnose import diagnose_recording
+from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
@@ -257,8 +258,38 @@ def test_the_time_scale_of_a_model_is_that_of_python_control_and_two_halves_are_
     np.testing.assert_allclose(faster(model, 2.0).B, whole.B, atol=1e-12)
 
 
+LATE = {"of the control": ((5, 0), 2, 3), "of the sensors": ((0, 4), 0, 4), "of both": ((25, 1), 1, 25)}
+"""Delays of a model, the samples by which the control really is late, and the difference."""
+
+
+@pytest.mark.parametrize("case", [*list(LATE)[:2], pytest.param("of both", marks=pytest.mark.slow)])
+def test_delays_of_a_model_that_are_too_long_are_named(case):
+    delays, samples, expected = LATE[case]
+    A, B = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]])
+    right = controllers.LinearModel(A, B, [[1, 0], [1, 0]], 1e-2 * B @ B.T, 4e-4, dt=0.1)
+    model = right.with_delays(*delays)
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.normal(size=(25, 1)), 8, axis=0)
+    y, x = np.empty((len(u), 2)), np.zeros(2)
+    for k in range(len(u)):
+        y[k] = x[0] + 0.02 * rng.normal(size=2)
+        x = A @ x + B @ (u[k - samples] if k >= samples else np.zeros(1)) + 0.1 * B[:, 0] * rng.normal()
+    finding = diagnose_recording(model, y, u)
+    assert finding.kind == "early"
+    assert finding.values == (pytest.approx(0.1 * expected),)
+    assert (
+        f"acts earlier than in the model, by {0.1 * expected:.3g} s ({expected} samples). Shorten" in finding.sentence
+    )
+    assert diagnose_recording(right.with_delays(samples), y, u) is None
+
+
 def test_delayed_controls_come_later():
     np.testing.assert_array_equal(delayed(np.array([[1.0], [2.0], [3.0]]), 2), [[0.0], [0.0], [1.0]])
+
+
+def test_earlier_controls_come_earlier_each_by_its_own():
+    u = np.arange(10.0).reshape(5, 2)
+    np.testing.assert_array_equal(earlier(u, [1, 3]), [[2, 7], [4, 9], [6, 9], [8, 9], [8, 9]])
 
 
 CAR = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0})

@@ -1,6 +1,11 @@
 """Nonlinear models of FMUs: against the textbook's equations, and what is refused."""
 
+import inspect
 import pickle
+import re
+import subprocess
+import zipfile
+from pathlib import Path
 
 import cloudpickle
 import numpy as np
@@ -135,6 +140,8 @@ REFUSED = {
     "substeps": ({"substeps": 3}, ModelError, "substeps= is for FMUs for model exchange"),
     "two noises": ({"noise": {"torque": 1}, "process_covariance": 1.0}, ModelError, "leave one of them out"),
     "unknown input": ({"actuated": "forse"}, UnknownNameError, "'forse'; did you mean 'force'"),
+    "no name": ({"measured": 3}, ModelError, "measured=3; give the name of at least one variable"),
+    "no list of names": ({"actuated": [["force"]]}, ModelError, r"actuated=\[\['force'\]\]; give the name"),
     "unknown output": ({"measured": "angel"}, UnknownNameError, "'angel'; did you mean 'angle'"),
 }  # fmt: skip
 
@@ -165,3 +172,74 @@ def test_an_output_that_depends_on_an_input_is_refused(casadi_fmu):
         NonlinearModel.from_fmu(path, measured="y", actuated="u", dt=DT)
     with pytest.raises(ModelError, match="its states are known; leave states= out"):
         NonlinearModel.from_fmu(path, measured="y", actuated="u", dt=DT, states=["q"])
+
+
+CURVED = Path(__file__).parents[2] / "cosim/fmi/prediction/curved.c"
+DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="curved" guid="curved" numberOfEventIndicators="0">
+<ModelExchange modelIdentifier="curved" completedIntegratorStepNotNeeded="true"/>
+<ModelVariables>
+<ScalarVariable name="x" valueReference="0" causality="local" initial="exact"><Real start="0.5"/></ScalarVariable>
+<ScalarVariable name="v" valueReference="1" causality="local" initial="exact"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="der(x)" valueReference="2" causality="local"><Real derivative="1"/></ScalarVariable>
+<ScalarVariable name="der(v)" valueReference="3" causality="local"><Real derivative="2"/></ScalarVariable>
+<ScalarVariable name="u" valueReference="4" causality="input"><Real start="0"/></ScalarVariable>
+<ScalarVariable name="y" valueReference="5" causality="output"><Real/></ScalarVariable>
+</ModelVariables>
+<ModelStructure><Outputs><Unknown index="6"/></Outputs>
+<Derivatives><Unknown index="3"/><Unknown index="4"/></Derivatives></ModelStructure>
+</fmiModelDescription>"""
+
+
+@pytest.fixture
+def curved_in_time(tmp_path, c_compiler):
+    """Build the FMU of curved.c with a term of the time in the derivative of v, and one in y."""
+    import fmpy
+    from fmpy.fmi2 import FMU2Model
+
+    def build(derivative="0.0", output="0.0"):
+        text = CURVED.read_text()
+        for old, new in (
+            ("int failed; } Instance", "int failed; double t; } Instance"),
+            ("SetTime(fmi2Component c, fmi2Real t) {", "SetTime(fmi2Component c, fmi2Real t) { M->t = t;"),
+            ("cos(m->x[0]);\n    case 4", f"cos(m->x[0]) + {derivative};\n    case 4"),
+            ("return m->x[0] * m->x[1];", f"return m->x[0] * m->x[1] + {output};"),
+        ):  # fmt: skip
+            assert old in text
+            text = text.replace(old, new)
+        names = [name for name, _ in inspect.getmembers(FMU2Model) if name.startswith("fmi2")]
+        absent = [f"int {name}(void) {{ return 3; }}\n" for name in names if not re.search(rf"\b{name}\b", text)]
+        (tmp_path / "curved.c").write_text(text)
+        (tmp_path / "absent.c").write_text("".join(absent))
+        library = tmp_path / f"curved{fmpy.sharedLibraryExtension}"
+        sources = [str(tmp_path / "curved.c"), str(tmp_path / "absent.c")]
+        flags = ["-shared", "-fPIC", "-O1", "-w", f"-I{Path(fmpy.__file__).parent / 'c-code'}"]
+        subprocess.run([c_compiler, *flags, *sources, "-o", str(library), "-lm"], check=True)
+        with zipfile.ZipFile(tmp_path / "curved.fmu", "w") as archive:
+            archive.writestr("modelDescription.xml", DESCRIPTION)
+            archive.write(library, f"binaries/{fmpy.platform}/{library.name}")
+        return tmp_path / "curved.fmu"
+
+    return build
+
+
+TIMES = {
+    "a switch after the ten steps": ({"derivative": "(m->t > 1.0 ? 5.0 : 0.0)"}, "the derivative of v is .* at t = 1.3 s"),
+    "a late switch": ({"derivative": "(m->t > 900.0 ? 5.0 : 0.0)"}, "the derivative of v is .* at t = 1009.3 s"),
+    "a slow drift": ({"derivative": "2e-5 * m->t"}, "the derivative of v is"),
+    "only while the plant moves": ({"derivative": "m->x[1] * sin(m->t)"}, "the derivative of v is"),
+    "an output": ({"output": "(m->t > 1.0 ? 0.1 : 0.0)"}, "inputs, y is 0 at t = 0 s and 0.1 at t = 1.3 s"),
+    "one second's period": ({"derivative": "sin(6.283185307179586 * m->t)"}, "the derivative of v is"),
+}  # fmt: skip
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("case", TIMES)
+def test_an_fmu_that_depends_on_time_is_refused(case, curved_in_time):
+    terms, message = TIMES[case]
+    with pytest.raises(ModelError, match=f"'curved' depends on time, .* {message}"):
+        NonlinearModel.from_fmu(curved_in_time(**terms), measured="y", actuated="u", dt=DT)
+
+
+def test_an_fmu_that_ignores_the_time_is_accepted(curved_in_time):
+    assert NonlinearModel.from_fmu(curved_in_time(), measured="y", actuated="u", dt=DT).start == (0.5, 0.0)

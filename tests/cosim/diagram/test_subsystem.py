@@ -64,6 +64,20 @@ def test_a_closed_loop_of_subsystems(run_both, same_bits):
         same_bits(result["controller.u"], expected["controller.total.y"])
 
 
+def test_a_plant_that_is_a_subsystem_has_each_faulty_input_once():
+    inside = cosim.Diagram(0.02)
+    inside.add(cosim.TransferFunction([1.0], [1.0, 0.5]), "process")
+    plant = cosim.Subsystem(inside, inputs={"force": "process.u"})
+    halved = cosim.GainFault(factor=0.5)
+    diagram = cosim.closed_loop(
+        plant, pi(), control="force", measured="y", reference=1.0, input_faults={"force": halved}, dt=0.02
+    )
+    roles = diagram.simulate(0.1, engine="interpreted").roles
+    assert [(role.name, role.sent, role.faults) for role in roles.inputs] == [
+        ("force", ("controller.total.y", 0), ("force_gain_fault_0",))
+    ]
+
+
 def test_settings_inside_are_factors_of_campaigns(campaign_as_alone):
     table = campaign_as_alone(loop(pi()), 4.0, points={"controller.gain.gain": [1.0, 4.0]})
     assert (table["status"] == "ok").all()

@@ -243,13 +243,18 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
     for quantity in signals.quantities:
         needed_signals = [quantity.truth]
         needed_signals += [quantity.belief] if quantity.has_belief else []
-        needed_signals += [quantity.reference] if quantity.has_goal else []
+        needed_signals += [quantity.reference] if quantity.has_goal and not quantity.only_ahead else []
         if any(values is None for values in needed_signals):
             notes.append(
                 f"Some signals of {quantity.name} were not recorded. For all figures remove 'record' from the scenario."
             )
         if not quantity.has_goal:
             notes.append(f"{quantity.name} has no tracking error: the goal has no element for it.")
+        if quantity.only_ahead:
+            notes.append(
+                f"{quantity.name} has no tracking error: its goal comes through a block after 'ahead', so no signal has the "
+                "present goal."
+            )
         if not quantity.has_belief:
             notes.append(
                 f"{quantity.name} has no error of the belief: it is no linear function of the controller's states, or the "

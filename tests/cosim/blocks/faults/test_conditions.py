@@ -323,6 +323,8 @@ def test_python_control_gets_the_same_loop():
         ((7,), "7 is no condition"),
         (("plant.v > inf",), "value=inf"),
         (("v > 1",), "signal='v'"),
+        (("plant.v > 2", ">", 3), "'plant.v > 2' is a whole condition, but there is also relation='>' or value=3"),
+        (("plant.v > 2", ">"), "'plant.v > 2' is a whole condition"),
     ],
 )
 def test_bad_conditions(arguments, sentence):
