@@ -13,7 +13,7 @@ copyright = author
 version = release = bayesftc.__version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",  # Markdown pages and notebooks
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
@@ -21,6 +21,7 @@ extensions = [
     "numpydoc",
     "sphinx_design",
     "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
     "public_names",
     "drawn",
     "file_keys",
@@ -28,12 +29,41 @@ extensions = [
     "repository_files",
 ]
 root_doc = "index"
-exclude_patterns = ["_site"]
+exclude_patterns = ["_site", "gallery_examples", "gallery/**/*.ipynb", "**/.executed"]
 default_role = "py:obj"  # what stands in single backticks in a docstring
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
 myst_fence_as_directive = ["math"]  # as GitHub writes formulas
+
+# The three notebooks are executed when they change.
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(Path(__file__).parent / "notebooks" / ".executed")
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+
+# Each script of the gallery is executed when it changes.
+sphinx_gallery_conf = {
+    "examples_dirs": ["gallery_examples"],
+    "gallery_dirs": ["gallery"],
+    "within_subsection_order": "FileNameSortKey",
+    "backreferences_dir": "gallery/uses",
+    "doc_module": ("bayesftc",),
+    "capture_repr": ("_repr_html_",),
+    "ignore_repr_types": r"matplotlib|NotebookAnimation",  # shown as figures
+    "matplotlib_animations": True,
+    "reset_modules": ("matplotlib",),
+    "show_memory": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+    "plot_gallery": "True",
+    "run_stale_examples": False,
+    "abort_on_example_error": False,
+    "only_warn_on_example_error": False,
+    "download_all_examples": False,
+    "min_reported_time": 10,
+    "thumbnail_size": (400, 280),
+}
 
 # Each public name has a page of its own, from the signature and the docstring (`_site/public_names.py`).
 autosummary_generate = True

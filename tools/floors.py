@@ -94,7 +94,7 @@ DOORS: dict[tuple[str, str], str] = {
     ("cosim.diagram.diagram", "cosim.run"): "Diagram.simulate, Diagram.start",
     ("cosim.diagram.subsystem", "cosim.run"): "Subsystem.online",
     ("cosim.isolation.worker", "cosim.fmi.fmu"): "FMU(isolate=True): the process of its own makes the block",
-    ("cosim.run.result", "cosim.judging"): "Result.plot, Result.plot_signals",
+    ("cosim.run.result", "cosim.judging"): "Result.plot, Result.plot_signals, Result.animate",
     ("cosim.fitting.fit", "monitoring.healthy"): "fit: the learner that weighs samples",
     ("scenario._files", "examples"): "scenario files by the name of an example",
     ("controllers.models.linear", "controllers.identification.identify"): "LinearModel.identify",

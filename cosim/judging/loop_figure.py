@@ -64,7 +64,7 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     """
     panels: _Panels = []
     for quantity in signals.quantities:
-        panels.append((MAIN, partial(_draw_quantity, time=signals.time, quantity=quantity)))
+        panels.append((MAIN, partial(draw_quantity, time=signals.time, quantity=quantity)))
         panels += _strips(signals, [signals.sensors[i] for i in quantity.sensors], quantity.belief)
     if not signals.quantities:
         panels += _strips(signals, signals.sensors, None)
@@ -89,7 +89,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     return drawing
 
 
-def _draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None:
+def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None:
+    """Draw the true value, the reference and the belief of a quantity."""
     lines: list[tuple[str, Floats | None, dict[str, Any]]] = [
         # Broad and light below the others, because under a good controller the belief would hide the reference.
         ("reference", quantity.reference, {"color": "0.75", "ls": "-", "lw": 3.0, "zorder": 2}),
@@ -151,4 +152,4 @@ def _draw_sent(axis: Axes, time: Floats, values: Floats, label: str) -> None:
     axis.plot(*thin(time, values), color="#6BAED6", lw=1.6, zorder=3, label=label)
 
 
-__all__ = ["plot_run"]
+__all__ = ["draw_quantity", "plot_run"]

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bayesftc.cosim.diagram.diagram import Diagram
+    from bayesftc.cosim.judging.notebook import NotebookAnimation
 
 FORMAT = "bayesftc-result-1"
 
@@ -71,7 +72,7 @@ class Result(Mapping[str, Floats]):
     units : dict
         The unit of each signal that has one.
     metadata : dict
-        Properties of the run: seed, duration, step, engine, kinds of blocks.
+        Properties of the run: seed, duration, step, engine, kinds of blocks, models and parameters of FMUs.
     stopped : str or None
         Why the run ended early; None if it did not.
     """
@@ -245,6 +246,34 @@ class Result(Mapping[str, Floats]):
         from bayesftc.cosim.judging.plotting import plot_signals
 
         return plot_signals(self, signals, shown_figure())
+
+    def animate(self, *, frames: int = 100, speed: float = 1.0) -> NotebookAnimation:
+        """Return an animation of the plant, with the signals and fault probabilities up to the shown instant.
+
+        Drawn together are what is true, what the controller believes and what each sensor reads, so that one sees when the
+        controller ignores a sensor. Shipped plants have a picture; any other plant has a scale for each quantity. A notebook
+        shows the animation by itself. ``animation.save("run.gif")`` writes a file; ``animation.to_jshtml()`` is a web page.
+
+        Parameters
+        ----------
+        frames : int
+            The number of pictures, evenly spread over the run.
+        speed : float
+            Seconds of the run for each second of the animation.
+
+        Returns
+        -------
+        matplotlib.animation.FuncAnimation
+            Keep it in a variable until it is shown or saved.
+
+        Raises
+        ------
+        ModelError
+            If the result has fewer than two rows or no scalar signal, or if a setting is wrong.
+        """
+        from bayesftc.cosim.judging.animation import animate_run
+
+        return animate_run(self, frames, speed)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the result to one file (a zip of NumPy arrays); it appears under its name only when it is complete.

@@ -205,6 +205,8 @@ class Session:
             "engine": self.engine,
             "blocks": {node.name: type(node.block).__name__ for node in self._schedule.nodes},
         }
+        if plants := _plants(self._schedule):
+            metadata["plants"] = plants
         if self._pacer:
             metadata["pace"] = self._pacer.report()
         result = Result(
@@ -414,6 +416,16 @@ def _settable(schedule: Schedule) -> dict[str, tuple[slice, tuple[int, ...], boo
             for i, element in enumerate(labels(name, port.shape), place.start):
                 inputs[element] = slice(i, i + 1), (), is_plant
     return inputs
+
+
+def _plants(schedule: Schedule) -> dict[str, dict[str, Any]]:
+    """Return the model's name and the given numbers of each FMU, by the name of its block, for the picture of the plant."""
+    plants: dict[str, dict[str, Any]] = {}
+    for node in schedule.nodes:
+        if isinstance(node.block, FMU):
+            numbers = {name: v for name, v in (node.block.parameters or {}).items() if isinstance(v, int | float)}
+            plants[node.name] = {"model": node.block.description.name, "parameters": numbers}
+    return plants
 
 
 def _check_parameters(schedule: Schedule, memory: Floats, parameters: Mapping[str, Mapping[str, Any]]) -> None:
