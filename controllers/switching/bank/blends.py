@@ -42,7 +42,7 @@ def make_blend_sensor(width: int, spans: tuple[int, ...]) -> Callable[..., None]
     """Return the step function that merges another hypothesis's values of a sensor, with its ``part`` of the probability.
 
     The other's probabilities of modes count times ``scale``. The text has a line for each number, because a loop over blocks of
-    different lengths takes twice as long.
+    different lengths takes twice as many instructions.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def make_blend_sensor(width: int, spans: tuple[int, ...]) -> Callable[..., None]
     """
     used = [(k, FIRST + k * width) for k, span in enumerate(spans) if span > 0]
     text = _BEGIN
-    for lines in (_WEIGHTS, _SHARE):
-        text += "".join(lines.format(k=k, block=block) for k, block in used)
+    for part in (_WEIGHTS, _SHARE):
+        text += "".join(part.format(k=k, block=block) for k, block in used)
     text += _END
     for k, block in used:
         text += _STORE.format(k=k, block=block)
