@@ -8,7 +8,7 @@ of n + 2), then the values of each sensor (``sensor_kernels.py``). The hypothesi
 from typing import NamedTuple
 
 from bayesftc.controllers.estimation.filter import MEAN_CAP
-from bayesftc.controllers.switching.mode_kernels import AGE, WEIGHT
+from bayesftc.controllers.switching.mode_kernels import WEIGHT
 from bayesftc.controllers.switching.sensor_kernels import HEALTHY, LEAST
 from bayesftc.cosim.ops import absolute, both, maximum, select, sqrt
 from bayesftc.cosim.types import Floats
@@ -180,30 +180,13 @@ def blend_between(memory, at, part, other, n):
             memory[P + b * N + a] = memory[P + a * N + b]
 
 
-def blend_sensor(memory, at, part, other, scale, first, width, spans):
-    """Merge another hypothesis's values of a sensor, with probabilities times ``scale``, into those of this one.
-
-    The span of each mode's block is merged; modes of span 0 are not.
-    """
-    healthy, other_healthy = memory[at + HEALTHY], scale * memory[other + HEALTHY]
-    memory[at + HEALTHY] = maximum(healthy + part * (other_healthy - healthy), LEAST)
+def blend_healthy(memory, at, part, first, width, spans):
+    """Merge a healthy sensor into a hypothesis's values of a sensor; modes of span 0 keep their probability."""
+    memory[at + HEALTHY] = memory[at + HEALTHY] + part * (1.0 - memory[at + HEALTHY])
     for k in range(len(spans)):
         if spans[k] > 0:
-            block, other_block = at + first + k * width, other + first + k * width
-            incoming = part * scale * memory[other_block + WEIGHT]
-            total = maximum((1.0 - part) * memory[block + WEIGHT] + incoming, LEAST)
-            share = incoming / total
-            memory[block + WEIGHT] = total
-            for a in range(AGE, spans[k]):
-                memory[block + a] = memory[block + a] + share * (memory[other_block + a] - memory[block + a])
-
-
-def blend_healthy(memory, at, part, first, width, modes):
-    """Merge a healthy sensor into a hypothesis's values of a sensor."""
-    memory[at + HEALTHY] = memory[at + HEALTHY] + part * (1.0 - memory[at + HEALTHY])
-    for k in range(modes):
-        weight = at + first + k * width + WEIGHT
-        memory[weight] = maximum((1.0 - part) * memory[weight], LEAST)
+            weight = at + first + k * width + WEIGHT
+            memory[weight] = maximum((1.0 - part) * memory[weight], LEAST)
 
 
 def inflate(memory, at, n, plant, more, fades, Q):

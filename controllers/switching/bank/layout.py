@@ -274,9 +274,19 @@ class Layout:
         return self.squares + self.hypotheses * self.m
 
     @property
+    def readings(self) -> int:
+        """Place of each hypothesis's reading of one sensor: variance without and with noise, error, vectors of `correct`."""
+        return self.repeated + self.m
+
+    @property
+    def reading(self) -> int:
+        """Number of stored values of a reading."""
+        return 3 + 3 * (self.n + 2)
+
+    @property
     def scratch(self) -> int:
         """Place of the scratch space."""
-        return self.repeated + self.m
+        return self.readings + self.hypotheses * self.reading
 
     def start(self, sensors: Floats) -> Floats:
         """Return the values before the first sample that follow ``sensors``, the per-sensor form's values."""

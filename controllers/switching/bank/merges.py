@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
+from bayesftc.controllers.switching.bank.blends import make_blend_sensor
 from bayesftc.controllers.switching.bank.hypothesis import (
     OFFSET_AGE,
     STATE,
     blend,
     blend_between,
     blend_healthy,
-    blend_sensor,
 )
 from bayesftc.controllers.switching.bank.layout import Layout
 from bayesftc.controllers.switching.sensor_kernels import FIRST, HEALTHY, LEAST
@@ -22,7 +22,7 @@ from bayesftc.cosim.ops import maximum, minimum
 def make_collect(layout: Layout) -> Callable[..., None]:
     """Return the step function that merges the ended part of a hypothesis into the pool."""
     n, m, pool, kept, sensor, width = layout.n, layout.m, layout.pool, layout.kept, layout.sensor, layout.width
-    modes, other = layout.modes, layout.other
+    other, blend_sensor = layout.other, make_blend_sensor(layout.width, layout.other)
 
     def collect(memory, at, end, i):
         """Merge the part ``end`` of a hypothesis into the pool; sensor ``i`` had an offset (-1: none)."""
@@ -34,9 +34,9 @@ def make_collect(layout: Layout) -> Callable[..., None]:
         blend(memory, pool, part, at, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for j in range(m):
             if j == i:
-                blend_healthy(memory, pool + kept + j * sensor, part, FIRST, width, modes)
+                blend_healthy(memory, pool + kept + j * sensor, part, FIRST, width, other)
             else:
-                blend_sensor(memory, pool + kept + j * sensor, part, at + kept + j * sensor, 1.0, FIRST, width, other)
+                blend_sensor(memory, pool + kept + j * sensor, part, at + kept + j * sensor, 1.0)
 
     return collect
 
@@ -44,7 +44,8 @@ def make_collect(layout: Layout) -> Callable[..., None]:
 @cache
 def make_receive(layout: Layout) -> Callable[..., None]:
     """Return the step function that merges a part of another hypothesis into one."""
-    n, m, kept, sensor, width, other = layout.n, layout.m, layout.kept, layout.sensor, layout.width, layout.other
+    n, m, kept, sensor = layout.n, layout.m, layout.kept, layout.sensor
+    blend_sensor = make_blend_sensor(layout.width, layout.other)
 
     def receive(memory, at, incoming, source, i, age, c, b, cc, cb, bb):
         """Merge the probability ``incoming`` with an offset of this mean, slope and covariance, of sensor ``i`` (-1: none)."""
@@ -54,7 +55,7 @@ def make_receive(layout: Layout) -> Callable[..., None]:
         memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + part * (age - memory[at + OFFSET_AGE])
         for j in range(m):
             if j != i:
-                blend_sensor(memory, at + kept + j * sensor, part, source + kept + j * sensor, 1.0, FIRST, width, other)
+                blend_sensor(memory, at + kept + j * sensor, part, source + kept + j * sensor, 1.0)
 
     return receive
 

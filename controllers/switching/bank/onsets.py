@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-from bayesftc.controllers.switching.bank.hypothesis import blend, blend_sensor, inflate, measurable
+from bayesftc.controllers.switching.bank.blends import make_blend_sensor
+from bayesftc.controllers.switching.bank.hypothesis import blend, inflate, measurable
 from bayesftc.controllers.switching.bank.layout import (
     ACTUATOR_SETTINGS,
     BEGIN,
@@ -77,7 +78,7 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
     """
     n, plant, m, p = layout.n, layout.plant, layout.m, layout.p
     K, L, G = len(layout.kinds), layout.actuator_modes, layout.process_modes
-    kinds, alone = layout.kinds or (0,), layout.alone
+    kinds, blend_sensor = layout.kinds or (0,), make_blend_sensor(layout.width, layout.alone)
     fresh, begins_here = layout.fresh or (False,), layout.begins_here or (False,)
     row_length, width, width_of_settings, sensor = layout.row, layout.width, layout.width_of_settings, layout.sensor
     none, stride, kept, pool, grow = layout.first, layout.length, layout.kept, layout.pool, layout.grow
@@ -168,7 +169,7 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
                 if not fresh[q]:
                     remaining = remaining - memory[of_pool + FIRST + kinds[q] * width + WEIGHT]
             scale = 1.0 / maximum(remaining, 1e-3)
-            blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale, FIRST, width, alone)
+            blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale)
 
     def merge_onsets(e, sampled, C, Q, nominal, applied, memory, settings):
         stays, left = merge_offsets(e, nominal, memory, settings, memory[none], memory[pool])

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers.precision.base import NAN
-from bayesftc.controllers.switching.bank.hypothesis import OFFSET_AGE, STATE, correct, expect
+from bayesftc.controllers.switching.bank.conditioning import ABSURD, make_condition
+from bayesftc.controllers.switching.bank.hypothesis import OFFSET_AGE, STATE, expect
 from bayesftc.controllers.switching.bank.layout import (
     ABSOLUTE,
     ACTUATOR_SETTINGS,
@@ -22,9 +23,8 @@ from bayesftc.controllers.switching.bank.layout import (
     Layout,
 )  # fmt: skip
 from bayesftc.controllers.switching.course import follow, misfit, repeats_share
-from bayesftc.controllers.switching.mode_kernels import AGE, FURTHEST, SIZE, TRUST, WEIGHT, log_density
+from bayesftc.controllers.switching.mode_kernels import AGE, FURTHEST, SIZE, TRUST, WEIGHT
 from bayesftc.controllers.switching.sensor_kernels import (
-    DENSITY,
     FIRST,
     FIRST_SETTINGS,
     HEALTHY,
@@ -33,8 +33,6 @@ from bayesftc.controllers.switching.sensor_kernels import (
     LEAST_TRUST,
     MODE_ARRIVES,
     MODE_MISSING,
-    NOISE,
-    NOISE_SHAPE,
     OWN_SETTINGS,
     TRUSTED,
     WIDTH,
@@ -46,74 +44,8 @@ from bayesftc.controllers.switching.sensor_kernels import (
 )  # fmt: skip
 from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
 
-ABSURD = 1e12
-"""Largest ratio of an innovation's variance to the sensor's up to which larger innovations are learned from; beyond, hypotheses
-would move each other away."""
-
 LEAST_EFFECT, MOST_EFFECT = 0.1, 2.0
 """Least and largest effectiveness that the control law uses; a smaller one would require impossible controls."""
-
-
-@cache
-def make_condition(layout: Layout, weigh_sensor: Callable[..., float], offset: int) -> Callable[..., None]:
-    """Return the step function that conditions a hypothesis, with or without an ``offset`` (1, 0), on one sensor after the other.
-
-    It writes the density of the samples under the hypothesis: a logarithm, and a factor that includes its probability. A sensor
-    that is judged by its modes is weighted by ``weigh_sensor``.
-    """
-    m, sensor, row_length, width_of_settings = layout.m, layout.sensor, layout.row, layout.width_of_settings
-    n, judged, squares, repeated, scratch = layout.n, layout.judged, layout.squares, layout.repeated, layout.scratch
-    none, stride, kept = layout.first, layout.length, layout.kept
-    logp, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
-
-    def condition(h, sample, C, memory, settings):
-        at = none + h * stride
-        memory[logp + h] = 0.0 * memory[at]
-        memory[factor + h] = memory[at]
-        for i in range(m):
-            variance, row, by = sample.nominal[i, i] * memory[i * sensor + NOISE], i * row_length, judged[h * m + i]
-            if by == BY_MODES:
-                spread, expected = expect(memory, at, n, offset, 0, i, C, scratch)
-                total = spread + variance
-                error = held(sample.e[i] - expected, minimum(total, ABSURD * variance))
-                place, change = at + kept + i * sensor, sample.y[i] - memory[i * sensor + LAST]
-                doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
-                density = weigh_sensor(
-                    error,
-                    sample.present[i],
-                    total,
-                    variance,
-                    doubt,
-                    change,
-                    memory[repeated + i],
-                    memory,
-                    place,
-                    settings,
-                    row,
-                )
-                memory[logp + h] = memory[logp + h] + density
-                memory[factor + h] = memory[factor + h] * memory[place + DENSITY]
-                noise = variance / memory[place + TRUSTED]
-                correct(memory, at, n, offset, 0, i, C, scratch, error, spread + noise, noise, sample.present[i])
-                part = variance / total
-                memory[squares + h * m + i] = part * (part * error * error + spread)
-            elif offset and by >= 0:
-                spread, expected = expect(memory, at, n, 1, 1, i, C, scratch)
-                total = spread + variance
-                error = held(sample.e[i] - expected, minimum(total, ABSURD * variance))
-                place = row + FIRST_SETTINGS + by * width_of_settings
-                density = select(sample.present[i] > 0.5, log_density(error * error, total), 0.0)
-                times = select(sample.present[i] > 0.5, settings[place + MODE_ARRIVES], settings[place + MODE_MISSING])
-                correct(memory, at, n, 1, 1, i, C, scratch, error, total, variance, sample.present[i])
-                memory[logp + h] = memory[logp + h] + density
-                memory[factor + h] = memory[factor + h] * times
-                part = variance / total
-                memory[squares + h * m + i] = part * (part * error * error + spread)
-            if i % 2 == 1 and i < m - 1:  # avoids underflow of the product of many small factors
-                memory[logp + h] = memory[logp + h] + log(memory[factor + h])
-                memory[factor + h] = 1.0 + 0.0 * memory[at]
-
-    return condition
 
 
 @cache
@@ -129,25 +61,22 @@ def make_weigh(
     weigh_alone, weigh_other : function
         Weights of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
-    m, H, without, with_offset = layout.m, layout.hypotheses, layout.without_offset, layout.with_offset or (0,)
+    m, H = layout.m, layout.hypotheses
     sensor, row_length, width_of_settings = layout.sensor, layout.row, layout.width_of_settings
     n, none, stride, first_lost = layout.n, layout.first, layout.length, layout.first_lost
     logp, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
     U, lost = len(layout.lost), layout.lost or (0,)
     courses, course, repeated = layout.courses, layout.course, layout.repeated
-    # Separate functions, so that the compiler has constant loop lengths.
-    condition_first = make_condition(layout, weigh_alone, 0)
-    condition_plain, condition_offset = (make_condition(layout, weigh_other, offset) for offset in (0, 1))
+    condition = make_condition(layout, weigh_alone, weigh_other)
 
     def weigh(sample, C, memory, settings):
+        for h in range(H):
+            memory[logp + h] = 0.0 * memory[none + h * stride]
+            memory[factor + h] = memory[none + h * stride]
         for i in range(m):
             place, change = i * sensor, sample.y[i] - memory[i * sensor + LAST]
             memory[repeated + i] = repetition(change, sample.nominal[i, i], memory, place, settings, i * row_length)
-        condition_first(0, sample, C, memory, settings)
-        for k in range(1, len(without)):
-            condition_plain(without[k], sample, C, memory, settings)
-        for k in range(H - len(without)):
-            condition_offset(with_offset[k], sample, C, memory, settings)
+            condition(i, sample, C, memory, settings)
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings

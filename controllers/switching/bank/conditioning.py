@@ -1,0 +1,160 @@
+"""Conditioning of a bank of hypotheses on a sample of one sensor.
+
+Each part of the computation runs for all hypotheses before the next part. The processor computes several hypotheses at once, as
+none depends on another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers.switching.bank.hypothesis import correct, expect
+from bayesftc.controllers.switching.bank.layout import BY_COURSE, BY_MODES, Layout
+from bayesftc.controllers.switching.mode_kernels import log_density
+from bayesftc.controllers.switching.sensor_kernels import (
+    DENSITY,
+    FIRST_SETTINGS,
+    LAST,
+    MODE_ARRIVES,
+    MODE_MISSING,
+    NOISE,
+    NOISE_SHAPE,
+    TRUSTED,
+    held,
+)  # fmt: skip
+from bayesftc.cosim.ops import log, minimum, select
+
+ABSURD = 1e12
+"""Largest ratio of an innovation's variance to the sensor's up to which larger innovations are learned from; beyond, hypotheses
+would move each other away."""
+
+SPREAD, TOTAL, ERROR, DIRECTION = range(4)
+"""Places in a reading: its variance without and with the sensor's noise, its error, and its covariance with the hypothesis."""
+
+
+@cache
+def make_condition(
+    layout: Layout, weigh_alone: Callable[..., float], weigh_other: Callable[..., float]
+) -> Callable[..., None]:
+    """Return the step function that conditions all hypotheses on the sample of a sensor.
+
+    It updates the density of the samples under each hypothesis: a logarithm, and a factor that includes its probability.
+
+    Parameters
+    ----------
+    layout : Layout
+        Places in memory and settings.
+    weigh_alone, weigh_other : function
+        Weights of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
+    """
+    m, sensor, H = layout.m, layout.sensor, layout.hypotheses
+    none, stride = layout.first, layout.length
+    logp, factor = layout.grow + H, layout.grow + 2 * H
+    without, with_offset = layout.without_offset, layout.with_offset or (0,)
+    # Separate functions, so that the compiler has constant loop lengths.
+    expect_plain, expect_offset = (make_expect(layout, offset) for offset in (0, 1))
+    weigh_first, weigh_plain = (make_weigh_reading(layout, weigh, 0) for weigh in (weigh_alone, weigh_other))
+    weigh_offset = make_weigh_reading(layout, weigh_other, 1)
+    learn_plain, learn_offset = (make_learn(layout, offset) for offset in (0, 1))
+
+    def condition(i, sample, C, memory, settings):
+        variance, change = sample.nominal[i, i] * memory[i * sensor + NOISE], sample.y[i] - memory[i * sensor + LAST]
+        doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
+        for k in range(len(without)):
+            expect_plain(without[k], i, variance, sample.e, C, memory)
+        for k in range(H - len(without)):
+            expect_offset(with_offset[k], i, variance, sample.e, C, memory)
+        weigh_first(0, i, variance, doubt, change, sample.present, memory, settings)
+        for k in range(1, len(without)):
+            weigh_plain(without[k], i, variance, doubt, change, sample.present, memory, settings)
+        for k in range(H - len(without)):
+            weigh_offset(with_offset[k], i, variance, doubt, change, sample.present, memory, settings)
+        for k in range(len(without)):
+            learn_plain(without[k], i, variance, sample.present, C, memory)
+        for k in range(H - len(without)):
+            learn_offset(with_offset[k], i, variance, sample.present, C, memory)
+        if i % 2 == 1 and i < m - 1:  # avoids underflow of the product of many small factors
+            for h in range(H):
+                memory[logp + h] = memory[logp + h] + log(memory[factor + h])
+                memory[factor + h] = 1.0 + 0.0 * memory[none + h * stride]
+
+    return condition
+
+
+@cache
+def make_expect(layout: Layout, offset: int) -> Callable[..., None]:
+    """Return the step function that writes a hypothesis's reading of a sensor, unless the sensor is on an unmodelled course."""
+    n, m, none, stride, judged = layout.n, layout.m, layout.first, layout.length, layout.judged
+    readings, reading = layout.readings, layout.reading
+
+    def expect_reading(h, i, variance, e, C, memory):
+        at, here, by = none + h * stride, readings + h * reading, judged[h * m + i]
+        if by != BY_COURSE:
+            spread, expected = expect(memory, at, n, offset, by >= 0 if offset else 0, i, C, here + DIRECTION)
+            total = spread + variance
+            memory[here + SPREAD] = spread
+            memory[here + TOTAL] = total
+            memory[here + ERROR] = held(e[i] - expected, minimum(total, ABSURD * variance))
+
+    return expect_reading
+
+
+@cache
+def make_weigh_reading(layout: Layout, weigh_sensor: Callable[..., float], offset: int) -> Callable[..., None]:
+    """Return the step function that weighs a reading, and by ``weigh_sensor`` the modes of a sensor that is judged by them."""
+    m, sensor, row_length, width_of_settings = layout.m, layout.sensor, layout.row, layout.width_of_settings
+    none, stride, kept, judged, repeated = layout.first, layout.length, layout.kept, layout.judged, layout.repeated
+    readings, reading = layout.readings, layout.reading
+    logp, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
+
+    def weigh_reading(h, i, variance, doubt, change, present, memory, settings):
+        here, row, by = readings + h * reading, i * row_length, judged[h * m + i]
+        if by == BY_MODES:
+            place = none + h * stride + kept + i * sensor
+            density = weigh_sensor(
+                memory[here + ERROR],
+                present[i],
+                memory[here + TOTAL],
+                variance,
+                doubt,
+                change,
+                memory[repeated + i],
+                memory,
+                place,
+                settings,
+                row,
+            )
+            memory[logp + h] = memory[logp + h] + density
+            memory[factor + h] = memory[factor + h] * memory[place + DENSITY]
+        elif offset and by >= 0:
+            place, error = row + FIRST_SETTINGS + by * width_of_settings, memory[here + ERROR]
+            density = select(present[i] > 0.5, log_density(error * error, memory[here + TOTAL]), 0.0)
+            times = select(present[i] > 0.5, settings[place + MODE_ARRIVES], settings[place + MODE_MISSING])
+            memory[logp + h] = memory[logp + h] + density
+            memory[factor + h] = memory[factor + h] * times
+
+    return weigh_reading
+
+
+@cache
+def make_learn(layout: Layout, offset: int) -> Callable[..., None]:
+    """Return the step function that corrects a hypothesis by a reading, and estimates the square of the sensor's noise."""
+    n, m, sensor, squares, judged = layout.n, layout.m, layout.sensor, layout.squares, layout.judged
+    none, stride, kept, readings, reading = (
+        layout.first, layout.length, layout.kept, layout.readings, layout.reading,
+    )  # fmt: skip
+
+    def learn(h, i, variance, present, C, memory):
+        at, here, by = none + h * stride, readings + h * reading, judged[h * m + i]
+        if by != BY_COURSE:
+            spread, total, error = memory[here + SPREAD], memory[here + TOTAL], memory[here + ERROR]
+            if by == BY_MODES:
+                noise = variance / memory[at + kept + i * sensor + TRUSTED]
+                correct(memory, at, n, offset, 0, i, C, here + DIRECTION, error, spread + noise, noise, present[i])
+            elif offset:
+                correct(memory, at, n, 1, 1, i, C, here + DIRECTION, error, total, variance, present[i])
+            part = variance / total
+            memory[squares + h * m + i] = part * (part * error * error + spread)
+
+    return learn
