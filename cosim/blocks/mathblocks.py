@@ -37,6 +37,13 @@ class Gain(Block):
         Constant that is added to each element.
     input_unit, output_unit : str or None
         Units of the ports. With two different units the gain is a conversion.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> rotation = cosim.Gain([[0.0, -1.0], [1.0, 0.0]], offset=10.0).online(dt=0.1, compiled=False)
+    >>> rotation(u=[1.0, 2.0]).y.tolist()
+    [8.0, 11.0]
     """
 
     gain: float | Sequence[Sequence[float]]
@@ -92,7 +99,15 @@ def _sum(u, signs, y):
 
 @dataclass(frozen=True)
 class Sum(Block):
-    """Adds the elements of ``u`` with the given signs: ``Sum("+-")`` is the difference of two signals."""
+    """Adds the elements of ``u`` with the given signs: ``Sum("+-")`` is the difference of two signals.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> error = cosim.Sum("+-").online(dt=0.1, compiled=False)
+    >>> error(u=[5.0, 3.0]).y
+    2.0
+    """
 
     signs: str = "++"
 
@@ -132,7 +147,15 @@ def _delay_update(u, held):
 
 @dataclass(frozen=True)
 class UnitDelay(SameUnit):
-    """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements. It breaks algebraic loops."""
+    """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements. It breaks algebraic loops.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> delay = cosim.UnitDelay(initial=9.0).online(dt=0.1, compiled=False)
+    >>> [delay(u=u).y for u in (1.0, 2.0, 3.0)]
+    [9.0, 1.0, 2.0]
+    """
 
     result: ClassVar[str] = "u of the step before"
 
