@@ -25,7 +25,16 @@ _STEP = float(np.finfo(np.float64).eps ** (1 / 3))
 
 
 class Jacobians(NamedTuple):
-    """The linearization of a model at one point: ``d(dx/dt) = A dx + B du``, ``dy = C dx + D du``."""
+    """The linearization of a model at one point: ``d(dx/dt) = A dx + B du``, ``dy = C dx + D du``.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import cosim
+    >>> linear = cosim.Jacobians(A=[[-0.05]], B=[[0.01]], C=[[1.0]], D=[[0.0]])  # as ModelEquations.jacobians returns it
+    >>> control.ss(*linear).poles().real.tolist(), float(control.dcgain(control.ss(*linear)))
+    ([-0.05], 0.2)
+    """
 
     A: Floats
     B: Floats
@@ -64,11 +73,10 @@ class ModelEquations:
 
     Examples
     --------
-    ::
-
-        with ModelEquations(cosim.FMU("pendulum.fmu", kind="model exchange")) as model:
-            dx = model.derivatives(model.x0, model.u0)
-            A, B, C, D = model.jacobians(model.x0, model.u0)
+    >>> from bayesftc import cosim
+    >>> with cosim.ModelEquations(cosim.FMU("pendulum.fmu", kind="model exchange")) as model:  # doctest: +SKIP
+    ...     dx = model.derivatives(model.x0, model.u0)
+    ...     A, B, C, D = model.jacobians(model.x0, model.u0)
     """
 
     def __init__(self, fmu: FMU | str | PathLike[str]):
