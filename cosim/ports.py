@@ -40,6 +40,11 @@ class Port:
     description : str
         What the signal is, in a few words, for the users of an exported FMU.
 
+    Raises
+    ------
+    ModelError
+        If the shape is not a tuple of whole numbers from 1 on, or there is no such `draw`.
+
     Examples
     --------
     >>> from bayesftc import cosim

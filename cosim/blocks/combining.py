@@ -36,6 +36,11 @@ class Product(Block):
     operations : str
         A ``*`` or ``/`` for each element.
 
+    Raises
+    ------
+    ModelError
+        If there is no operation, or another character.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -118,6 +123,11 @@ class Minimum(_Extreme):
     size : int
         Number of elements.
 
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
+
     Examples
     --------
     >>> from math import nan
@@ -141,6 +151,11 @@ class Maximum(_Extreme):
     ----------
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
 
     Examples
     --------
@@ -172,6 +187,11 @@ class Switch(Elementwise):
         Where it switches.
     size : int
         Number of elements of ``above``, ``otherwise`` and ``y``.
+
+    Raises
+    ------
+    ModelError
+        If the threshold is not finite, or the size is not a whole number from 1 on.
 
     Examples
     --------
@@ -247,6 +267,11 @@ class Logic(Block):
     size : int, optional
         Number of elements; by default one for ``"not"``, else two.
 
+    Raises
+    ------
+    ModelError
+        If there is no such operation, or the size does not fit it.
+
     Examples
     --------
     >>> from math import nan
@@ -319,6 +344,11 @@ class Compare(Block):
     ----------
     relation : {"<", "<=", "==", "!=", ">=", ">"}
         What must hold.
+
+    Raises
+    ------
+    ModelError
+        If there is no such relation.
 
     Examples
     --------

@@ -81,6 +81,11 @@ class Saturation(SameUnit):
     size : int
         Number of elements.
 
+    Raises
+    ------
+    ModelError
+        If `low` is above `high`, or the size is not a whole number from 1 on.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -119,6 +124,11 @@ class Abs(SameUnit):
     size : int
         Number of elements.
 
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -149,6 +159,11 @@ class Sign(Elementwise):
     ----------
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
 
     Examples
     --------
@@ -183,6 +198,11 @@ class DeadZone(SameUnit):
         Limits of the zone.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If a limit is not finite, `low` is above `high`, or the size is not a whole number from 1 on.
 
     Examples
     --------
@@ -223,6 +243,11 @@ class Quantizer(SameUnit):
         Distance of two neighbours.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the interval is not a positive number, or the size is not a whole number from 1 on.
 
     Examples
     --------
@@ -273,6 +298,11 @@ class Polynomial(Elementwise):
         Of the highest power first, as in ``numpy.polyval``.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If there is no coefficient, one is not finite, or the size is not a whole number from 1 on.
 
     Examples
     --------

@@ -42,6 +42,11 @@ class Pulse(Source):
     unit : str or None
         Unit of the output.
 
+    Raises
+    ------
+    ModelError
+        If a setting is not finite, the period is not positive, or the width is not between 0 and 1.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -110,6 +115,11 @@ class PRBS(Source):
     unit : str or None
         Unit of the output.
 
+    Raises
+    ------
+    ModelError
+        If the interval is not positive, there is no such order, or another setting is not finite.
+
     References
     ----------
     L. Ljung, System Identification: Theory for the User, 2nd ed., 1999, section 13.3.
@@ -172,6 +182,11 @@ class Chirp(Source):
         What the output swings about.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a frequency or the duration is not positive, a setting is not finite, or there is no such sweep.
 
     Examples
     --------

@@ -38,6 +38,11 @@ class Gain(Block):
     input_unit, output_unit : str or None
         Units of the ports. With two different units the gain is a conversion.
 
+    Raises
+    ------
+    ModelError
+        If the gain is neither a finite number nor a matrix of such, or the offset is not finite.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -101,6 +106,16 @@ def _sum(u, signs, y):
 class Sum(Block):
     """Adds the elements of ``u`` with the given signs: ``Sum("+-")`` is the difference of two signals.
 
+    Parameters
+    ----------
+    signs : str
+        A ``+`` or ``-`` for each element.
+
+    Raises
+    ------
+    ModelError
+        If there is no sign, or another character.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -148,6 +163,18 @@ def _delay_update(u, held):
 @dataclass(frozen=True)
 class UnitDelay(SameUnit):
     """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements. It breaks algebraic loops.
+
+    Parameters
+    ----------
+    size : int
+        Number of elements.
+    initial : float
+        Output at the first step, of each element, in the unit of the signal.
+
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
 
     Examples
     --------

@@ -55,6 +55,11 @@ class Integrator(Elementwise):
     size : int
         Number of elements.
 
+    Raises
+    ------
+    ModelError
+        If `low`, `initial` and `high` do not rise in this order, or the size is not a whole number from 1 on.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -116,6 +121,11 @@ class ExponentialFilter(SameUnit):
     size : int
         Number of elements.
 
+    Raises
+    ------
+    ModelError
+        If the time constant is not a positive number, or the size is not a whole number from 1 on.
+
     Examples
     --------
     >>> from math import nan
@@ -164,6 +174,11 @@ class MovingAverage(SameUnit):
     size : int
         Number of elements.
 
+    Raises
+    ------
+    ModelError
+        If `samples` or the size is out of range.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -208,6 +223,11 @@ class RateLimiter(SameUnit):
         Output before the first sample.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If a rate is not a positive number, or the size is not a whole number from 1 on.
 
     Examples
     --------
@@ -258,6 +278,11 @@ class Hysteresis(Elementwise):
     size : int
         Number of elements.
 
+    Raises
+    ------
+    ModelError
+        If `on` is not above `off`, a setting is not finite, or the size is not a whole number from 1 on.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -301,6 +326,11 @@ class SampleAndHold(SameUnit):
         Output until then.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If `initial` is not finite, or the size is not a whole number from 1 on.
 
     Examples
     --------
@@ -347,6 +377,11 @@ class Counter(Elementwise):
         Number at which it begins at zero again; infinite for never.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the limit is below 1, or the size is not a whole number from 1 on.
 
     Examples
     --------
@@ -400,6 +435,11 @@ class VariableDelay(SameUnit):
         What the elements were before the beginning.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If `longest` is not a positive number, or is more than 9,999 steps when the block is used.
 
     Examples
     --------

@@ -68,6 +68,11 @@ class Constant(Source):
     unit : str or None
         Unit of the output.
 
+    Raises
+    ------
+    ModelError
+        If the value is not finite.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -105,6 +110,11 @@ class Step(Source):
         Value of the output from then on, and until then.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite.
 
     Examples
     --------
@@ -145,6 +155,11 @@ class Ramp(Source):
         Seconds. When the output begins to rise.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite.
 
     Examples
     --------
@@ -187,6 +202,11 @@ class Sine(Source):
         Radians. Phase at t = 0.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite, or the period is not positive.
 
     Examples
     --------
@@ -238,6 +258,11 @@ class Table(Source):
         True for straight lines, False to hold each value until the next.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If times and values are not equally many finite numbers, or the times do not rise.
 
     Examples
     --------
@@ -325,6 +350,11 @@ class Gaussian(Block):
         Mean of every channel.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite, or a standard deviation is negative.
 
     Examples
     --------

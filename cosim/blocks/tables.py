@@ -81,6 +81,11 @@ class LookupTable(Elementwise):
     size : int
         Number of elements.
 
+    Raises
+    ------
+    ModelError
+        If the points do not rise, are less than two, or are not as many as the values.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -132,6 +137,11 @@ class LookupTable2D(Block):
         Values of ``u`` at the rows and of ``v`` at the columns, strictly rising; at least two of each.
     values : sequence of sequence of float
         A row for each of `rows`, with a number for each of `columns`.
+
+    Raises
+    ------
+    ModelError
+        If rows or columns do not rise, are less than two, or do not fit the values.
 
     Examples
     --------

@@ -19,6 +19,15 @@ class Node:
     For a vector or matrix port, ``node["y[1]"]`` (the same as ``node["y"][1]``) and ``node["K[0,1]"]`` refer to one element. The
     block runs at every ``every``-th base step.
 
+    Attributes
+    ----------
+    name : str
+        Name in the diagram.
+    block : Block
+        The block.
+    every : int
+        Base steps from one step of the block to the next.
+
     Examples
     --------
     >>> from bayesftc import cosim

@@ -27,6 +27,17 @@ _STEP = float(np.finfo(np.float64).eps ** (1 / 3))
 class Jacobians(NamedTuple):
     """The linearization of a model at one point: ``d(dx/dt) = A dx + B du``, ``dy = C dx + D du``.
 
+    Attributes
+    ----------
+    A : ndarray of shape (nx, nx)
+        Derivatives of dx/dt with respect to the states x.
+    B : ndarray of shape (nx, nu)
+        Derivatives of dx/dt with respect to the inputs u.
+    C : ndarray of shape (ny, nx)
+        Derivatives of the outputs y with respect to the states.
+    D : ndarray of shape (ny, nu)
+        Derivatives of the outputs with respect to the inputs.
+
     Examples
     --------
     >>> import control
@@ -59,9 +70,9 @@ class ModelEquations:
     ----------
     state_names, input_names, output_names : tuple of str
         Elements of x, u and y. Elements of arrays have an index, as ``"T[0]"`` (of a matrix ``"T[0][1]"``).
-    x0, u0 : ndarray
+    x0, u0 : ndarray of shape (nx,), ndarray of shape (nu,)
         States after initialization, start values of the inputs.
-    nominals : ndarray
+    nominals : ndarray of shape (nx,)
         Nominal values (orders of magnitude) of the states.
     has_directional_derivatives : bool
         Whether `jacobians` uses the FMU's directional derivatives; else it uses central differences.

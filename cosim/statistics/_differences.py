@@ -113,6 +113,11 @@ def outcomes(ours: ArrayLike, theirs: ArrayLike, significance: float) -> np.ndar
     significance : float
         Level of the tests.
 
+    Returns
+    -------
+    ndarray of int, ...
+        An outcome for each pair of samples.
+
     Examples
     --------
     >>> from bayesftc.cosim import statistics

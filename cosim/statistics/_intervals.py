@@ -28,6 +28,11 @@ def interval(values: Floats, level: float = 0.95) -> list[float]:
     level : float
         Probability that the interval covers the mean.
 
+    Returns
+    -------
+    list of float
+        Lower and upper bound, in the unit of the values.
+
     Examples
     --------
     >>> import numpy as np
@@ -54,6 +59,11 @@ def ratio(ours: Floats, theirs: Floats, level: float = 0.95) -> tuple[float, lis
         At least two pairs; the mean of `theirs` is not zero.
     level : float
         Probability that the interval covers the ratio.
+
+    Returns
+    -------
+    float, list of float
+        The ratio, and the lower and upper bound.
 
     Examples
     --------
@@ -87,7 +97,7 @@ def rms_ratio(ours: Floats, theirs: Floats, *, resamples: int = 0, seed: int = 0
     Returns
     -------
     dict
-        ``ratio``, ``ratio_ci``, ``n`` (number of runs).
+        ``ratio``, ``ratio_ci`` (lower and upper bound), ``n`` (number of runs).
 
     Examples
     --------

@@ -132,11 +132,16 @@ def merit_counts(errors: Sequence[Mapping[str, Floats]], techniques: Sequence[st
     Parameters
     ----------
     errors : sequence of mapping
-        The errors of each technique in each scenario, one for each run.
+        For each scenario technique -> its errors, an ndarray of shape (runs,) with at least two runs.
     techniques : sequence of str
         The techniques to compare.
     significance : float
         Level of the two-sided tests.
+
+    Returns
+    -------
+    dict of str to dict of str to int
+        Row -> column -> the number of tests that the column won against the row, minus the number that it lost.
 
     Examples
     --------
@@ -160,6 +165,11 @@ def total_merit(table: Merits) -> dict[str, int]:
     ----------
     table : dict
         The result of `merit_counts`.
+
+    Returns
+    -------
+    dict of str to int
+        The total merit of each technique.
 
     Examples
     --------

@@ -27,6 +27,11 @@ POINTS = 201
 def roc_rates() -> Floats:
     """Return the false positive rates of all curves, which are the same so that curves can be averaged over runs.
 
+    Returns
+    -------
+    ndarray of shape (201,)
+        Evenly spaced from 0 to 1.
+
     Examples
     --------
     >>> from bayesftc.cosim import statistics
@@ -47,6 +52,11 @@ def roc_curve(faulty: Flags, score: Floats) -> Floats:
     ----------
     faulty, score : ndarray of the same shape
         The truth and the finite score of each sample; at least one sample is faulty and one is not.
+
+    Returns
+    -------
+    ndarray of shape (201,)
+        From 0 to 1, not falling.
 
     Examples
     --------

@@ -50,6 +50,11 @@ class Freeze(Fault):
 
     If the fault is present from the first step on, the channel keeps the first sample.
 
+    Parameters
+    ----------
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -68,7 +73,9 @@ class Stuck(Fault):
     Parameters
     ----------
     at : float
-        Value of the channel.
+        Value of the channel, in the unit of the signal.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -91,13 +98,15 @@ class Injection(Fault):
     Parameters
     ----------
     magnitude : float
-        Constant part of the added signal.
+        Constant part of the added signal, in the unit of the signal.
     amplitude : float
-        Amplitude of the sine.
+        Amplitude of the sine, in the unit of the signal.
     period : float
         Seconds. From one maximum to the next.
     phase : float
         Radians. Phase at the onset.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -127,7 +136,9 @@ class Bias(Fault):
     Parameters
     ----------
     magnitude : float
-        The offset.
+        The offset, in the unit of the signal.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -152,6 +163,8 @@ class Drift(Fault):
     ----------
     slope : float
         Per second. How fast the offset grows.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -172,7 +185,9 @@ class GainFault(Fault):
     Parameters
     ----------
     factor : float
-        The factor.
+        The factor, without a unit.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -189,6 +204,11 @@ class GainFault(Fault):
 @dataclass(frozen=True, kw_only=True)
 class Dropout(Fault):
     """Samples are missing: NaN.
+
+    Parameters
+    ----------
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -211,11 +231,13 @@ class Spikes(Fault):
     Parameters
     ----------
     magnitude : float
-        Size of an outlier.
+        Size of an outlier, in the unit of the signal.
     probability : float
         Probability of an outlier at a step, from 0 to 1.
     random_size : bool
         Whether sizes are normal numbers.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -248,7 +270,9 @@ class NoiseIncrease(Fault):
     Parameters
     ----------
     std : float
-        Standard deviation of the added noise.
+        Standard deviation of the added noise, in the unit of the signal; not negative.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -283,6 +307,8 @@ class NoiseGrowth(Fault):
     ----------
     slope : float
         Per second. How fast the standard deviation grows.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -313,7 +339,9 @@ class Clipping(Fault):
     Parameters
     ----------
     low, high : float
-        The limits; by default there is none.
+        The limits, in the unit of the signal; by default there is none.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -340,7 +368,9 @@ class Rounding(Fault):
     Parameters
     ----------
     resolution : float
-        Positive.
+        Distance of two neighbouring values, in the unit of the signal; positive.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -371,6 +401,8 @@ class Lag(Fault):
     ----------
     time_constant : float
         Seconds, not negative; 0 for no lag.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -408,6 +440,8 @@ class Delay(Fault):
         Seconds, not negative; rounded to whole steps.
     initial : float, optional
         Value of the channel until the first sample arrives, NaN for a missing one; by default the first sample.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
 
     Examples
     --------
@@ -465,6 +499,8 @@ class RandomFaults(Fault):
         The kinds. Sensor, window, mean times and name are settings of the `RandomFaults`, not of a kind.
     weights : sequence of float, optional
         Relative frequencies of the kinds, in any unit; by default all are equal.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`. By default both mean times are given, so that the faults are random.
 
     Raises
     ------

@@ -197,6 +197,27 @@ class _OfSignal(Metric):
 class RMSE(_OfSignal):
     """Root mean square of a signal, or of its difference to another signal.
 
+    Parameters
+    ----------
+    signal : str
+        Name of the signal, or of an element of it (``"controller.x_hat[0]"``). All elements of a vector or matrix have equal
+        weight.
+    reference : str or float, optional
+        A signal or a number to subtract; by default 0.
+    shift : int
+        Steps by which the signal is later than the reference: 1 for a controller that compares the goal at t_k with the state
+        at t_k+1.
+    start, stop : float, optional
+        Only times start <= t < stop count, in seconds, as for faults; t is the time of the signal, not that of an earlier
+        reference. NaN if there is no such t.
+    name : str, optional
+        Name of the number; by default the kind of the metric and the signal.
+
+    Raises
+    ------
+    ModelError
+        If a setting is wrong.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -216,6 +237,11 @@ class RMSE(_OfSignal):
 class MeanAbsoluteError(_OfSignal):
     """Mean of the absolute value of a signal, or of its difference to another signal.
 
+    Parameters
+    ----------
+    signal, reference, shift, start, stop, name
+        See `RMSE`, also for errors.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -234,6 +260,11 @@ class MeanAbsoluteError(_OfSignal):
 
 class MaxAbsoluteError(_OfSignal):
     """Largest absolute value of a signal, or of its difference to another signal.
+
+    Parameters
+    ----------
+    signal, reference, shift, start, stop, name
+        See `RMSE`, also for errors.
 
     Examples
     --------
@@ -255,6 +286,11 @@ class MaxAbsoluteError(_OfSignal):
 class Mean(_OfSignal):
     """Mean of a signal, or of its difference to another signal; for a flag, the share of time in which it is set.
 
+    Parameters
+    ----------
+    signal, reference, shift, start, stop, name
+        See `RMSE`, also for errors.
+
     Examples
     --------
     >>> from bayesftc import cosim
@@ -274,6 +310,11 @@ class Mean(_OfSignal):
 
 class Final(_OfSignal):
     """Last value of a signal, or of its difference to another signal; for a vector, name an element.
+
+    Parameters
+    ----------
+    signal, reference, shift, start, stop, name
+        See `RMSE`, also for errors.
 
     Examples
     --------
