@@ -43,6 +43,22 @@ class Definition:
         Arguments of the step functions that are records of several arrays. Each is an instance of a `NamedTuple` class whose
         fields hold the *names* of ports and entries, such as ``{"model": Model(A="A", Q="process_covariance")}``. The step
         function gets the record of the arrays themselves: ``model.Q[i, j]``. A field may itself be a record.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> def output(total, y):
+    ...     y[0] = total[0]
+    >>> def update(u, total):
+    ...     total[0] += u[0]
+    >>> counting = cosim.Definition(output, update, state={"total": 5.0})
+    >>> total, y = np.array([counting.state["total"]]), np.zeros(1)
+    >>> for u in (1.0, 2.0):
+    ...     counting.update(np.array([u]), total)
+    >>> counting.output(total, y)
+    >>> y.tolist()
+    [8.0]
     """
 
     output: Kernel | None = None
@@ -254,6 +270,21 @@ class ExternalBlock(Block):
        the beginning of the step, ``k`` the step count of the block. ``state`` is not used. The functions return 0, or a status
        below a million that stops the run. `External.explain` returns the message for it;
     5. give the same two functions in Python, for the interpreted engine. They must give the same numbers.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> import numpy as np
+    >>> from bayesftc import cosim, fmus
+    >>> car, v = cosim.FMU(fmus.path("CruiseControl")), np.zeros(1)
+    >>> isinstance(car, cosim.ExternalBlock), car.timing
+    (True, 'plant')
+    >>> running = car.instantiate(Fraction("0.02"), "car")
+    >>> for k in range(50):
+    ...     status = running.update(np.array([500.0, 0.0]), v, k * 0.02)
+    >>> running.output(np.zeros(2), v, 1.0), v.round(3).tolist()
+    (0, [4.879])
+    >>> running.close()
     """
 
     #: ``"plant"``: the output function reads the outputs at t_k, which do not depend on the inputs at t_k. Then the update

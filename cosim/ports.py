@@ -39,6 +39,19 @@ class Port:
         Definition of the unit by an FMU; without one, pint's definition of the name applies.
     description : str
         What the signal is, in a few words, for the users of an exported FMU.
+
+    Raises
+    ------
+    ModelError
+        If the shape is not a tuple of whole numbers from 1 on, or there is no such `draw`.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> force = cosim.Port("force", unit="N", feedthrough=False, default=0.0)
+    >>> matrix = cosim.Port("K", shape=(2, 3))
+    >>> force.size, matrix.size
+    (1, 6)
     """
 
     name: str

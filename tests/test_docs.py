@@ -25,6 +25,8 @@ PUBLIC = {
     f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, cosim.statistics, controllers, monitoring) for n in m.__all__
 }
 
+WITH_EXAMPLES = (cosim, cosim.statistics)
+"""Modules in which every public name has an example."""
 
 RECIPES = [p for p in PAGES if p.parent.name == "how-to" and p.name != "index.md"]
 LONG = {
@@ -132,6 +134,25 @@ def test_every_public_name_is_described_with_all_its_arguments(name):
             assert parameter.name in {"self", "args", "kwargs"} or described, (
                 f"{name} does not describe {parameter.name!r}"
             )
+
+
+def has_example(thing):
+    """Return whether an example stands in a docstring of a class or function, or of one of the class's own methods."""
+    own = [getattr(thing, name) for name in vars(thing) if not name.startswith("_")] if inspect.isclass(thing) else []
+    methods = [each for each in own if callable(each) or isinstance(each, property)]  # not numbers: int has an example
+    return any(">>>" in (each.__doc__ or "") for each in (thing, *methods))
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_every_public_name_has_an_example(name):
+    """Exceptions, constants and type aliases need none."""
+    thing = PUBLIC[name]
+    module = name.rpartition(".")[0]
+    if module not in {each.__name__ for each in WITH_EXAMPLES} or not (
+        inspect.isfunction(thing) or (inspect.isclass(thing) and not issubclass(thing, BaseException))
+    ):
+        return
+    assert has_example(thing), f"{name} has no example; end its docstring with a section Examples"
 
 
 def test_examples_folder_ships_with_the_package():

@@ -108,6 +108,15 @@ def arm_with_camera(lengths: Sequence[float], distortion: Sequence[float] = (0.0
     ------
     ModelError
         If a length is not a positive number, or there are not three finite coefficients.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> measure, y = cosim.arm_with_camera((1.0, 0.5)), np.zeros(6)
+    >>> measure(np.array([0.0, np.pi / 2, 0.1, 0.2]), y)  # two angles, two velocities
+    >>> y.round(3).tolist()
+    [0.0, 1.571, 0.1, 0.2, 1.0, 0.5]
     """
     return _arm_with_camera(
         _lengths("arm_with_camera", lengths), _coefficients("arm_with_camera", tuple(distortion), "distortion")

@@ -35,6 +35,18 @@ class Product(Block):
     ----------
     operations : str
         A ``*`` or ``/`` for each element.
+
+    Raises
+    ------
+    ModelError
+        If there is no operation, or another character.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> power = cosim.Product("**/").online(dt=0.1, compiled=False)  # force * speed / efficiency
+    >>> power(u=[100.0, 3.0, 0.75]).y
+    400.0
     """
 
     operations: str = "**"
@@ -110,6 +122,19 @@ class Minimum(_Extreme):
     ----------
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from math import nan
+    >>> from bayesftc import cosim
+    >>> smallest = cosim.Minimum(3).online(dt=0.1, compiled=False)
+    >>> smallest(u=[4.0, nan, 2.5]).y
+    2.5
     """
 
     _kernel: ClassVar[Kernel] = staticmethod(_least)
@@ -126,6 +151,19 @@ class Maximum(_Extreme):
     ----------
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from math import nan
+    >>> from bayesftc import cosim
+    >>> largest = cosim.Maximum(3).online(dt=0.1, compiled=False)
+    >>> largest(u=[4.0, nan, 2.5]).y
+    4.0
     """
 
     _kernel: ClassVar[Kernel] = staticmethod(_largest)
@@ -149,6 +187,18 @@ class Switch(Elementwise):
         Where it switches.
     size : int
         Number of elements of ``above``, ``otherwise`` and ``y``.
+
+    Raises
+    ------
+    ModelError
+        If the threshold is not finite, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> switch = cosim.Switch(threshold=10.0).online(dt=0.1, compiled=False)
+    >>> [switch(condition=speed, above=1.0, otherwise=-1.0).y for speed in (5.0, 10.0, 15.0)]
+    [-1.0, -1.0, 1.0]
     """
 
     result: ClassVar[str] = "What the condition chooses"
@@ -216,6 +266,19 @@ class Logic(Block):
         ``"xor"`` is true for an odd number of true elements.
     size : int, optional
         Number of elements; by default one for ``"not"``, else two.
+
+    Raises
+    ------
+    ModelError
+        If there is no such operation, or the size does not fit it.
+
+    Examples
+    --------
+    >>> from math import nan
+    >>> from bayesftc import cosim
+    >>> alarm = cosim.Logic("and", size=3).online(dt=0.1, compiled=False)
+    >>> alarm(u=[1.0, 1.0, 1.0]).y, alarm(u=[1.0, 1.0, nan]).y
+    (1.0, 0.0)
     """
 
     operation: str
@@ -281,6 +344,18 @@ class Compare(Block):
     ----------
     relation : {"<", "<=", "==", "!=", ">=", ">"}
         What must hold.
+
+    Raises
+    ------
+    ModelError
+        If there is no such relation.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> hotter = cosim.Compare(">=").online(dt=0.1, compiled=False)
+    >>> hotter(u=[80.0, 75.0]).y, hotter(u=[70.0, 75.0]).y
+    (1.0, 0.0)
     """
 
     relation: str

@@ -80,6 +80,18 @@ class Saturation(SameUnit):
         Limits of each element.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If `low` is above `high`, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> limit = cosim.Saturation(-1.0, 1.0).online(dt=0.1, compiled=False)
+    >>> [limit(u=u).y for u in (-3.0, 0.5, 2.0)]
+    [-1.0, 0.5, 1.0]
     """
 
     result: ClassVar[str] = "u within its limits"
@@ -111,6 +123,18 @@ class Abs(SameUnit):
     ----------
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> magnitude = cosim.Abs().online(dt=0.1, compiled=False)
+    >>> [magnitude(u=u).y for u in (-2.0, 0.0, 3.0)]
+    [2.0, 0.0, 3.0]
     """
 
     result: ClassVar[str] = "The magnitude of u"
@@ -135,6 +159,18 @@ class Sign(Elementwise):
     ----------
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> sign = cosim.Sign(size=3).online(dt=0.1, compiled=False)
+    >>> sign(u=[-2.0, 0.0, 3.0]).y.tolist()
+    [-1.0, 0.0, 1.0]
     """
 
     result: ClassVar[str] = "1, 0 or -1"
@@ -162,6 +198,18 @@ class DeadZone(SameUnit):
         Limits of the zone.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If a limit is not finite, `low` is above `high`, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> zone = cosim.DeadZone(-0.5, 1.0).online(dt=0.1, compiled=False)
+    >>> [zone(u=u).y for u in (-2.0, 0.0, 3.0)]
+    [-1.5, 0.0, 2.0]
     """
 
     result: ClassVar[str] = "How far u is beyond the zone"
@@ -195,6 +243,18 @@ class Quantizer(SameUnit):
         Distance of two neighbours.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the interval is not a positive number, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> converter = cosim.Quantizer(0.25).online(dt=0.1, compiled=False)
+    >>> [converter(u=u).y for u in (0.1, 0.2, 0.375)]
+    [0.0, 0.25, 0.5]
     """
 
     result: ClassVar[str] = "The nearest multiple"
@@ -238,6 +298,18 @@ class Polynomial(Elementwise):
         Of the highest power first, as in ``numpy.polyval``.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If there is no coefficient, one is not finite, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> drag = cosim.Polynomial([0.5, 0.0, 2.0]).online(dt=0.1, compiled=False)  # 0.5 u**2 + 2
+    >>> [drag(u=u).y for u in (0.0, 1.0, 4.0)]
+    [2.0, 2.5, 10.0]
     """
 
     result: ClassVar[str] = "The value of the polynomial"

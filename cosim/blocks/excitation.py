@@ -41,6 +41,18 @@ class Pulse(Source):
         Seconds. When the first pulse begins.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite, the period is not positive, or the width is not between 0 and 1.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> pulse = cosim.Pulse(amplitude=2.0, period=0.4, width=0.25).online(dt=0.1, compiled=False)
+    >>> [pulse().y for _ in range(6)]
+    [2.0, 0.0, 0.0, 0.0, 2.0, 0.0]
     """
 
     amplitude: float = field(metadata={"unit": "{y}"})
@@ -103,9 +115,21 @@ class PRBS(Source):
     unit : str or None
         Unit of the output.
 
+    Raises
+    ------
+    ModelError
+        If the interval is not positive, there is no such order, or another setting is not finite.
+
     References
     ----------
     L. Ljung, System Identification: Theory for the User, 2nd ed., 1999, section 13.3.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> prbs = cosim.PRBS(amplitude=1.0, interval=0.1, order=3).online(dt=0.1, compiled=False)
+    >>> [int(prbs().y) for _ in range(9)]  # repeats after 7 intervals
+    [1, 1, 1, -1, -1, 1, -1, 1, 1]
     """
 
     amplitude: float = field(metadata={"unit": "{y}"})
@@ -158,6 +182,18 @@ class Chirp(Source):
         What the output swings about.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a frequency or the duration is not positive, a setting is not finite, or there is no such sweep.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> chirp = cosim.Chirp(amplitude=1.0, begin=0.5, end=2.5, duration=1.0).online(dt=0.25, compiled=False)
+    >>> [round(chirp().y, 3) for _ in range(5)]
+    [0.0, 0.924, 0.0, -0.383, 0.0]
     """
 
     amplitude: float = field(metadata={"unit": "{y}"})

@@ -37,6 +37,18 @@ class Gain(Block):
         Constant that is added to each element.
     input_unit, output_unit : str or None
         Units of the ports. With two different units the gain is a conversion.
+
+    Raises
+    ------
+    ModelError
+        If the gain is neither a finite number nor a matrix of such, or the offset is not finite.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> rotation = cosim.Gain([[0.0, -1.0], [1.0, 0.0]], offset=10.0).online(dt=0.1, compiled=False)
+    >>> rotation(u=[1.0, 2.0]).y.tolist()
+    [8.0, 11.0]
     """
 
     gain: float | Sequence[Sequence[float]]
@@ -92,7 +104,25 @@ def _sum(u, signs, y):
 
 @dataclass(frozen=True)
 class Sum(Block):
-    """Adds the elements of ``u`` with the given signs: ``Sum("+-")`` is the difference of two signals."""
+    """Adds the elements of ``u`` with the given signs: ``Sum("+-")`` is the difference of two signals.
+
+    Parameters
+    ----------
+    signs : str
+        A ``+`` or ``-`` for each element.
+
+    Raises
+    ------
+    ModelError
+        If there is no sign, or another character.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> error = cosim.Sum("+-").online(dt=0.1, compiled=False)
+    >>> error(u=[5.0, 3.0]).y
+    2.0
+    """
 
     signs: str = "++"
 
@@ -132,7 +162,27 @@ def _delay_update(u, held):
 
 @dataclass(frozen=True)
 class UnitDelay(SameUnit):
-    """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements. It breaks algebraic loops."""
+    """``y`` at t_k is ``u`` at t_k-1 (``initial`` at first), for ``size`` elements. It breaks algebraic loops.
+
+    Parameters
+    ----------
+    size : int
+        Number of elements.
+    initial : float
+        Output at the first step, of each element, in the unit of the signal.
+
+    Raises
+    ------
+    ModelError
+        If the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> delay = cosim.UnitDelay(initial=9.0).online(dt=0.1, compiled=False)
+    >>> [delay(u=u).y for u in (1.0, 2.0, 3.0)]
+    [9.0, 1.0, 2.0]
+    """
 
     result: ClassVar[str] = "u of the step before"
 

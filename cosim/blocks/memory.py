@@ -54,6 +54,18 @@ class Integrator(Elementwise):
         Whether there is an input ``reset``: where it is above 0.5 at t_k, the integral at t_k+1 is `initial`.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If `low`, `initial` and `high` do not rise in this order, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> integral = cosim.Integrator(initial=1.0, high=1.5).online(dt=0.1, compiled=False)
+    >>> [round(integral(u=2.0).y, 9) for _ in range(5)]
+    [1.0, 1.2, 1.4, 1.5, 1.5]
     """
 
     result: ClassVar[str] = "The integral"
@@ -108,6 +120,19 @@ class ExponentialFilter(SameUnit):
         Seconds in which 63 % of a step are reached.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the time constant is not a positive number, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from math import nan
+    >>> from bayesftc import cosim
+    >>> smooth = cosim.ExponentialFilter(time_constant=1.0).online(dt=0.5, compiled=False)
+    >>> [round(smooth(u=u).y, 3) for u in (0.0, 1.0, nan, 1.0)]
+    [0.0, 0.393, 0.393, 0.632]
     """
 
     result: ClassVar[str] = "The filtered signal"
@@ -148,6 +173,18 @@ class MovingAverage(SameUnit):
         Length of the window, at most 10,000.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If `samples` or the size is out of range.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> average = cosim.MovingAverage(3).online(dt=0.1, compiled=False)
+    >>> [average(u=u).y for u in (3.0, 6.0, 9.0, 0.0)]
+    [3.0, 4.5, 6.0, 5.0]
     """
 
     result: ClassVar[str] = "The mean of the window"
@@ -186,6 +223,18 @@ class RateLimiter(SameUnit):
         Output before the first sample.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If a rate is not a positive number, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> limiter = cosim.RateLimiter(rising=10.0, falling=20.0).online(dt=0.1, compiled=False)
+    >>> [limiter(u=u).y for u in (1.5, 1.5, 1.5, -5.0)]
+    [1.0, 1.5, 1.5, -0.5]
     """
 
     result: ClassVar[str] = "u, as fast as it may change"
@@ -228,6 +277,18 @@ class Hysteresis(Elementwise):
         Output when it is on and off.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If `on` is not above `off`, a setting is not finite, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> heater = cosim.Hysteresis(on=1.0, off=-1.0).online(dt=0.1, compiled=False)  # of the error of the temperature
+    >>> [heater(u=u).y for u in (0.5, 1.0, 0.0, -1.0, 0.5)]
+    [0.0, 1.0, 1.0, 0.0, 0.0]
     """
 
     result: ClassVar[str] = "high or low"
@@ -265,6 +326,18 @@ class SampleAndHold(SameUnit):
         Output until then.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If `initial` is not finite, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> hold = cosim.SampleAndHold(initial=-1.0).online(dt=0.1, compiled=False)
+    >>> [hold(u=u, trigger=trigger).y for u, trigger in ((1.0, 0), (2.0, 1), (3.0, 0), (4.0, 1))]
+    [-1.0, 2.0, 2.0, 4.0]
     """
 
     result: ClassVar[str] = "The last sample"
@@ -304,6 +377,18 @@ class Counter(Elementwise):
         Number at which it begins at zero again; infinite for never.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the limit is below 1, or the size is not a whole number from 1 on.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> counter = cosim.Counter().online(dt=0.1, compiled=False)
+    >>> [counter(u=alarm).y for alarm in (0, 1, 1, 0, 1)]
+    [0.0, 1.0, 1.0, 1.0, 2.0]
     """
 
     result: ClassVar[str] = "The number of rises"
@@ -350,6 +435,18 @@ class VariableDelay(SameUnit):
         What the elements were before the beginning.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If `longest` is not a positive number, or is more than 9,999 steps when the block is used.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> pipe = cosim.VariableDelay(longest=1.0).online(dt=0.1, compiled=False)
+    >>> [round(pipe(u=u, delay=0.15).y, 9) for u in (10.0, 20.0, 30.0, 40.0)]
+    [0.0, 5.0, 15.0, 25.0]
     """
 
     result: ClassVar[str] = "u of some time ago"

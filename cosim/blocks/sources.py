@@ -23,7 +23,23 @@ TAU = tau
 
 @dataclass(frozen=True)
 class Source(Block):
-    """Base of all sources: one scalar output ``y`` with the unit ``unit`` (None fits all units)."""
+    """Base of all sources: one scalar output ``y`` with the unit ``unit`` (None fits all units).
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> from bayesftc import cosim
+    >>> @dataclass(frozen=True)
+    ... class Parabola(cosim.Source):
+    ...     unit: str | None = None
+    ...     def define(self, step):
+    ...         def output(t, y):
+    ...             y[0] = t * t
+    ...         return cosim.Definition(output)
+    >>> parabola = Parabola().online(dt=0.5, compiled=False)
+    >>> [parabola().y for _ in range(4)]
+    [0.0, 0.25, 1.0, 2.25]
+    """
 
     @property
     def outputs(self) -> tuple[Port, ...]:
@@ -51,6 +67,20 @@ class Constant(Source):
         Value of the output.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If the value is not finite.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> speed, convert = diagram.add(cosim.Constant(10.0, unit="m/s")), diagram.add(cosim.Gain(3.6, 0.0, "m/s", "km/h"))
+    >>> diagram.connect(speed["y"], convert["u"])
+    >>> diagram.simulate(0.2, engine="interpreted")["gain.y"].tolist()
+    [36.0, 36.0, 36.0]
     """
 
     value: float = field(metadata={"unit": "{y}"})
@@ -80,6 +110,18 @@ class Step(Source):
         Value of the output from then on, and until then.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> step = cosim.Step(time=0.2, after=5.0, before=1.0).online(dt=0.1, compiled=False)
+    >>> [step().y for _ in range(4)]
+    [1.0, 1.0, 5.0, 5.0]
     """
 
     time: float = field(metadata={"unit": "s"})
@@ -113,6 +155,18 @@ class Ramp(Source):
         Seconds. When the output begins to rise.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> ramp = cosim.Ramp(slope=2.0, offset=1.0, start=0.5).online(dt=0.5, compiled=False)
+    >>> [ramp().y for _ in range(4)]
+    [1.0, 1.0, 2.0, 3.0]
     """
 
     slope: float = field(metadata={"unit": "{y}/s"})
@@ -148,6 +202,18 @@ class Sine(Source):
         Radians. Phase at t = 0.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite, or the period is not positive.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> sine = cosim.Sine(amplitude=2.0, period=4.0, offset=1.0).online(dt=1.0, compiled=False)
+    >>> [round(sine().y, 9) for _ in range(4)]
+    [1.0, 3.0, 1.0, -1.0]
     """
 
     amplitude: float = field(metadata={"unit": "{y}"})
@@ -192,6 +258,18 @@ class Table(Source):
         True for straight lines, False to hold each value until the next.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If times and values are not equally many finite numbers, or the times do not rise.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> profile = cosim.Table(times=[0.0, 1.0, 2.0], values=[0.0, 10.0, 4.0]).online(dt=0.5, compiled=False)
+    >>> [profile().y for _ in range(6)]
+    [0.0, 5.0, 10.0, 7.0, 4.0, 4.0]
     """
 
     times: Sequence[float] = field(metadata={"unit": "s"})
@@ -272,6 +350,20 @@ class Gaussian(Block):
         Mean of every channel.
     unit : str or None
         Unit of the output.
+
+    Raises
+    ------
+    ModelError
+        If a setting is not finite, or a standard deviation is negative.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise = diagram.add(cosim.Gaussian(std=(1.0, 10.0), mean=5.0), "noise")
+    >>> values = diagram.simulate(200.0, seed=1)["noise.y"]  # a row for each step, a column for each channel
+    >>> values.mean(axis=0).round(1).tolist(), values.std(axis=0).round(1).tolist()
+    ([5.0, 4.9], [1.0, 10.2])
     """
 
     std: float | Sequence[float] = field(metadata={"unit": "{y}"})

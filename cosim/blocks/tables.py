@@ -80,6 +80,18 @@ class LookupTable(Elementwise):
         True for straight lines, False to hold each value until the next point.
     size : int
         Number of elements.
+
+    Raises
+    ------
+    ModelError
+        If the points do not rise, are less than two, or are not as many as the values.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> valve = cosim.LookupTable(points=[0.0, 0.5, 1.0], values=[0.0, 10.0, 80.0]).online(dt=0.1, compiled=False)
+    >>> [valve(u=opening).y for opening in (0.25, 0.75, 2.0)]
+    [5.0, 45.0, 80.0]
     """
 
     result: ClassVar[str] = "The value of the table"
@@ -125,6 +137,19 @@ class LookupTable2D(Block):
         Values of ``u`` at the rows and of ``v`` at the columns, strictly rising; at least two of each.
     values : sequence of sequence of float
         A row for each of `rows`, with a number for each of `columns`.
+
+    Raises
+    ------
+    ModelError
+        If rows or columns do not rise, are less than two, or do not fit the values.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> table = cosim.LookupTable2D(rows=[0.0, 1.0], columns=[0.0, 10.0], values=[[0.0, 20.0], [2.0, 42.0]])
+    >>> torque = table.online(dt=0.1, compiled=False)
+    >>> torque(u=0.5, v=5.0).y, torque(u=1.0, v=99.0).y
+    (16.0, 42.0)
     """
 
     rows: Sequence[float] = field(metadata={"unit": "{u}"})

@@ -33,6 +33,21 @@ class CampaignResult:
         The recorded signals over ``run`` and ``time`` (seconds), with point, seed and factors as coordinates of the runs.
     metadata : dict of str to object
         How the runs were made: ``executor`` has the name of the executor, and the reason for it.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> one, gain = diagram.add(cosim.Constant(1.0), "one"), diagram.add(cosim.Gain(1.0), "gain")
+    >>> diagram.connect(one["y"], gain["u"])
+    >>> campaign = cosim.Campaign(diagram, duration=1.0, grid={"gain.gain": [2.0, 3.0]}, metrics=[cosim.Final("gain.y")])
+    >>> result = campaign.run()
+    >>> result.table[["run", "gain.gain", "status", "final(gain.y)"]]
+       run  gain.gain status  final(gain.y)
+    0    0        2.0     ok            2.0
+    1    1        3.0     ok            3.0
+    >>> result.metadata["executor"]
+    'Threads: all blocks are compiled, and no FMU needs a separate process.'
     """
 
     def __init__(self, table: Callable[[], pd.DataFrame], dataset: Callable[[], xr.Dataset]):

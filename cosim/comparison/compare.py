@@ -85,6 +85,26 @@ class Comparison:
     loops, result, level
         The loops by name, the campaign's result with the recorded signals, and the probability that an interval contains the
         true value.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> system = control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1)
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 1e-3, 0.04, dt=0.1)
+    >>> def loop(goal_covariance):
+    ...     controller = controllers.LQGController(model, goal_covariance=goal_covariance)
+    ...     return cosim.closed_loop(
+    ...         cosim.StateSpace(system), controller, control="u", measured="y", sensors=cosim.Sensors(1, 0.2),
+    ...         reference=1.0,
+    ...     )
+    >>> comparison = cosim.compare({"weak": loop(1.0), "strong": loop(0.01)}, duration=5.0, seeds=5)
+    >>> comparison.table[["loop", "error", "wins"]].round(2)
+         loop  error  wins
+    0    weak   0.27  <NA>
+    1  strong   0.15     5
+    >>> comparison.runs.shape, len(comparison.signals("strong"))
+    ((10, 10), 5)
     """
 
     loops: Mapping[str, Diagram]

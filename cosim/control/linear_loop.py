@@ -37,6 +37,15 @@ class LinearLoop:
     ----------
     parts : Parts
         Plant, sensors and controller.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers, cosim, fmus
+    >>> servo = cosim.FMU(fmus.path("PositionServo"))
+    >>> controller = controllers.design(servo, measured="angle", actuated="voltage")
+    >>> linear = cosim.closed_loop(servo, controller, control="voltage", measured="angle", reference=1.0).linear()
+    >>> float(abs(linear.poles()[0]).round(3)), round(float(linear.step_info()["RiseTime"]), 2)
+    (0.949, 0.23)
     """
 
     parts: Parts

@@ -39,6 +39,16 @@ class Margins(NamedTuple):
         Frequencies in rad/s of the phase margin, where the gain is 1, and of the gain margin, where the phase is -180 degrees.
     modulus : float
         Smallest distance of the loop transfer function from -1.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers, cosim, fmus
+    >>> servo = cosim.FMU(fmus.path("PositionServo"))
+    >>> controller = controllers.design(servo, measured="angle", actuated="voltage")
+    >>> loop = cosim.closed_loop(servo, controller, control="voltage", measured="angle", reference=1.0)
+    >>> margins = loop.linear().margins()
+    >>> round(margins.gain, 1), round(margins.phase), round(margins.delay, 2)
+    (2.7, 47, 0.17)
     """
 
     gain: float

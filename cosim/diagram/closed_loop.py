@@ -112,6 +112,20 @@ def closed_loop(
         If the parts do not fit together.
     ModelError
         If one of them is of the wrong kind.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+    >>> loop = cosim.closed_loop(
+    ...     plant, controllers.LQGController(model, goal_covariance=0.01), control="u", measured="y",
+    ...     sensors=cosim.Sensors(2, 0.2), faults=cosim.Freeze(sensor=0, start=5.0), reference=1.0,
+    ... )
+    >>> run = loop.simulate(10.0, seed=1, engine="interpreted")
+    >>> round(float(run["plant.y"][50:].mean()), 1), float(run["freeze_0.active"].mean().round(2))
+    (1.0, 0.5)
     """
     _check_kinds(plant, controller, sensors, noise)
     diagram = Diagram(base_step(controller, dt))

@@ -52,6 +52,17 @@ class Coupling:
     ------
     ModelError
         If a setting is none of these.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim, fmus
+    >>> diagram = cosim.Diagram(dt=0.02)
+    >>> lead = diagram.add(cosim.FMU(fmus.path("CruiseControl"), parameters={"force": 100.0}), "lead")
+    >>> follower = diagram.add(cosim.FMU(fmus.path("CruiseControl")), "follower")
+    >>> diagram.connect(lead["v"], follower["disturbance"])
+    >>> coupling = cosim.Coupling("iterated", hold="mean")
+    >>> coupling.order, round(float(diagram.build(coupling).simulate(1.0, engine="interpreted")["follower.v"][-1]), 3)
+    (2, 24.206)
     """
 
     method: Method = "gauss-seidel"

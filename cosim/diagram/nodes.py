@@ -18,6 +18,25 @@ class Node:
 
     For a vector or matrix port, ``node["y[1]"]`` (the same as ``node["y"][1]``) and ``node["K[0,1]"]`` refer to one element. The
     block runs at every ``every``-th base step.
+
+    Attributes
+    ----------
+    name : str
+        Name in the diagram.
+    block : Block
+        The block.
+    every : int
+        Base steps from one step of the block to the next.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise = diagram.add(cosim.Gaussian(std=(1.0, 2.0)), "noise")
+    >>> filtered = diagram.add(cosim.ExponentialFilter(1.0), "filter", every=2)
+    >>> diagram.connect(noise["y[1]"], filtered["u"])
+    >>> print(noise["y[1]"].name, noise.port("y").shape, filtered.every)
+    noise.y[1] (2,) 2
     """
 
     name: str
@@ -76,6 +95,16 @@ class PortRef:
         The side of the block.
     elements : tuple of int
         The elements referred to, in order.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise, total = diagram.add(cosim.Gaussian(std=(1.0, 2.0)), "noise"), diagram.add(cosim.Sum("+-"), "total")
+    >>> diagram.connect([noise["y"][1], noise["y"][0]], total["u"])
+    >>> run = diagram.simulate(0.1, record=[noise["y"], total["y"]], engine="interpreted")
+    >>> bool((run["total.y"] == run["noise.y"][:, 1] - run["noise.y"][:, 0]).all())
+    True
     """
 
     node: Node

@@ -25,6 +25,19 @@ class Deviation:
         This difference in units in the last place: the number of doubles between the two, plus one.
     relative : float
         This difference, divided by the largest absolute value of the signal.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise, limit = diagram.add(cosim.Gaussian(std=1.0)), diagram.add(cosim.Saturation(-1.0, 1.0), "limit")
+    >>> diagram.connect(noise["y"], limit["u"])
+    >>> with TemporaryDirectory() as folder:
+    ...     fmu = cosim.export_fmu(cosim.Saturation(-1.0, 2.0), f"{folder}/limit.fmu", dt=0.1)  # another limit
+    ...     deviation = cosim.verify_fmu(fmu, diagram, "limit", duration=100.0).beside[0]
+    >>> deviation.signal, round(deviation.largest, 3), deviation.time
+    ('limit.y', 1.0, 1.1)
     """
 
     signal: str

@@ -45,6 +45,19 @@ class Verification:
         For each signal of the diagram, with the FMU in place of the blocks; None if that is not possible.
     notes : tuple of str
         Sentences about signals that are not compared.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise, limit = diagram.add(cosim.Gaussian(std=1.0)), diagram.add(cosim.Saturation(-1.0, 1.0), "limit")
+    >>> diagram.connect(noise["y"], limit["u"])
+    >>> with TemporaryDirectory() as folder:
+    ...     fmu = cosim.export_fmu(diagram, f"{folder}/limit.fmu", blocks="limit")
+    ...     verification = cosim.verify_fmu(fmu, diagram, duration=10.0)
+    >>> verification.agrees(), verification.steps, verification.worst_in_loop.relative
+    (True, 101, 0.0)
     """
 
     path: Path

@@ -47,6 +47,18 @@ class FittedFMU:
         The outputs of the FMU.
     split : int
         The first step of the held-out part.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from bayesftc import cosim, fmus
+    >>> time = 0.1 * np.arange(300)
+    >>> v = 20.0 * np.exp(-0.05 * time) + 0.1 * np.random.default_rng(0).standard_normal(300)
+    >>> table = pd.DataFrame({"time": time, "v": v})
+    >>> fitted = cosim.fit(fmus.path("CruiseControl"), table, {"m": (50.0, 300.0), "v0": (10.0, 30.0)}, outputs="v")
+    >>> {name: f"{value:.1f} +- {fitted.std[name]:.2f}" for name, value in fitted.parameters.items()}
+    {'m': '100.0 +- 0.17', 'v0': '20.0 +- 0.02'}
     """
 
     plant: FMU

@@ -38,6 +38,18 @@ class FitSettings:
     ------
     ModelError
         If a setting is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from bayesftc import cosim, fmus
+    >>> time = 0.1 * np.arange(200)
+    >>> table = pd.DataFrame({"time": time, "v": 20.0 * np.exp(-0.05 * time)})
+    >>> settings = cosim.FitSettings(screened=4, starts=1, rounds=1)  # quick, for a problem with one minimum
+    >>> fitted = cosim.fit(fmus.path("CruiseControl"), table, {"v0": (10.0, 30.0)}, outputs="v", settings=settings)
+    >>> {name: round(value, 1) for name, value in fitted.parameters.items()}
+    {'v0': 20.0}
     """
 
     screened: int = 32

@@ -26,6 +26,19 @@ class Combination:
         Standard error along the direction. A uniform distribution over a range has 0.29.
     direction : dict of str to float
         The share of each parameter, in units of its range; the squares sum to 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from bayesftc import cosim, fmus
+    >>> time = 0.1 * np.arange(300)
+    >>> v = 20.0 * np.exp(-0.05 * time) + 0.1 * np.random.default_rng(0).standard_normal(300)
+    >>> table, ranges = pd.DataFrame({"time": time, "v": v}), {"m": (50.0, 150.0), "b": (2.0, 8.0)}
+    >>> car = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0})
+    >>> combination = cosim.fit(car, table, ranges, outputs="v").profile[0]  # only b / m is determined
+    >>> combination.std > 0.29, {name: round(share, 1) for name, share in combination.direction.items()}
+    (True, {'m': 0.8, 'b': 0.6})
     """
 
     std: float

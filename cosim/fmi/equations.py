@@ -25,7 +25,27 @@ _STEP = float(np.finfo(np.float64).eps ** (1 / 3))
 
 
 class Jacobians(NamedTuple):
-    """The linearization of a model at one point: ``d(dx/dt) = A dx + B du``, ``dy = C dx + D du``."""
+    """The linearization of a model at one point: ``d(dx/dt) = A dx + B du``, ``dy = C dx + D du``.
+
+    Attributes
+    ----------
+    A : ndarray of shape (nx, nx)
+        Derivatives of dx/dt with respect to the states x.
+    B : ndarray of shape (nx, nu)
+        Derivatives of dx/dt with respect to the inputs u.
+    C : ndarray of shape (ny, nx)
+        Derivatives of the outputs y with respect to the states.
+    D : ndarray of shape (ny, nu)
+        Derivatives of the outputs with respect to the inputs.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import cosim
+    >>> linear = cosim.Jacobians(A=[[-0.05]], B=[[0.01]], C=[[1.0]], D=[[0.0]])  # as ModelEquations.jacobians returns it
+    >>> control.ss(*linear).poles().real.tolist(), float(control.dcgain(control.ss(*linear)))
+    ([-0.05], 0.2)
+    """
 
     A: Floats
     B: Floats
@@ -50,9 +70,9 @@ class ModelEquations:
     ----------
     state_names, input_names, output_names : tuple of str
         Elements of x, u and y. Elements of arrays have an index, as ``"T[0]"`` (of a matrix ``"T[0][1]"``).
-    x0, u0 : ndarray
+    x0, u0 : ndarray of shape (nx,), ndarray of shape (nu,)
         States after initialization, start values of the inputs.
-    nominals : ndarray
+    nominals : ndarray of shape (nx,)
         Nominal values (orders of magnitude) of the states.
     has_directional_derivatives : bool
         Whether `jacobians` uses the FMU's directional derivatives; else it uses central differences.
@@ -64,11 +84,10 @@ class ModelEquations:
 
     Examples
     --------
-    ::
-
-        with ModelEquations(cosim.FMU("pendulum.fmu", kind="model exchange")) as model:
-            dx = model.derivatives(model.x0, model.u0)
-            A, B, C, D = model.jacobians(model.x0, model.u0)
+    >>> from bayesftc import cosim
+    >>> with cosim.ModelEquations(cosim.FMU("pendulum.fmu", kind="model exchange")) as model:  # doctest: +SKIP
+    ...     dx = model.derivatives(model.x0, model.u0)
+    ...     A, B, C, D = model.jacobians(model.x0, model.u0)
     """
 
     def __init__(self, fmu: FMU | str | PathLike[str]):

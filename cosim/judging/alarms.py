@@ -49,6 +49,19 @@ class Alarms:
         Fault-free time in hours, of all sensors together.
     false_hours : float
         Fault-free time with an alarm.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> rng, faulty = np.random.default_rng(0), np.arange(36000) % 3600 >= 3000  # an hour with ten faults
+    >>> scores = rng.normal(size=(2, 36000)) + 3 * faulty
+    >>> first, second = (cosim.judge_alarms(score, faulty, threshold=4.0, step=0.1) for score in scores)
+    >>> alarms = first + second  # of two records
+    >>> alarms.faults, alarms.missed, alarms.delay(0.5), alarms.false_alarms
+    (20, 0, 3.0, 2)
+    >>> [round(bound, 2) for bound in alarms.rate_interval()]  # false alarms per hour
+    [0.15, 4.33]
     """
 
     step: float
@@ -217,6 +230,15 @@ def judge_alarms(
     ------
     ModelError
         If the shapes do not agree, the threshold is NaN, or the sample time is not positive.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> faulty = [False, False, False, False, True, True, True, False]
+    >>> score = [0.1, 0.9, 0.2, 0.1, 0.3, 0.8, 0.9, 0.2]
+    >>> alarms = cosim.judge_alarms(score, faulty, threshold=0.5, step=0.1)
+    >>> alarms.false_alarms, alarms.missed, alarms.delays.tolist()
+    (1, 0, [1.0])
     """
     values = _columns("score", score, np.float64)
     truth = _columns("faulty", faulty, np.bool_)
@@ -280,6 +302,15 @@ def alarm_threshold(scores: Sequence[ArrayLike] | ArrayLike, *, step: float, per
     ------
     ModelError
         If the records are too short for one alarm at that rate, or a score is infinite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> healthy = np.abs(np.random.default_rng(0).normal(size=(36000, 2)))  # residuals of two sensors in an hour
+    >>> threshold = cosim.alarm_threshold(healthy, step=0.1, per_hour=10.0)
+    >>> round(threshold, 2), int((healthy >= threshold).sum())
+    (3.69, 20)
     """
     several = isinstance(scores, list | tuple) and len(scores) > 0 and np.ndim(scores[0]) > 0
     records: Any = scores if several else [scores]

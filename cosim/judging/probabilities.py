@@ -32,6 +32,20 @@ class Reliability:
         Number of samples in each bin.
     predicted, observed : ndarray of shape (bins,)
         Mean probability in each bin, and share of its samples that were faulty; NaN for an empty bin.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> rng = np.random.default_rng(0)
+    >>> probability = rng.random(10000)
+    >>> result = cosim.reliability(probability**2, rng.random(10000) < probability, bins=4)  # too low
+    >>> result.predicted.round(2).tolist()
+    [0.02, 0.15, 0.4, 0.77]
+    >>> result.observed.round(2).tolist()
+    [0.13, 0.37, 0.63, 0.86]
+    >>> round(result.calibration_error, 2)
+    0.16
     """
 
     brier: float
@@ -88,6 +102,16 @@ def reliability(
     ------
     ModelError
         If shapes do not agree, a probability is not in [0, 1], there are fewer samples than bins, or `equal` is unknown.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> rng = np.random.default_rng(0)
+    >>> probability = rng.random(10000)
+    >>> result = cosim.reliability(probability, rng.random(10000) < probability)  # calibrated probabilities
+    >>> round(result.brier, 2), round(result.brier_of_constant, 2), result.calibration_error < 0.02
+    (0.17, 0.25, True)
     """
     p, truth = np.asarray(probability, dtype=np.float64), np.asarray(faulty, dtype=np.bool_)
     if p.shape != truth.shape:

@@ -48,6 +48,16 @@ class Online:
         Sample time in seconds; not needed if the block has one.
     compiled : bool
         False for the plain Python form, which you can step through in a debugger.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> integral = cosim.Integrator().online(dt=0.5, compiled=False)
+    >>> [integral(u=2.0).y for _ in range(3)]
+    [0.0, 1.0, 2.0]
+    >>> integral.reset()
+    >>> integral(u=2.0)["y"]
+    0.0
     """
 
     def __init__(self, block: Block, dt: float | str | Fraction | None = None, *, compiled: bool = True):

@@ -75,6 +75,21 @@ class Result(Mapping[str, Floats]):
         Properties of the run: seed, duration, step, engine, kinds of blocks, models and parameters of FMUs.
     stopped : str or None
         Why the run ended early; None if it did not.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.5)
+    >>> ramp = diagram.add(cosim.Ramp(2.0, unit="m"), "ramp")
+    >>> run = diagram.simulate(2.0, engine="interpreted")
+    >>> run
+    <Result: 1 signals, 5 rows to t = 2 s>
+    >>> run["ramp.y"].tolist(), run.units
+    ([0.0, 1.0, 2.0, 3.0, 4.0], {'ramp.y': 'm'})
+    >>> run.to_pandas().reset_index().tail(2)
+       time  ramp.y
+    3   1.5     3.0
+    4   2.0     4.0
     """
 
     def __init__(

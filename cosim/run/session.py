@@ -61,6 +61,20 @@ class RunState:
         Properties of the diagram. A state is restored only in a diagram with the same.
     parameters : mapping of str to mapping
         The parameters of each FMU, which are also part of its saved state.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise = diagram.add(cosim.Gaussian(std=1.0), "noise")
+    >>> with diagram.start(seed=1, engine="interpreted") as session:
+    ...     first = session.advance(1.0)
+    ...     state = session.save_state()
+    ...     second = session.advance(1.0)
+    ...     session.restore(state)
+    ...     again = session.advance(1.0)
+    >>> state.k, second["noise.y"].tolist() == again["noise.y"].tolist()
+    (10, True)
     """
 
     k: int

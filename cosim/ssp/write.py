@@ -69,6 +69,20 @@ def save_ssp(diagram: Diagram, path: str | PathLike[str]) -> Path:
     SSPError
         If the file cannot be written, or SSP cannot represent the diagram: other blocks, sums of signals, elements of arrays,
         FMUs at several rates, FMUs with ``timing="sampled"``.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from zipfile import ZipFile
+    >>> from bayesftc import cosim, fmus
+    >>> diagram = cosim.Diagram(dt=0.02)
+    >>> car = diagram.add(cosim.FMU(fmus.path("CruiseControl")), "car")
+    >>> push = diagram.add(cosim.Constant(100.0), "push")
+    >>> diagram.connect(push["y"], car["force"])
+    >>> with TemporaryDirectory() as folder:
+    ...     file = cosim.save_ssp(diagram, f"{folder}/car.ssp")
+    ...     print(file.name, sorted(ZipFile(file).namelist()))
+    car.ssp ['SystemStructure.ssd', 'resources/CruiseControl.fmu']
     """
     path = absolute(path, "save_ssp", "the .ssp file to write", SSPError)
     if not isinstance(diagram, Diagram):

@@ -33,6 +33,16 @@ class Calibration:
         Probability that an interval contains the true value.
     runs, left_out : int
         Number of runs with a probability, and of runs without one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> rng = np.random.default_rng(0)
+    >>> probability = rng.random((50, 100))  # 50 runs
+    >>> result = statistics.calibration(probability**2, rng.random((50, 100)) < probability, bins=4)  # too low
+    >>> (result.pooled.predicted < result.observed_low).tolist(), result.runs
+    ([True, True, True, True], 50)
     """
 
     pooled: Reliability
@@ -83,6 +93,16 @@ def calibration(
     ------
     ModelError
         As in `bayesftc.cosim.reliability`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> rng = np.random.default_rng(0)
+    >>> probability = rng.random((50, 100))  # 50 runs
+    >>> result = statistics.calibration(probability, rng.random((50, 100)) < probability, bins=5)
+    >>> round(result.pooled.brier, 2), [round(bound, 2) for bound in result.brier_interval]
+    (0.17, [0.16, 0.17])
     """
     check_level(level)
     runs = by_run("probability", probability, faulty)
@@ -152,6 +172,18 @@ def mean_reliability(runs: Sequence[Reliability], level: float = 0.95) -> dict[s
         ``brier``, ``brier_of_constant`` and ``ece`` (calibration error), each with ``mean`` and ``ci``; ``diagram``: for each bin
         its ``share`` of the samples, mean probability ``predicted``, and share of faulty samples ``observed`` with its ``ci``.
         It is None if no run has a sample in the bin (``ci``: less than two runs).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> from bayesftc.cosim import statistics
+    >>> rng = np.random.default_rng(0)
+    >>> runs = rng.random((3, 5000))  # probabilities in three long runs
+    >>> each = [cosim.reliability(run, rng.random(5000) < run) for run in runs]
+    >>> mean = statistics.mean_reliability(each)
+    >>> round(mean["brier"]["mean"], 2), [round(bound, 2) for bound in mean["brier"]["ci"]], len(mean["diagram"])
+    (0.17, [0.16, 0.18], 10)
     """
     names = {"brier": "brier", "brier_of_constant": "brier_of_constant", "ece": "calibration_error"}
     numbers = {name: np.array([getattr(r, attribute) for r in runs]) for name, attribute in names.items()}

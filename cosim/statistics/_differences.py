@@ -112,6 +112,19 @@ def outcomes(ours: ArrayLike, theirs: ArrayLike, significance: float) -> np.ndar
         Errors of each run, at least two.
     significance : float
         Level of the tests.
+
+    Returns
+    -------
+    ndarray of int, ...
+        An outcome for each pair of samples.
+
+    Examples
+    --------
+    >>> from bayesftc.cosim import statistics
+    >>> ours = [[0.40, 0.42, 0.41], [0.5, 0.9, 0.1]]  # two scenarios of three runs
+    >>> theirs = [[0.50, 0.53, 0.51], [0.4, 0.8, 0.2]]
+    >>> statistics.outcomes(ours, theirs, significance=0.05).tolist()
+    [1, 0]
     """
     difference = welch(ours, theirs)
     return decided(-difference.mean, difference.p, significance)
@@ -200,6 +213,14 @@ def corrected(p: ArrayLike, correction: Correction | None) -> Floats:
     ------
     ModelError
         If there is no such correction.
+
+    Examples
+    --------
+    >>> from bayesftc.cosim import statistics
+    >>> statistics.corrected([0.01, 0.04, 0.03], "holm").round(3).tolist()
+    [0.03, 0.06, 0.06]
+    >>> statistics.corrected([0.01, 0.04, 0.03], "benjamini-hochberg").round(3).tolist()
+    [0.03, 0.04, 0.04]
     """
     values = np.array(p, dtype=np.float64)
     if correction is None:

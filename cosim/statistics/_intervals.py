@@ -27,6 +27,19 @@ def interval(values: Floats, level: float = 0.95) -> list[float]:
         At least two.
     level : float
         Probability that the interval covers the mean.
+
+    Returns
+    -------
+    list of float
+        Lower and upper bound, in the unit of the values.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> errors = np.array([0.41, 0.52, 0.47, 0.55, 0.40])
+    >>> [round(bound, 3) for bound in statistics.interval(errors)]
+    [0.388, 0.552]
     """
     from scipy.special import stdtrit
 
@@ -46,6 +59,20 @@ def ratio(ours: Floats, theirs: Floats, level: float = 0.95) -> tuple[float, lis
         At least two pairs; the mean of `theirs` is not zero.
     level : float
         Probability that the interval covers the ratio.
+
+    Returns
+    -------
+    float, list of float
+        The ratio, and the lower and upper bound.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> theirs = np.array([1.0, 2.0, 3.0, 4.0])
+    >>> ratio, (low, high) = statistics.ratio(0.5 * theirs + np.array([0.1, -0.1, 0.1, -0.1]), theirs)
+    >>> round(ratio, 3), round(low, 3), round(high, 3)
+    (0.5, 0.427, 0.573)
     """
     r = float(ours.mean() / theirs.mean())
     low, high = interval((ours - r * theirs) / theirs.mean(), level)
@@ -70,7 +97,16 @@ def rms_ratio(ours: Floats, theirs: Floats, *, resamples: int = 0, seed: int = 0
     Returns
     -------
     dict
-        ``ratio``, ``ratio_ci``, ``n`` (number of runs).
+        ``ratio``, ``ratio_ci`` (lower and upper bound), ``n`` (number of runs).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> ours, theirs = np.array([0.4, 0.5, 0.3, 0.6]), np.array([0.8, 0.9, 0.7, 1.1])
+    >>> figures = statistics.rms_ratio(ours, theirs)
+    >>> round(figures["ratio"], 2), [round(bound, 2) for bound in figures["ratio_ci"]], figures["n"]
+    (0.52, [0.45, 0.59], 4)
     """
     n = len(ours)
     squared, bounds = ratio(ours**2, theirs[:n] ** 2)
@@ -105,6 +141,14 @@ def bootstrap_interval(
     ------
     ModelError
         If there is no such method.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> errors = np.array([0.41, 0.52, 0.47, 0.55, 0.40, 0.44, 0.49, 2.50])  # one run is an outlier
+    >>> [round(bound, 1) for bound in statistics.bootstrap_interval(errors)]
+    [0.5, 1.5]
     """
     from scipy.stats import bootstrap
 

@@ -69,6 +69,17 @@ def merit(
         If the table has no such column.
     ModelError
         As in `compare`; or if a technique has no run in a scenario, or less than two with a finite metric.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from bayesftc.cosim import statistics
+    >>> runs = {("freeze", "LQG"): [0.9, 1.0, 1.1], ("freeze", "SER"): [0.4, 0.5, 0.6], ("bias", "LQG"): [0.8, 0.9, 1.0]}
+    >>> runs["bias", "SER"] = [0.3, 0.5, 0.4]
+    >>> rows = [(fault, name, error) for (fault, name), errors in runs.items() for error in errors]
+    >>> table = pd.DataFrame(rows, columns=["fault", "controller", "rmse"])
+    >>> statistics.merit(table, "rmse", "controller", by="fault").loc["total merit"].to_dict()
+    {'LQG': -2, 'SER': 2}
     """
     import pandas as pd
 
@@ -121,11 +132,25 @@ def merit_counts(errors: Sequence[Mapping[str, Floats]], techniques: Sequence[st
     Parameters
     ----------
     errors : sequence of mapping
-        The errors of each technique in each scenario, one for each run.
+        For each scenario technique -> its errors, an ndarray of shape (runs,) with at least two runs.
     techniques : sequence of str
         The techniques to compare.
     significance : float
         Level of the two-sided tests.
+
+    Returns
+    -------
+    dict of str to dict of str to int
+        Row -> column -> the number of tests that the column won against the row, minus the number that it lost.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> freeze = {"LQG": np.array([0.9, 1.0, 1.1]), "SER": np.array([0.4, 0.5, 0.6])}
+    >>> bias = {"LQG": np.array([0.8, 0.9, 1.0]), "SER": np.array([0.7, 0.9, 0.8])}
+    >>> statistics.merit_counts([freeze, bias], ["LQG", "SER"], significance=0.05)
+    {'LQG': {'LQG': 0, 'SER': 1}, 'SER': {'LQG': -1, 'SER': 0}}
     """
     pairs = [(row, column) for row, column in product(techniques, techniques) if row != column]
     ours, theirs = ([[e[pair[i]] for e in errors] for pair in pairs] for i in (1, 0))
@@ -140,6 +165,19 @@ def total_merit(table: Merits) -> dict[str, int]:
     ----------
     table : dict
         The result of `merit_counts`.
+
+    Returns
+    -------
+    dict of str to int
+        The total merit of each technique.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> errors = {"LQG": np.array([0.9, 1.0, 1.1]), "SER": np.array([0.4, 0.5, 0.6]), "none": np.array([1.9, 2.0, 2.1])}
+    >>> statistics.total_merit(statistics.merit_counts([errors], list(errors), significance=0.05))
+    {'LQG': 0, 'SER': 2, 'none': -2}
     """
     return {column: sum(table[row][column] for row in table) for column in table}
 

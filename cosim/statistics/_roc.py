@@ -25,7 +25,20 @@ POINTS = 201
 
 
 def roc_rates() -> Floats:
-    """Return the false positive rates of all curves, which are the same so that curves can be averaged over runs."""
+    """Return the false positive rates of all curves, which are the same so that curves can be averaged over runs.
+
+    Returns
+    -------
+    ndarray of shape (201,)
+        Evenly spaced from 0 to 1.
+
+    Examples
+    --------
+    >>> from bayesftc.cosim import statistics
+    >>> rates = statistics.roc_rates()
+    >>> rates.shape, rates[:3].tolist()
+    ((201,), [0.0, 0.005, 0.01])
+    """
     return np.linspace(0.0, 1.0, POINTS)
 
 
@@ -39,6 +52,20 @@ def roc_curve(faulty: Flags, score: Floats) -> Floats:
     ----------
     faulty, score : ndarray of the same shape
         The truth and the finite score of each sample; at least one sample is faulty and one is not.
+
+    Returns
+    -------
+    ndarray of shape (201,)
+        From 0 to 1, not falling.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> rng, faulty = np.random.default_rng(0), np.arange(1000) >= 600
+    >>> curve = statistics.roc_curve(faulty, rng.normal(size=1000) + 2 * faulty)
+    >>> float(np.interp(0.1, statistics.roc_rates(), curve).round(1))  # 10 % false positives
+    0.8
     """
     healthy, positive = np.sort(score[~faulty]), np.sort(score[faulty])
     thresholds = np.quantile(healthy, 1.0 - roc_rates())
@@ -84,6 +111,17 @@ class Roc:
         Its band of pointwise confidence intervals by Student's t; NaN with less than two curves.
     true_positive_rate_pooled : ndarray of shape (201,)
         The curve of all samples together.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
+    >>> rng, faulty = np.random.default_rng(0), np.tile(np.arange(100) >= 60, (30, 1))
+    >>> result = statistics.roc(rng.normal(size=(30, 100)) + 2 * faulty, faulty)
+    >>> result.runs, round(result.auc, 2), [round(bound, 2) for bound in (result.low, result.high)]
+    (30, 0.92, [0.91, 0.93])
+    >>> float(np.interp(0.05, result.false_positive_rate, result.true_positive_rate).round(1))
+    0.6
     """
 
     auc: float

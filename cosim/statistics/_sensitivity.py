@@ -74,6 +74,19 @@ def sensitivity(
         If the table's points are not those of the design, or less than two base points are left.
     BayesFTCError
         If SALib is not installed.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from bayesftc import cosim
+    >>> from bayesftc.cosim import statistics
+    >>> design = cosim.SaltelliDesign({"a": (0.0, 1.0), "b": (0.0, 1.0)}, count=256)
+    >>> table = pd.DataFrame(design.points()).assign(point=range(len(design)))
+    >>> table["metric"] = 3.0 * table["a"] + table["b"]  # variances 9 : 1
+    >>> statistics.sensitivity(table, "metric", design)[["factor", "first", "total"]].round(1)
+      factor  first  total
+    0      a    0.9    0.9
+    1      b    0.1    0.1
     """
     import pandas as pd
 

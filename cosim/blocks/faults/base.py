@@ -63,6 +63,17 @@ class Fault(Block):
     ------
     ModelError
         If a setting is wrong.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=1.0)
+    >>> source = diagram.add(cosim.Ramp(1.0), "source")
+    >>> fault = diagram.add(cosim.Stuck(at=0.0, start=cosim.when("source.y >= 2"), duration=3.0, channels=1), "fault")
+    >>> diagram.connect(source["y"], fault["u"])
+    >>> run = diagram.simulate(6.0, engine="interpreted")
+    >>> run["fault.y"][:, 0].tolist(), run["fault.active"].tolist()
+    ([0.0, 1.0, 0.0, 0.0, 0.0, 5.0, 6.0], [0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0])
     """
 
     value: ClassVar[Callable[..., Any]]

@@ -47,6 +47,16 @@ class When:
     ------
     ModelError
         If a setting is wrong.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> begin = cosim.When("controller.u", ">", 400.0, delayed=True)
+    >>> begin == cosim.when("controller.u > 400", delayed=True)
+    True
+    >>> fault = cosim.GainFault(factor=0.5, start=begin, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=u, start_signal=u).y[0]) for u in (300.0, 500.0, 500.0)]
+    [300.0, 500.0, 250.0]
     """
 
     signal: str

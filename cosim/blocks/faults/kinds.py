@@ -49,6 +49,18 @@ class Freeze(Fault):
     """The channel keeps the last sample before the onset, to the bit, also a missing one.
 
     If the fault is present from the first step on, the channel keeps the first sample.
+
+    Parameters
+    ----------
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Freeze(start=0.2, stop=0.4, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=u).y[0]) for u in (1.0, 2.0, 3.0, 4.0, 5.0)]
+    [1.0, 2.0, 2.0, 2.0, 5.0]
     """
 
     value = staticmethod(kernels.frozen)
@@ -61,7 +73,16 @@ class Stuck(Fault):
     Parameters
     ----------
     at : float
-        Value of the channel.
+        Value of the channel, in the unit of the signal.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Stuck(sensor=1, at=0.0, start=0.1, channels=2).online(dt=0.1, compiled=False)
+    >>> [fault(u=u).y.tolist() for u in ([1.0, 1.5], [2.0, 2.5])]
+    [[1.0, 1.5], [2.0, 0.0]]
     """
 
     at: float = field(metadata={"unit": "{u}"})
@@ -77,13 +98,22 @@ class Injection(Fault):
     Parameters
     ----------
     magnitude : float
-        Constant part of the added signal.
+        Constant part of the added signal, in the unit of the signal.
     amplitude : float
-        Amplitude of the sine.
+        Amplitude of the sine, in the unit of the signal.
     period : float
         Seconds. From one maximum to the next.
     phase : float
         Radians. Phase at the onset.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Injection(magnitude=3.0, amplitude=1.0, period=0.4, channels=1).online(dt=0.1, compiled=False)
+    >>> [round(float(fault(u=10.0).y[0]), 9) for _ in range(5)]
+    [13.0, 14.0, 13.0, 12.0, 13.0]
     """
 
     magnitude: float = field(default=0.0, metadata={"unit": "{u}"})
@@ -106,7 +136,16 @@ class Bias(Fault):
     Parameters
     ----------
     magnitude : float
-        The offset.
+        The offset, in the unit of the signal.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Bias(magnitude=0.5, start=0.2, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=1.0).y[0]) for _ in range(4)]
+    [1.0, 1.0, 1.5, 1.5]
     """
 
     magnitude: float = field(metadata={"unit": "{u}"})
@@ -124,6 +163,15 @@ class Drift(Fault):
     ----------
     slope : float
         Per second. How fast the offset grows.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Drift(slope=5.0, start=0.1, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=1.0).y[0]) for _ in range(4)]
+    [1.0, 1.0, 1.5, 2.0]
     """
 
     slope: float = field(metadata={"unit": "{u}/s"})
@@ -137,7 +185,16 @@ class GainFault(Fault):
     Parameters
     ----------
     factor : float
-        The factor.
+        The factor, without a unit.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.GainFault(factor=0.5, start=0.2, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=4.0).y[0]) for _ in range(4)]
+    [4.0, 4.0, 2.0, 2.0]
     """
 
     factor: float
@@ -146,7 +203,20 @@ class GainFault(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class Dropout(Fault):
-    """Samples are missing: NaN."""
+    """Samples are missing: NaN.
+
+    Parameters
+    ----------
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Dropout(start=0.1, duration=0.2, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=u).y[0]) for u in (1.0, 2.0, 3.0, 4.0)]
+    [1.0, nan, nan, 4.0]
+    """
 
     value = staticmethod(kernels.dropped)
 
@@ -161,11 +231,23 @@ class Spikes(Fault):
     Parameters
     ----------
     magnitude : float
-        Size of an outlier.
+        Size of an outlier, in the unit of the signal.
     probability : float
         Probability of an outlier at a step, from 0 to 1.
     random_size : bool
         Whether sizes are normal numbers.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> sensor, fault = diagram.add(cosim.Constant(1.0)), diagram.add(cosim.Spikes(magnitude=5.0, channels=1), "fault")
+    >>> diagram.connect(sensor["y"], fault["u"])
+    >>> y = diagram.simulate(1000.0, seed=1)["fault.y"][:, 0]
+    >>> float((y != 1.0).mean().round(2)), sorted(set(y.tolist()))
+    (0.1, [-4.0, 1.0, 6.0])
     """
 
     magnitude: float = field(metadata={"unit": "{u}"})
@@ -188,7 +270,20 @@ class NoiseIncrease(Fault):
     Parameters
     ----------
     std : float
-        Standard deviation of the added noise.
+        Standard deviation of the added noise, in the unit of the signal; not negative.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> sensor = diagram.add(cosim.Gaussian(std=0.3), "sensor")
+    >>> fault = diagram.add(cosim.NoiseIncrease(std=0.4, start=500.0, channels=1), "fault")
+    >>> diagram.connect(sensor["y"], fault["u"])
+    >>> y = diagram.simulate(1000.0, seed=1)["fault.y"]
+    >>> float(y[:5000].std().round(2)), float(y[5000:].std().round(2))
+    (0.31, 0.49)
     """
 
     std: float = field(metadata={"unit": "{u}"})
@@ -212,6 +307,18 @@ class NoiseGrowth(Fault):
     ----------
     slope : float
         Per second. How fast the standard deviation grows.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> sensor, fault = diagram.add(cosim.Constant(0.0)), diagram.add(cosim.NoiseGrowth(slope=0.01, channels=1), "fault")
+    >>> diagram.connect(sensor["y"], fault["u"])
+    >>> run = diagram.simulate(1000.0, seed=1)
+    >>> float(abs(run["fault.y"][:1000]).mean().round(1)), float(abs(run["fault.y"][-1000:]).mean().round(1))
+    (0.4, 7.5)
     """
 
     slope: float = field(metadata={"unit": "{u}/s"})
@@ -232,7 +339,16 @@ class Clipping(Fault):
     Parameters
     ----------
     low, high : float
-        The limits; by default there is none.
+        The limits, in the unit of the signal; by default there is none.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Clipping(high=2.0, start=0.1, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=u).y[0]) for u in (3.0, 3.0, 1.0)]
+    [3.0, 2.0, 1.0]
     """
 
     low: float = field(default=-inf, metadata={"unit": "{u}"})
@@ -252,7 +368,16 @@ class Rounding(Fault):
     Parameters
     ----------
     resolution : float
-        Positive.
+        Distance of two neighbouring values, in the unit of the signal; positive.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Rounding(resolution=0.5, start=0.1, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=u).y[0]) for u in (1.2, 1.2, 1.25)]
+    [1.2, 1.0, 1.5]
     """
 
     resolution: float = field(metadata={"unit": "{u}"})
@@ -276,6 +401,15 @@ class Lag(Fault):
     ----------
     time_constant : float
         Seconds, not negative; 0 for no lag.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Lag(time_constant=0.2, start=0.1, channels=1).online(dt=0.1, compiled=False)
+    >>> [round(float(fault(u=u).y[0]), 3) for u in (0.0, 1.0, 1.0, 1.0)]
+    [0.0, 0.393, 0.632, 0.777]
     """
 
     time_constant: float = field(metadata={"unit": "s"})
@@ -306,6 +440,15 @@ class Delay(Fault):
         Seconds, not negative; rounded to whole steps.
     initial : float, optional
         Value of the channel until the first sample arrives, NaN for a missing one; by default the first sample.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> fault = cosim.Delay(delay=0.2, start=0.2, channels=1).online(dt=0.1, compiled=False)
+    >>> [float(fault(u=u).y[0]) for u in (1.0, 2.0, 3.0, 4.0, 5.0)]
+    [1.0, 2.0, 1.0, 2.0, 3.0]
     """
 
     delay: float = field(metadata={"unit": "s"})
@@ -356,11 +499,24 @@ class RandomFaults(Fault):
         The kinds. Sensor, window, mean times and name are settings of the `RandomFaults`, not of a kind.
     weights : sequence of float, optional
         Relative frequencies of the kinds, in any unit; by default all are equal.
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+        See `Fault`. By default both mean times are given, so that the faults are random.
 
     Raises
     ------
     ModelError
         If a setting is wrong, or a kind has its own sensor, window, mean times or name.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> kinds = [cosim.Freeze(), cosim.Bias(magnitude=3.0)]
+    >>> fault = diagram.add(cosim.RandomFaults(kinds=kinds, weights=[3, 1], channels=1), "fault")
+    >>> diagram.connect(diagram.add(cosim.Sine(1.0, 10.0))["y"], fault["u"])
+    >>> kind = diagram.simulate(1000.0, seed=1)["fault.kind"]
+    >>> {number: round(float((kind == number).mean()), 2) for number in (-1, 0, 1)}
+    {-1: 0.87, 0: 0.1, 1: 0.03}
     """
 
     kinds: Sequence[Fault] = (Freeze(), Injection(magnitude=3.0), Drift(slope=5.0))

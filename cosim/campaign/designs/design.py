@@ -46,6 +46,13 @@ class Design:
 
     To write a design, define `levels`. Its result must depend only on the settings of the design, because a resumed campaign
     calls it again.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> design = cosim.Points([{"fault.start": 2.0}, {"fault.start": 6.0}]) * cosim.Grid({"gain.gain": [1.0, 2.0, 4.0]})
+    >>> design.factors, len(design), design.points()[1]
+    (('fault.start', 'gain.gain'), 6, {'fault.start': 2.0, 'gain.gain': 2.0})
     """
 
     def levels(self) -> list[dict[str, Level]]:
@@ -113,6 +120,15 @@ class Grid(Design):
     ------
     ModelError
         If there is no factor, or a factor without a value or with one label twice.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> grid = cosim.Grid({"fault.start": [2.0, 6.0], "plant": {"light": 80.0, "heavy": 120.0}})
+    >>> [point["plant"] for point in grid.labels()]
+    ['light', 'heavy', 'light', 'heavy']
+    >>> grid.points()[-1]
+    {'fault.start': 6.0, 'plant': 120.0}
     """
 
     values: Mapping[str, Sequence[Any] | Mapping[Any, Any]]
@@ -145,6 +161,13 @@ class Points(Design):
     ------
     ModelError
         If there is no point, or a point has other factors than the first.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> points = cosim.Points([{"gain.gain": 1.0, "limit.high": 5.0}, {"gain.gain": 2.0, "limit.high": 9.0}])
+    >>> len(points), points.factors
+    (2, ('gain.gain', 'limit.high'))
     """
 
     values: Sequence[Mapping[str, Any]]

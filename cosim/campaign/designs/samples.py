@@ -87,6 +87,15 @@ class LatinHypercube(Sampled):
     ------
     ModelError
         If a range, the count or the seed is wrong.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> design = cosim.LatinHypercube({"gain.gain": (0.0, 8.0), "delay.size": range(1, 5)}, count=4, seed=1)
+    >>> sorted(int(point["gain.gain"] // 2) for point in design.points())  # one point in each quarter
+    [0, 1, 2, 3]
+    >>> sorted(int(point["delay.size"]) for point in design.points())
+    [1, 2, 3, 4]
     """
 
     def unit_points(self) -> Floats:
@@ -118,6 +127,16 @@ class SobolSequence(Sampled):
     ------
     ModelError
         If a range, the count or the seed is wrong.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> ranges = {"gain.gain": (0.0, 8.0), "limit.high": (1.0, 2.0)}
+    >>> short, long = cosim.SobolSequence(ranges, count=8, seed=1), cosim.SobolSequence(ranges, count=16, seed=1)
+    >>> long.points()[:8] == short.points()
+    True
+    >>> sorted(int(point["gain.gain"]) for point in short.points())
+    [0, 1, 2, 3, 4, 5, 6, 7]
     """
 
     def unit_points(self) -> Floats:
@@ -155,6 +174,13 @@ class SaltelliDesign(Sampled):
         If a range, the count or the seed is wrong.
     BayesFTCError
         If SALib is not installed, when the points are computed.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> design = cosim.SaltelliDesign({"gain.gain": (0.0, 8.0), "limit.high": (1.0, 2.0)}, count=64)
+    >>> len(design.points()), design.block
+    (256, 4)
     """
 
     second_order: bool = field(default=False, kw_only=True)

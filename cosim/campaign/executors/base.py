@@ -54,6 +54,15 @@ class Threads:
     ----------
     jobs : int, optional
         Number of threads; by default one for each core that this process may use.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise = diagram.add(cosim.Gaussian(std=1.0), "noise")
+    >>> campaign = cosim.Campaign(diagram, duration=100.0, seeds=4, metrics=[cosim.RMSE("noise.y", name="size")])
+    >>> campaign.run(executor=cosim.Threads(2)).table["size"].round(1).tolist()
+    [1.0, 1.0, 1.0, 1.0]
     """
 
     jobs: int | None = None

@@ -53,6 +53,16 @@ class DaskCluster:
         on this machine, which ends with the campaign; it needs Linux or macOS.
     workers : int, optional
         Number of workers of a cluster on this machine; by default one for each core.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> noise = diagram.add(cosim.Gaussian(std=1.0), "noise")
+    >>> campaign = cosim.Campaign(diagram, duration=100.0, seeds=4, metrics=[cosim.RMSE("noise.y", name="size")])
+    >>> cluster = cosim.DaskCluster("tcp://10.0.0.1:8786")
+    >>> campaign.run(executor=cluster).table["size"].round(1).tolist()  # doctest: +SKIP
+    [1.0, 1.0, 1.0, 1.0]
     """
 
     address: str | Client | None = None

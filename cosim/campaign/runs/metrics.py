@@ -70,7 +70,27 @@ class Runs:
 
 
 class Metric(ABC):
-    """A number, or several, of each run; the docstring of the module describes how to write one."""
+    """A number, or several, of each run; the docstring of the module describes how to write one.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> @dataclass(frozen=True)
+    ... class Swing(cosim.Metric):
+    ...     signal: str
+    ...     def signals(self, diagram):
+    ...         return (self.signal,)
+    ...     def columns(self, diagram):
+    ...         return (f"swing({self.signal})",)
+    ...     def evaluate(self, runs):
+    ...         return {f"swing({self.signal})": np.ptp(runs.columns(self.signal), axis=1)}
+    >>> diagram = cosim.Diagram(dt=0.25)
+    >>> sine = diagram.add(cosim.Sine(amplitude=2.0, period=1.0, offset=5.0), "sine")
+    >>> cosim.Campaign(diagram, duration=1.0, metrics=[Swing("sine.y")]).run().table["swing(sine.y)"].tolist()
+    [4.0]
+    """
 
     def signals(self, diagram: Diagram) -> tuple[str, ...]:
         """Return the names of the signals that it needs."""
@@ -175,7 +195,38 @@ class _OfSignal(Metric):
 
 
 class RMSE(_OfSignal):
-    """Root mean square of a signal, or of its difference to another signal."""
+    """Root mean square of a signal, or of its difference to another signal.
+
+    Parameters
+    ----------
+    signal : str
+        Name of the signal, or of an element of it (``"controller.x_hat[0]"``). All elements of a vector or matrix have equal
+        weight.
+    reference : str or float, optional
+        A signal or a number to subtract; by default 0.
+    shift : int
+        Steps by which the signal is later than the reference: 1 for a controller that compares the goal at t_k with the state
+        at t_k+1.
+    start, stop : float, optional
+        Only times start <= t < stop count, in seconds, as for faults; t is the time of the signal, not that of an earlier
+        reference. NaN if there is no such t.
+    name : str, optional
+        Name of the number; by default the kind of the metric and the signal.
+
+    Raises
+    ------
+    ModelError
+        If a setting is wrong.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> sine = diagram.add(cosim.Sine(amplitude=2.0, period=1.0), "sine")
+    >>> campaign = cosim.Campaign(diagram, duration=9.9, metrics=[cosim.RMSE("sine.y")])
+    >>> campaign.run().table["rmse(sine.y)"].round(3).tolist()
+    [1.414]
+    """
 
     _kind = "rmse"
 
@@ -184,7 +235,22 @@ class RMSE(_OfSignal):
 
 
 class MeanAbsoluteError(_OfSignal):
-    """Mean of the absolute value of a signal, or of its difference to another signal."""
+    """Mean of the absolute value of a signal, or of its difference to another signal.
+
+    Parameters
+    ----------
+    signal, reference, shift, start, stop, name
+        See `RMSE`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.5)
+    >>> ramp = diagram.add(cosim.Ramp(slope=1.0), "ramp")
+    >>> campaign = cosim.Campaign(diagram, duration=2.0, metrics=[cosim.MeanAbsoluteError("ramp.y", reference=1.0)])
+    >>> campaign.run().table["mean_absolute(ramp.y)"].tolist()
+    [0.6]
+    """
 
     _kind = "mean_absolute"
 
@@ -193,7 +259,23 @@ class MeanAbsoluteError(_OfSignal):
 
 
 class MaxAbsoluteError(_OfSignal):
-    """Largest absolute value of a signal, or of its difference to another signal."""
+    """Largest absolute value of a signal, or of its difference to another signal.
+
+    Parameters
+    ----------
+    signal, reference, shift, start, stop, name
+        See `RMSE`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> pulse, lag = diagram.add(cosim.Pulse(1.0, period=2.0), "pulse"), diagram.add(cosim.ExponentialFilter(0.5), "lag")
+    >>> diagram.connect(pulse["y"], lag["u"])
+    >>> error = cosim.MaxAbsoluteError("lag.y", reference="pulse.y", start=1.1, stop=2.0, name="error")
+    >>> cosim.Campaign(diagram, duration=4.0, metrics=[error]).run().table["error"].round(3).tolist()
+    [0.67]
+    """
 
     _kind = "max_absolute"
 
@@ -202,7 +284,23 @@ class MaxAbsoluteError(_OfSignal):
 
 
 class Mean(_OfSignal):
-    """Mean of a signal, or of its difference to another signal; for a flag, the share of time in which it is set."""
+    """Mean of a signal, or of its difference to another signal; for a flag, the share of time in which it is set.
+
+    Parameters
+    ----------
+    signal, reference, shift, start, stop, name
+        See `RMSE`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> fault = diagram.add(cosim.Freeze(start=2.0, duration=1.0, channels=1), "fault")
+    >>> diagram.connect(diagram.add(cosim.Sine(1.0, 3.0))["y"], fault["u"])
+    >>> campaign = cosim.Campaign(diagram, duration=4.9, metrics=[cosim.Mean("fault.active", name="share")])
+    >>> campaign.run().table["share"].tolist()
+    [0.2]
+    """
 
     _kind = "mean"
 
@@ -211,7 +309,23 @@ class Mean(_OfSignal):
 
 
 class Final(_OfSignal):
-    """Last value of a signal, or of its difference to another signal; for a vector, name an element."""
+    """Last value of a signal, or of its difference to another signal; for a vector, name an element.
+
+    Parameters
+    ----------
+    signal, reference, shift, start, stop, name
+        See `RMSE`, also for errors.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> one, integral = diagram.add(cosim.Constant(1.0), "one"), diagram.add(cosim.Integrator(), "integral")
+    >>> diagram.connect(one["y"], integral["u"])
+    >>> campaign = cosim.Campaign(diagram, duration=5.0, metrics=[cosim.Final("integral.y", reference=4.5)])
+    >>> campaign.run().table["final(integral.y)"].round(9).tolist()
+    [0.5]
+    """
 
     _kind = "final"
 
@@ -242,6 +356,19 @@ class LoopFigures(Metric):
     Notes
     -----
     A campaign has the figures of its first point. If the loop of another point lacks a figure, it is NaN.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+    >>> loop = cosim.closed_loop(
+    ...     cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1)), controllers.LQGController(model), control="u",
+    ...     measured="y", sensors=cosim.Sensors(2, 0.2), reference=1.0,
+    ... )
+    >>> figures = cosim.LoopFigures(only=["tracking.*.overall"])
+    >>> cosim.Campaign(loop, duration=5.0, seeds=3, metrics=[figures]).run().table["tracking.y.overall"].round(1).tolist()
+    [0.3, 0.3, 0.3]
     """
 
     only: Sequence[str] | None = None
@@ -315,6 +442,18 @@ class OfResult(Metric):
         Names or patterns of the signals that it needs; by default all outputs.
     name : str, optional
         Name of the number; by default that of the function.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> diagram = cosim.Diagram(dt=0.1)
+    >>> step, lag = diagram.add(cosim.Step(0.5, 1.0), "step"), diagram.add(cosim.ExponentialFilter(0.5), "lag")
+    >>> diagram.connect(step["y"], lag["u"])
+    >>> def rise_time(result):
+    ...     return result.time[result["lag.y"] >= 0.9][0] - 0.5
+    >>> campaign = cosim.Campaign(diagram, duration=4.0, metrics=[cosim.OfResult(rise_time, needs=["lag.y"])])
+    >>> campaign.run().table["rise_time"].round(9).tolist()
+    [1.1]
     """
 
     function: Callable[[Result], float]
