@@ -64,13 +64,24 @@ def as_matrix(name: str, value: object, rows: int | None = None, columns: int | 
         array = array.reshape(-1, 1)
     if array.ndim != 2 or not array.size:
         raise ModelError(f"{name} has the shape {array.shape}; give a matrix with rows and columns.")
-    required = (rows if rows is not None else array.shape[0], columns if columns is not None else array.shape[1])
-    if array.shape != required:
-        raise ModelError(f"{name} is {_size(array.shape)}; it must be {_size(required)}.")
+    if not _fits(array, rows, columns):
+        required = (
+            f"have {rows} row{'s' * (rows != 1)}"
+            if columns is None
+            else f"have {columns} column{'s' * (columns != 1)}"
+            if rows is None
+            else f"be {rows} x {columns}"
+        )
+        transposed = " (is it transposed?)" if _fits(array.T, rows, columns) else ""
+        raise ModelError(f"{name} is {_size(array.shape)}; it must {required}{transposed}.")
     if not np.isfinite(array).all():
         raise ModelError(f"{name} has entries that are NaN or infinite; check where it was computed.")
     _refuse_huge(name, array)
     return frozen(array)
+
+
+def _fits(array: Floats, rows: int | None, columns: int | None) -> bool:
+    return (rows is None or len(array) == rows) and (columns is None or array.shape[1] == columns)
 
 
 def as_covariance(name: str, value: object, size: int, *, singular: bool = False) -> Floats:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fitting import sentences
 from bayesftc.cosim.fitting.fitted import FittedFMU
@@ -73,7 +74,8 @@ def fit(
     outputs : mapping, sequence of str or str
         Output of the FMU -> its column, or columns of redundant sensors. A name alone stands for a column of the same name.
     inputs : mapping, sequence of str or str, optional
-        Input of the FMU -> its column. Other inputs keep their start values.
+        Input of the FMU -> its column. Other inputs keep their start values, with a warning if the recording has a column of
+        that name.
     time : str
         The column of times in seconds.
     dt : float, str or Fraction, optional
@@ -130,6 +132,7 @@ def fit(
     fmu = _with_parameters(fmu if isinstance(fmu, FMU) else FMU(fmu), box)
     samples = sample(recording, inputs, outputs, time, dt)
     split = _split(samples, held_out, len(box.names))
+    _warn_of_columns(fmu, samples)
     problem = Problem(
         Simulator(fmu, samples, jobs), box, settings, samples.y[:split], samples.output_of, np.zeros((0, 0))
     )
@@ -210,6 +213,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         plant=replace(fmu, parameters={**(fmu.parameters or {}), **values}),
         parameters=values,
         std=dict(zip(box.names, (box.width * std).tolist(), strict=True)),
+        undetermined=tuple(names[std > sentences.UNKNOWN].tolist()),
         correlation=spread / np.outer(std, std),
         profile=profile,
         sensors=samples.sensors,
@@ -243,6 +247,16 @@ def _with_parameters(fmu: FMU, box: Box) -> FMU:
         fmu, parameters={**(fmu.parameters or {}), **box.at(np.full(len(box.names), 0.5))}
     )  # raises if one cannot be set
     return fmu
+
+
+def _warn_of_columns(fmu: FMU, samples: Samples) -> None:
+    """Warn of each input that keeps its start value although the recording has a column of its name."""
+    for port in fmu.inputs:
+        if port.name in samples.unused and port.name not in {*samples.inputs, *(fmu.parameters or {})}:
+            warn_user(
+                f"The input {port.name} is not given and stays at its start value; the recording has a column of that name. "
+                f'Add inputs=["{port.name}"], or --input {port.name} on the command line.'
+            )
 
 
 def _known(fmu: FMU, box: Box) -> Floats:

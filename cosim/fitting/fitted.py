@@ -28,6 +28,8 @@ class FittedFMU:
         The fitted parameters, in the FMU's units.
     std : dict of str to float
         Their standard errors; NaN for a parameter at a bound of its range.
+    undetermined : tuple of str
+        Parameters whose standard error is above that of a uniform distribution over their range.
     correlation : ndarray, parameters x parameters
         Correlations of their errors; NaN for a parameter at a bound.
     profile : tuple of Combination
@@ -64,6 +66,7 @@ class FittedFMU:
     plant: FMU
     parameters: dict[str, float]
     std: dict[str, float]
+    undetermined: tuple[str, ...]
     correlation: Floats
     profile: tuple[Combination, ...]
     sensors: Mapping[str, tuple[str, ...]]
@@ -79,7 +82,8 @@ class FittedFMU:
     def __str__(self) -> str:
         units = self.units
         lines = [
-            f"{name} = {value:.6g} {units[name]}".rstrip() + f" (standard error {self.std[name]:.2g})"
+            f"{name} = {value:.6g} {units[name]}".rstrip()
+            + (" (not determined)" if name in self.undetermined else f" (standard error {self.std[name]:.2g})")
             for name, value in self.parameters.items()
         ]
         for column, rms in self.rms.items():

@@ -36,6 +36,8 @@ class Samples:
         The columns of each output.
     y : ndarray, steps x sensors
         Samples of all sensors, in this order; NaN where there is none.
+    unused : tuple of str
+        Columns that are neither times nor named among the inputs and outputs.
     """
 
     step: Fraction
@@ -43,6 +45,7 @@ class Samples:
     inputs: Mapping[str, Floats]
     sensors: Mapping[str, tuple[str, ...]]
     y: Floats
+    unused: tuple[str, ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -85,7 +88,9 @@ def sample(recording: Any, inputs: Columns, outputs: Columns, time: str, dt: flo
     steps = int(rows[-1]) + 1
     given = {name: _at(rows, steps, table[columns].to_numpy(dtype=np.float64)) for name, columns in into.items()}
     y = _at(rows, steps, table[[c for columns in out.values() for c in columns]].to_numpy(dtype=np.float64))
-    return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y)
+    used = {time, *(column for columns in (*into.values(), *out.values()) for column in columns)}
+    unused = tuple(str(column) for column in table.columns if column not in used)
+    return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y, unused)
 
 
 def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:

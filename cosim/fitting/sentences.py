@@ -45,12 +45,17 @@ def undetermined(profile: Sequence[Combination], widths: Mapping[str, float]) ->
             for name, share in combination.direction.items()
             if abs(share) > MATTERS
         ]
-        what = "cannot be determined" if len(changes) == 1 else "cannot be told apart"
-        names = " and ".join(change.split(" by ")[0] for change in changes)
-        yield (
-            f"{names} {what}: the outputs hardly change if one changes {' and '.join(changes)}. Fix one of them, or record "
-            "another motion."
-        )
+        names = [change.split(" by ")[0] for change in changes]
+        if len(names) == 1:
+            yield (
+                f"{names[0]} cannot be determined: the outputs hardly depend on it in its range. Fix it, or record a motion that "
+                "depends on it."
+            )
+        else:
+            yield (
+                f"{' and '.join(names)} cannot be told apart: the outputs hardly change if one changes {' and '.join(changes)}. "
+                "Fix one of them, or record another motion."
+            )
 
 
 def correlated(columns: Sequence[str], found: Sequence[bool], white: Floats, used: Floats) -> Iterator[str]:

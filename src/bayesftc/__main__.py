@@ -13,8 +13,8 @@ def main() -> None:
             from bayesftc.cli import app
 
             app(prog_name="bayesftc")
-    except (Interrupted, KeyboardInterrupt):
-        print(SENTENCE, file=sys.stderr)  # noqa: T201
+    except (Interrupted, KeyboardInterrupt) as stop:
+        print(str(stop) or SENTENCE, file=sys.stderr)  # noqa: T201
         warnings.simplefilter("ignore")  # such as warnings of unfinished coroutines, after the sentence
         sys.exit(EXIT_CODE)
     finally:

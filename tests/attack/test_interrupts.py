@@ -1,6 +1,7 @@
 """Ctrl-C at any moment of a run or a campaign: one sentence, exit code 130, and nothing left behind."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -67,7 +68,11 @@ def interrupted(folder, command, seconds):
         return ""
     if process.returncode == -signal.SIGINT and errors.count("File ") == errors.count('File "<string>"') == 1:
         return ""  # on a busy machine: between the print and the command, which had not begun
-    if (process.returncode, out, errors) != (EXIT_CODE, "", SENTENCE + "\n"):
+    kept = re.fullmatch(
+        r"Stopped by Ctrl-C\. \d+ of \d+ runs are kept in out\. Repeat the command to go on\.\n", errors
+    )
+    said = errors == SENTENCE + "\n" or (command[0] == "campaign" and kept is not None)
+    if (process.returncode, out, said) != (EXIT_CODE, "", True):
         return f"exit code {process.returncode}: {out}{errors[-800:]}"
     left = [str(path) for path in folder.rglob("*") if is_half(path)] + [
         str(path) for path in (folder / "tmp").iterdir()

@@ -50,6 +50,15 @@ def test_json_has_null_where_there_is_no_number(bayesftc_, drive):
     assert any("lower bound" in sentence for sentence in numbers["sentences"])
 
 
+def test_an_undetermined_parameter_has_no_standard_error(bayesftc_, drive):
+    still = pd.read_csv(drive).rename(columns={"u": "force"})
+    still[["v1", "v2"]] = 0.1 * np.sin(np.outer(np.arange(len(still)), [1.0, 2.0]))
+    still.to_csv(drive, index=False)
+    done = bayesftc_("fit", "CruiseControl", drive, "--parameter", "m=50:200", "--output", "v=v1,v2", "--all-samples")
+    assert "not determined" in done.stdout
+    assert "--input force" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [

@@ -189,6 +189,7 @@ def test_a_model_that_is_there_is_not_overwritten(drive, files, tmp_path):
     done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--model", files[2]])
     assert done.exit_code == 12
     assert "exists already" in done.output
+    assert f"give --model {files[2]} without --fit" in " ".join(done.output.split())
     assert (tmp_path / "model.toml").read_text(encoding="utf-8") == before
 
 

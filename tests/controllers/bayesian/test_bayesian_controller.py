@@ -308,8 +308,9 @@ MODEL = {"A": [[0.9]], "B": [[1.0]], "C": [[1.0]], "process_covariance": 0.1, "s
     ("change", "words"),
     [
         ({"A": [[1.0, 0.0]]}, "must be square"),
-        ({"B": [[1.0], [2.0]]}, "B is 2 x 1; it must be 1 x 1"),
-        ({"C": [[1.0, 2.0]]}, "C is 1 x 2"),
+        ({"B": [[1.0], [2.0]]}, r"B is 2 x 1; it must have 1 row \(is it transposed\?\)\."),
+        ({"B": [[1.0, 2.0], [3.0, 4.0]]}, r"B is 2 x 2; it must have 1 row\."),
+        ({"C": [[1.0, 2.0]]}, "C is 1 x 2; it must have 1 column"),
         ({"A": [[float("nan")]]}, "NaN or infinite"),
         ({"sensor_covariance": 0.0}, r"not positive definite: its smallest eigenvalue is 0\."),
         ({"sensor_covariance": -1.0}, "smallest eigenvalue is -1"),

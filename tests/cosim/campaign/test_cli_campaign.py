@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from bayesftc.cosim import ScenarioError, varied
+from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.scenario import find_scenario
 from bayesftc.scenario._files import read_toml
 from bayesftc.scenario._unused import unused_of_campaign
@@ -224,6 +225,20 @@ def test_a_scenario_is_told_from_a_campaign(bayesftc_, tmp_path):
     assert "is a scenario, not a campaign file" in re.sub(r"\s+", " ", done.stderr)
 
 
+def test_a_stop_says_what_is_kept(bayesftc_, file, monkeypatch):
+    usual = CampaignStore.write
+
+    def write(store, outcome):
+        if len(store.done()) == 2:
+            raise KeyboardInterrupt
+        usual(store, outcome)
+
+    monkeypatch.setattr(CampaignStore, "write", write)
+    done = bayesftc_("campaign", file, "--jobs", 1, "--quiet")
+    assert done.exit_code == 130
+    assert done.stderr.endswith("10 of 12 runs are kept in tracking. Repeat the command to go on.\n")
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are sent as POSIX has them")
 def test_ctrl_c_keeps_what_is_done_and_goes_on(file, tmp_path, bayesftc_):
@@ -246,6 +261,7 @@ def test_ctrl_c_keeps_what_is_done_and_goes_on(file, tmp_path, bayesftc_):
     assert "Traceback" not in errors
     kept = len(list(parts.glob("part-*.parquet")))
     assert 0 < kept < 320
+    assert errors.endswith(f"{5 * kept} of 1600 runs are kept in tracking. Repeat the command to go on.\n")
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL)
     while len(list(parts.glob("part-*.parquet"))) <= kept and time.monotonic() < deadline + 60:
         time.sleep(0.02)

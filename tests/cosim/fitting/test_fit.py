@@ -2,6 +2,7 @@
 
 import re
 import threading
+import warnings
 from dataclasses import replace
 
 import fmpy
@@ -138,7 +139,22 @@ def test_a_parameter_without_effect_cannot_be_determined():
     )  # at rest the mass does nothing
     fitted = cosim.fit(cosim.FMU(CAR), still, {"m": (50, 200)}, **NAMES, weigh=None)
     assert fitted.std["m"] > 150
-    assert any(sentence.startswith("m cannot be determined") for sentence in fitted.sentences)
+    (sentence,) = (s for s in fitted.sentences if s.startswith("m cannot be determined"))
+    assert "Fix it" in sentence
+    assert "changes" not in sentence
+    assert fitted.undetermined == ("m",)
+    assert "(not determined)" in str(fitted)
+
+
+def test_an_input_that_is_not_given_is_named_if_the_recording_has_it():
+    table = TABLE[:60].rename(columns={"u": "force"})
+    names = {"outputs": {"v": ["v0", "v1"]}, "weigh": None}
+    with pytest.warns(UserWarning, match=r"force is not given .* a column of that name. Add inputs=\[\"force\"\]"):
+        cosim.fit(CAR, table, {"m": (50, 200)}, **names)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cosim.fit(CAR, table, {"m": (50, 200)}, **names, inputs="force")
+        cosim.fit(cosim.FMU(CAR, parameters={"force": 9.0}), table, {"m": (50, 200)}, **names)  # on purpose
 
 
 def test_a_bound_is_named_and_has_no_standard_error():

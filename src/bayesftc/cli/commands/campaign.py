@@ -5,16 +5,17 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bayesftc._interrupt import Interrupted
 from bayesftc.cli import output
 from bayesftc.cli.options import Json, Quiet
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,7 +67,7 @@ def campaign(
     chosen = _executor(executor, jobs, scheduler)
     folder = Path(file.stem) if out is None else out
     began = time.perf_counter()
-    with _progress(file.stem, shown=not quiet and not json) as progress:
+    with _kept(folder), _progress(file.stem, shown=not quiet and not json) as progress:
         result = loaded.run(
             folder, executor=chosen, progress=progress, retry_failed=retry_failed, description=described(file, loaded)
         )
@@ -77,6 +78,23 @@ def campaign(
         typer.echo(output.as_json(numbers))
     elif not quiet:
         _print(numbers)
+
+
+@contextmanager
+def _kept(store: Path) -> Iterator[None]:
+    """Give a Ctrl-C inside the number of runs that are kept, as its message."""
+    try:
+        yield
+    except (Interrupted, KeyboardInterrupt) as stop:
+        from bayesftc.cosim.campaign.store.folder import CampaignStore
+
+        with suppress(BayesFTCError):  # there is no store yet
+            kept = CampaignStore.open(store)
+            runs = sum(len(kept.plan.pieces[index]) for index in kept.done())
+            stop.args = (
+                f"Stopped by Ctrl-C. {runs} of {kept.plan.runs} runs are kept in {store}. Repeat the command to go on.",
+            )
+        raise
 
 
 def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Runner | None:

@@ -92,7 +92,12 @@ def summary(fitted: Any) -> dict[str, Any]:
         without_nan(
             {
                 "parameters": {
-                    name: {"value": fitted.parameters[name], "std": fitted.std[name], "unit": units[name]}
+                    name: {
+                        "value": fitted.parameters[name],
+                        "std": fitted.std[name],
+                        "determined": name not in fitted.undetermined,
+                        "unit": units[name],
+                    }
                     for name in names
                 },
                 "correlation": dict(
@@ -141,7 +146,7 @@ def _print(numbers: dict[str, Any], folder: Path | None) -> None:
     console, say = output.sayer()
     table = output.empty_table("value", "standard error", "unit")
     for name, row in numbers["parameters"].items():
-        std = output.DASH if row["std"] is None else f"{row['std']:.2g}"
+        std = output.DASH if row["std"] is None else f"{row['std']:.2g}" if row["determined"] else "not determined"
         table.add_row(name, f"{row['value']:.6g}", std, row["unit"])
     console.print(table)
     sensors = output.empty_table("samples", "counted", "rms error", "rms error held out")

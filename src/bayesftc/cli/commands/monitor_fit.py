@@ -44,7 +44,9 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path) -> tuple[Fitted
         If the model file exists, which is not overwritten, or if it cannot be written.
     """
     if os.path.lexists(model):
-        raise ResultFileError(f"{model} exists already. Name another file with --model, or leave out --fit to use it.")
+        raise ResultFileError(
+            f"{model} exists already. Name another file with --model, or give --model {model} without --fit to use it."
+        )
     output.check_folder(model.parent, (model.name,))
     places, signals = redundant_signals(recording, part.sensors)
     samples = recorded(signals)
