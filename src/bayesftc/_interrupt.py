@@ -24,7 +24,9 @@ PAUSE = 0.02
 
 
 class Interrupted(BaseException):
-    """Ctrl-C. Its message is printed at the end, if it has one. It is no `KeyboardInterrupt`, which some libraries handle themselves.
+    """Ctrl-C. Its message is printed at the end, if it has one.
+
+    It is no `KeyboardInterrupt`, which some libraries handle themselves.
 
     CPython does, too: after one has passed through an `exec`, the signal ends the process, whatever the requested exit code.
     """
