@@ -251,7 +251,7 @@ def _with_parameters(fmu: FMU, box: Box) -> FMU:
 
 def _warn_of_columns(fmu: FMU, samples: Samples) -> None:
     """Warn of each input that keeps its start value although the recording has a column of its name."""
-    for port in fmu.inputs:
+    for port in fmu._sides[0]:
         if port.name in samples.unused and port.name not in {*samples.inputs, *(fmu.parameters or {})}:
             warn_user(
                 f"The input {port.name} is not given and stays at its start value; the recording has a column of that name. "

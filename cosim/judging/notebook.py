@@ -75,7 +75,8 @@ class _Pictures:
             return
         if self.renderer is None:
             self.figure.dpi = self.figure.dpi if dpi in (None, "figure") else dpi
-            self.renderer = RendererAgg(*(int(size) for size in self.figure.bbox.size), self.figure.dpi)
+            width, height = (int(size) for size in self.figure.bbox.size)
+            self.renderer = RendererAgg(width, height, self.figure.dpi)
             for artist in self.moving:
                 artist.set_visible(False)
             self.figure.draw(self.renderer)
