@@ -247,7 +247,7 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
         if numbers[what]:
             tables.append((heading, _by_name(numbers[what], rows), sentence))
     if numbers["tracking"]:
-        tables.insert(0, (*_errors(numbers), f"{TRACKING} {numbers['law']}".rstrip()))
+        tables.insert(0, (*_errors(numbers), f"{TRACKING} {numbers.get('law', '')}".rstrip()))
     if "kalman" in numbers:
         tables.append((*_kalman(numbers["kalman"]), numbers["kalman"]["verdict"]))
     for heading, table, sentence in tables:
