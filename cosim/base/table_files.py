@@ -23,11 +23,7 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
     import pandas as pd
 
     try:
-        return (
-            pd.read_parquet(path)
-            if Path(path).suffix == ".parquet"
-            else pd.read_csv(path, float_precision="round_trip")
-        )
+        return pd.read_parquet(path) if Path(path).suffix == ".parquet" else pd.read_csv(path)
     except (OSError, ValueError, ImportError) as error:  # pandas without a package for Parquet raises the last
         message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
         raise RecordingError(
