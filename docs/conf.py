@@ -54,6 +54,7 @@ sphinx_gallery_conf = {
     "matplotlib_animations": True,
     "reset_modules": ("matplotlib",),
     "show_memory": False,
+    "write_computation_times": False,  # their pages take scripts from other addresses
     "show_signature": False,
     "remove_config_comments": True,
     "plot_gallery": "True",

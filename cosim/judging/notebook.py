@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -14,6 +15,11 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 DOTS_PER_INCH = 100
+SIGNS = {
+    "minus": "−", "fast-backward": "|◀◀", "step-backward": "|◀", "play fa-flip-horizontal": "◀", "pause": "❚❚", "play": "▶",
+    "step-forward": "▶|", "fast-forward": "▶▶|", "plus": "+",
+}  # fmt: skip
+"""Signs on the buttons of a player, by the names of the icons that matplotlib takes from another address."""
 
 
 class NotebookFigure(Figure):
@@ -56,8 +62,13 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
             del canvas.draw_idle, figure.savefig
             figure.dpi = dpi
 
+    def to_jshtml(self, *args: Any, **settings: Any) -> str:
+        """See `matplotlib.animation.Animation.to_jshtml`. The page needs no other address: its buttons have signs, no icons."""
+        page = re.sub(r'<link rel="stylesheet"\s+href="https?://[^>]*>', "", super().to_jshtml(*args, **settings))
+        return re.sub(r'<i class="fa fa-([\w -]+)"></i>', lambda icon: SIGNS.get(icon[1], icon[0]), page)
+
     def _repr_html_(self) -> str:
-        return str(self.to_jshtml(default_mode="once"))
+        return self.to_jshtml(default_mode="once")
 
 
 class _Pictures:

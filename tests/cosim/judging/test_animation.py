@@ -1,6 +1,7 @@
 """Animations: which plants have a picture, what is drawn, and that it follows the run; how they look was judged by eye."""
 
 import io
+import re
 import warnings
 
 import numpy as np
@@ -156,7 +157,10 @@ def test_a_notebook_shows_a_player_and_a_file_can_be_written(tmp_path):
     run = car().simulate(0.2, seed=1, engine="interpreted")
     animation = run.animate(frames=2, speed=0.5)
     assert animation._interval == pytest.approx(200.0)
-    assert "<script" in animation._repr_html_()
+    page = animation._repr_html_()
+    assert "<script" in page
+    assert not re.search(r"<(link|script)[^>]*http", page)  # it is complete without a network
+    assert "fa-" not in page
     animation.save(tmp_path / "run.gif", writer="pillow")
     assert (tmp_path / "run.gif").read_bytes().startswith(b"GIF8")
 
