@@ -303,8 +303,9 @@ class BayesianController(BayesianBlock):
         the control on the belief, and those of the filter. No control moves an estimated disturbance, so only the poles of its
         estimate count.
         """
-        if self.undelayed is not None:
-            return np.append(self.undelayed.closed_loop_poles(), np.zeros(2 * self._apart[1]))
+        of, past = self._apart
+        if past:
+            return np.append(of.closed_loop_poles(), np.zeros(2 * past))
         return np.linalg.eigvals(self.closed_loop_matrix()).astype(np.complex128)
 
     @cached_property
@@ -312,14 +313,16 @@ class BayesianController(BayesianBlock):
         """Return the controller of the plant without delays, which has the same poles but those at 0; None if they differ.
 
         Delays multiply signals by powers of z, and the spectra whose factors have the poles of filter and control by powers whose
-        product is 1. This needs noises, and costs of controls, that are uncorrelated between signals of different delays, and
-        estimation apart from control. Eigenvalues of the whole matrix would be wrong: rounding moves those of a chain of n delays
-        from 0 to about the n-th root of 1e-16.
+        product is 1. This needs noises and errors of sensors, and costs of controls, that signals of different delays do not
+        share, and estimation apart from control. Eigenvalues of the whole matrix would be wrong: rounding moves those of a chain
+        of n delays from 0 to about the n-th root of 1e-16.
         """
         model, delays = self.model, self.model.delays
         if delays is None or self.belief != "filtered":
             return None
         pairs = [(model.sensor_covariance, delays.sensors), (self.control_covariance, delays.inputs)]
+        errors = model.moving.matrix("C")[:, model.states - model.disturbances :]
+        pairs.append((errors @ errors.T, delays.sensors))
         if any(_mixed(np.asarray(matrix, dtype=np.float64), steps) for matrix, steps in pairs if matrix is not None):
             return None
         keep = delays.others(model.states)
@@ -379,7 +382,7 @@ class BayesianController(BayesianBlock):
         return steady_gains(A, B, C, G, Q, R, goal_covariance, prior, start, joint=self.belief == "joint")
 
     def _warn_if_unstable(self) -> None:
-        poles = self._relevant_poles()
+        poles = self._apart[0]._relevant_poles()
         size = float(np.abs(poles).max()) if len(poles) else 0.0
         if size >= 1.0 - 1e-9:
             poles = poles[np.argsort(-np.abs(poles))]
@@ -396,8 +399,6 @@ class BayesianController(BayesianBlock):
 
     def _relevant_poles(self) -> NDArray[np.complex128]:
         """Return the loop's poles without those of constants that no control moves, such as a sensor's bias."""
-        if self.undelayed is not None:
-            return np.append(self.undelayed._relevant_poles(), np.zeros(2 * self._apart[1]))
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
         poles = self.closed_loop_poles()

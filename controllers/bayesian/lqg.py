@@ -231,8 +231,6 @@ class LQGController(BayesianController):
 
     def _relevant_poles(self) -> NDArray[np.complex128]:
         poles = super()._relevant_poles()
-        if self.undelayed is not None:
-            return poles
         return poles[np.argsort(np.abs(poles - 1.0))[self.regulator.drifting :]] if self.regulator.drifting else poles
 
     def _priors(self) -> tuple[Floats, Floats, Floats]:

@@ -81,7 +81,7 @@ def with_delays(model: Any, inputs: int | Sequence[int], sensors: int | Sequence
             f"The delays need {k} states, but at most {MOST} are possible. Give a longer sample time, with which they are fewer "
             "samples."
         )
-    keep = [*range(n), *range(n + k, n + k + d)]  # the places of the model's own states
+    keep = [*range(n), *range(n + k, n + k + d)]  # the places of the given states
     new_A, new_B, new_C, new_Q = (
         np.zeros(shape)
         for shape in ((n + k + d, n + k + d), (n + k + d, B.shape[1]), (len(C), n + k + d), (n + k + d,) * 2)
@@ -123,8 +123,8 @@ def extended_covariance(model: Any, name: str, value: object) -> object:
     if delays is None:
         return value
     given = as_numbers(name, value, "it must be a number, a list of numbers or a matrix")
-    own = model.states - delays.states
-    size = next((size for size in (own, delays.plant) if given.shape in {(size,), (size, size), ()}), None)
+    reduced = model.states - delays.states
+    size = next((size for size in (reduced, delays.plant) if given.shape in {(size,), (size, size), ()}), None)
     if size is None:
         return value
     whole = np.zeros((model.states, model.states))

@@ -99,24 +99,43 @@ def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tu
 
     A subsystem counts as one block.
     """
-    origin = next(diagram.origins_of(node, port, element), None)
-    while origin is not None and isinstance(origin[0].node.block, Fault):
-        fault = origin[0].node
-        origin = next(diagram.origins_of(fault, fault.port("u"), origin[1]), None)
-    return None if origin is None else (origin[0].node, origin[0].port, origin[1])
+    for origin, i in _upstream(diagram, node, port, element):
+        if not isinstance(origin.node.block, Fault):
+            return origin.node, origin.port, i
+    return None
 
 
 def dead_time(diagram: Diagram, node: Node, port: Port, element: int) -> Fraction:
     """Return the seconds by which faults that are always present delay one element of an input: its dead time."""
     late = Fraction(0)
-    origin = next(diagram.origins_of(node, port, element), None)
-    while origin is not None and isinstance(origin[0].node.block, Fault):
-        fault, channel = origin[0].node, origin[1]
-        if isinstance(fault.block, Delay) and fault.block.permanent and fault.block.sensor == channel:
-            step = diagram.step * fault.every
-            late += int(fault.block.numbers(step)[0]) * step
-        origin = next(diagram.origins_of(fault, fault.port("u"), channel), None)
+    for origin, i in _upstream(diagram, node, port, element):
+        fault, step = origin.node.block, diagram.step * origin.node.every
+        if isinstance(fault, Delay) and fault.permanent and fault.sensor == i:
+            late += int(fault.numbers(step)[0]) * step
     return late
+
+
+def dead_times(diagram: Diagram, plant: str) -> tuple[dict[int, Fraction], list[Fraction]]:
+    """Return the dead times between controller and plant, by control, and those of the controller's samples."""
+    controller = find_controller(diagram)
+    late = {}
+    for node, port, i in elements(diagram, {each.name for each in diagram.nodes} - {plant}):
+        source = healthy_source(diagram, node, port, i)
+        if source is not None and source[0] is controller and source[1].name == "u":
+            late[source[2]] = dead_time(diagram, node, port, i)
+    y = controller.port("y")
+    return late, [dead_time(diagram, controller, y, i) for i in range(y.size)]
+
+
+def _upstream(diagram: Diagram, node: Node, port: Port, element: int) -> Iterator[tuple[PortRef, int]]:
+    """Yield the outputs on the way to one element of an input, from the last fault back to the first block that is no fault."""
+    origin = next(diagram.origins_of(node, port, element), None)
+    while origin is not None:
+        yield origin
+        fault = origin[0].node
+        if not isinstance(fault.block, Fault):
+            return
+        origin = next(diagram.origins_of(fault, fault.port("u"), origin[1]), None)
 
 
 def elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, Port, int]]:

@@ -439,7 +439,8 @@ class Delay(Fault):
     delay : float
         Seconds, not negative; rounded to whole steps.
     initial : float, optional
-        Value of the channel until the first sample arrives, NaN for a missing one; by default the first sample.
+        Value of the channel until the first sample arrives, in the unit of the signal, NaN for a missing one; by default the
+        first sample.
     sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
         See `Fault`, also for errors.
 
@@ -452,7 +453,7 @@ class Delay(Fault):
     """
 
     delay: float = field(metadata={"unit": "s"})
-    initial: float | None = None
+    initial: float | None = field(default=None, metadata={"unit": "{u}"})
     value = staticmethod(kernels.delayed)
     remembers = True
 

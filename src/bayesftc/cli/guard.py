@@ -39,9 +39,7 @@ def guarded(debug: bool = False) -> Iterator[None]:
             traceback.print_exc()
         _say(f"Error: {error}")
         raise typer.Exit(error.exit_code) from None
-    except (
-        KeyboardInterrupt
-    ) as stop:  # only inside another program: elsewhere `bayesftc._interrupt` makes it `Interrupted`
+    except KeyboardInterrupt as stop:  # inside another program; else `bayesftc._interrupt` makes it `Interrupted`
         _say(str(stop) or SENTENCE)
         raise typer.Exit(INTERRUPTED) from None
     except MemoryError:

@@ -284,6 +284,18 @@ def test_poles_with_noise_that_sensors_of_different_delays_share_are_computed_as
     np.testing.assert_array_equal(np.sort_complex(controller.closed_loop_poles()), np.sort_complex(whole))
 
 
+@pytest.mark.parametrize(("common", "apart"), [(True, False), (False, True)])
+def test_poles_with_errors_of_sensors_are_those_of_the_whole_matrix(common, apart):
+    """An error that sensors of different delays share changes the poles; errors of each sensor do not."""
+    model = position().with_sensor_errors(0.05, 0.4, common=common).with_delays(1, (0, 2))
+    controller = LQGController(model, FixedPrecision(), goal_covariance=0.01)
+    assert (controller.undelayed is not None) == apart
+    whole, poles = np.linalg.eigvals(controller.closed_loop_matrix()), controller.closed_loop_poles()
+    for one, other in ((whole, poles), (poles, whole)):
+        large = one[np.abs(one) > 0.02]
+        assert np.abs(large[:, None] - other).min(axis=1).max() < 1e-6
+
+
 def test_poles_of_a_long_delay_are_not_rounding():
     for steps in (5, 60):
         controller = LQGController(position().with_delays(steps, (0, steps)), FixedPrecision(), goal_covariance=0.01)

@@ -16,7 +16,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli.commands.compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed
-from bayesftc.cosim.diagram.wiring import dead_time, elements, find_controller, healthy_source
+from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.conditions import never_began
 from bayesftc.cosim.judging.metrics import figures, without_nan
@@ -158,15 +158,9 @@ def _compare(scenario: Scenario) -> None:
 def _of_plant_alone(model: LinearModel, loop: Diagram) -> LinearModel:
     """Return the model without the dead times that the loop has outside of its plant."""
     assert model.delays is not None
-    node, step = find_controller(loop), model.step
-    late = {}
-    for plant, port, i in elements(loop, {each.name for each in loop.nodes if each.name != "plant"}):
-        source = healthy_source(loop, plant, port, i)
-        if source is not None and source[0] is node and source[1].name == "u":
-            late[source[2]] = round(dead_time(loop, plant, port, i) / step)
-    old = [round(dead_time(loop, node, node.port("y"), i) / step) for i in range(model.sensors)]
-    inputs = [max(steps - late.get(j, 0), 0) for j, steps in enumerate(model.delays.inputs)]
-    sensors = [max(steps - outside, 0) for steps, outside in zip(model.delays.sensors, old, strict=True)]
+    late, old = dead_times(loop, "plant")
+    inputs = [max(steps - round(late.get(j, 0) / model.step), 0) for j, steps in enumerate(model.delays.inputs)]
+    sensors = [max(steps - round(of / model.step), 0) for steps, of in zip(model.delays.sensors, old, strict=True)]
     return model.undelayed.with_delays(inputs, sensors)
 
 
@@ -201,11 +195,8 @@ def _law(controller: Block) -> str:
     from bayesftc.controllers import BayesianController, LQGController
 
     if isinstance(controller, LQGController):
-        return (
-            ""
-            if controller.preview
-            else "The regulator lags behind a moving reference, unless preview=n knows it ahead."
-        )
+        lag = "The regulator lags behind a moving reference, unless preview=n knows it ahead."
+        return "" if controller.preview else lag
     return "The controller steers the state to it one step later." if isinstance(controller, BayesianController) else ""
 
 
