@@ -32,9 +32,9 @@ class UnstableLoopWarning(UserWarning):
 
 
 class SteadyTarget(NamedTuple):
-    """An `LQGController`'s steady state: maps to it from goal and state, the last goal, the control prior's mean.
+    """An `LQGController`'s steady state: maps to it from goal and state, the known goals, the control prior's mean.
 
-    With a preview ``held`` has a row for each known goal, and ``feedforward`` the gains on the goals in between.
+    ``held`` has a row for each known goal, and ``feedforward`` the gains on the goals in between.
     """
 
     x_target: Floats
@@ -273,7 +273,7 @@ class BayesianController(BayesianBlock):
             "x_target": np.zeros((1, 1)),
             "u_target": np.zeros((1, 1)),
             "feedforward": np.zeros((1, 1)),
-            "held": np.zeros(1),
+            "held": np.zeros((1, 1)),
             "u_prior": np.zeros(1),
         }
         return target_goal, constants | unused, {}

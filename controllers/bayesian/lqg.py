@@ -12,54 +12,18 @@ from numpy.typing import NDArray
 
 from bayesftc.controllers.bayesian.describing import listed
 from bayesftc.controllers.bayesian.linear import BayesianController
-from bayesftc.controllers.bayesian.preview import MOST, goal_effects, target_with_preview
+from bayesftc.controllers.bayesian.preview import MOST, goal_effects, target_steady_state
 from bayesftc.controllers.bayesian.riccati import Regulator, regulate
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.bayesian.steady import Gains
 from bayesftc.controllers.models.checks import Matrix, as_number, frozen
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import maximum, select
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
 CERTAIN = 1e-13
 """Weight of the belief's uncertainty relative to the goal prior; the law equals the regulator's to this accuracy."""
-
-
-def target_steady_state(goal, x_hat, actuators, control):
-    """Make the steady state at which the outputs equal the goal the target, and its control the control prior's mean.
-
-    A goal that is not finite keeps the last one. Each control acts with the effectiveness ``works`` and the offset ``load``.
-    """
-    x_target, u_target, _, held, u_prior = control.steady
-    _, GB, _, prior_precision, prior_pull, goal_shift = control.aim
-    works, load, target = actuators.works, actuators.load, control.decision.target
-    r, n, p = goal.shape[0], x_hat.shape[0], u_prior.shape[0]
-    for i in range(r):
-        held[i] = select(goal[i] - goal[i] == 0.0, goal[i], held[i])
-    for j in range(p):
-        total = u_target[j, 0] * held[0]
-        for i in range(1, r):
-            total = total + u_target[j, i] * held[i]
-        for i in range(n):
-            total = total + u_target[j, r + i] * x_hat[i]
-        # A lost effect is compensated by at most five times the control.
-        u_prior[j] = (total - load[1, j]) / maximum(works[1, j], 0.2)
-    for j in range(p):
-        prior_pull[j] = prior_precision[j, 0] * u_prior[0]
-        for i in range(1, p):
-            prior_pull[j] = prior_pull[j] + prior_precision[j, i] * u_prior[i]
-    for s in range(target.shape[0]):
-        total = x_target[s, 0] * held[0]
-        for i in range(1, r):
-            total = total + x_target[s, i] * held[i]
-        for i in range(n):
-            total = total + x_target[s, r + i] * x_hat[i]
-        target[s] = total
-        goal_shift[s] = GB[s, 0] * u_prior[0]
-        for j in range(1, p):
-            goal_shift[s] = goal_shift[s] + GB[s, j] * u_prior[j]
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,14 +220,13 @@ class LQGController(BayesianController):
             "x_target": root @ np.hstack([regulator.x_of_goal, np.zeros((plant, plant)), regulator.x_of_others]),
             "u_target": np.hstack([regulator.u_of_goal, np.zeros((p, plant)), regulator.u_of_others]),
         }
-        state = {"held": H @ mean, "u_prior": np.zeros(p), "prior_pull": np.zeros(p), "goal_shift": np.zeros(len(root))}
-        rule = target_steady_state
-        targets["feedforward"] = np.zeros((1, 1))
-        if self.preview:
-            rule, factor = target_with_preview, self._scaled[1]
-            targets["feedforward"] = factor * np.hstack([*self._goal_effects])
-            state["held"] = np.vstack([np.full((self.preview, self.goals), np.nan), H @ mean])
-        return rule, {name: frozen(value) for name, value in targets.items()}, state
+        # Each row has the goals of a time, the present one first; NaN before the first sample.
+        held = np.vstack([np.full((self.preview, self.goals), np.nan), H @ mean])
+        state = {"held": held, "u_prior": np.zeros(p), "prior_pull": np.zeros(p), "goal_shift": np.zeros(len(root))}
+        targets["feedforward"] = (
+            self._scaled[1] * np.hstack([*self._goal_effects]) if self.preview else np.zeros((1, 1))
+        )
+        return target_steady_state, {name: frozen(value) for name, value in targets.items()}, state
 
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
         gains, regulator = super()._steady_gains(A, B, C, G), self.regulator

@@ -1,4 +1,4 @@
-"""Goals that are known ahead: the gains on them, and the step function that keeps them until their time has come."""
+"""The goals of the regulator, also those known ahead: the gains on them, and the step function that keeps them."""
 
 from __future__ import annotations
 
@@ -53,12 +53,13 @@ def goal_effects(
     return effects
 
 
-def target_with_preview(goal, x_hat, actuators, control):
+def target_steady_state(goal, x_hat, actuators, control):
     """Keep the new goal, and make the present and the later goals the target and the control prior.
 
     The goal prior's mean is the steady state of the last known goal, and the control prior's mean the control of the present
-    goal's. The goals in between enter the information about the control. A goal that is not finite keeps the last one. The
-    first goal also counts for the times before it.
+    goal's. The goals in between enter the information about the control. Without a preview all of them are the new one. A goal
+    that is not finite keeps the last one. The first goal also counts for the times before it. Each control acts with the
+    effectiveness ``works`` and the offset ``load``.
     """
     x_target, u_target, feedforward, held, u_prior = control.steady
     _, GB, _, prior_precision, prior_pull, goal_shift = control.aim
@@ -99,4 +100,4 @@ def target_with_preview(goal, x_hat, actuators, control):
             goal_shift[s] = goal_shift[s] + GB[s, j] * u_prior[j]
 
 
-__all__ = ["MOST", "goal_effects", "target_with_preview"]
+__all__ = ["MOST", "goal_effects", "target_steady_state"]
