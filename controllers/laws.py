@@ -92,6 +92,13 @@ class Proportional(ControlLaw):
     ------
     ModelError
         If a size does not fit, a gain is not finite, or the limits exclude every control.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> law = controllers.Proportional(gain=2.0, states=2, u_max=5.0).online(dt=0.1, compiled=False)
+    >>> [law(x_hat=[x, 0.0], goal=[3.0]).u for x in (0.0, 2.0)]
+    [array([5.]), array([2.])]
     """
 
     gain: Matrix
@@ -189,6 +196,13 @@ class ProportionalDerivative(Proportional):
         See `Proportional`.
     derivative_gain : number, vector or matrix
         Controls x goals; a number or vector stands for a diagonal.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> law = controllers.ProportionalDerivative(gain=2.0, derivative_gain=0.5).online(dt=0.1, compiled=False)
+    >>> law(x_hat=[2.0, 1.0], goal=[3.0]).u.tolist()  # position 2, speed 1
+    [1.5]
     """
 
     derivative_gain: Matrix = 0.0

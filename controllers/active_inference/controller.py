@@ -123,6 +123,18 @@ class UnbiasedActiveInference(Block):
     ModelError
         If sizes do not fit, a setting is missing or out of range, or the descent is unstable at nominal precisions and the
         initial mean (rate times curvature has an eigenvalue of 2 or more, which the message gives).
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> sensors = controllers.Modality("positions", matrix=[[1.0], [1.0]], std=0.1)
+    >>> controller = controllers.UnbiasedActiveInference(
+    ...     sensors, controllers.Proportional(gain=2.0), dt=0.05, belief_rate=4.0, control_rate=2.0
+    ... )
+    >>> step = controller.online(compiled=False)
+    >>> out = [step(y=[0.5, 0.5], goal=[1.0]) for _ in range(100)][-1]
+    >>> out.x_hat.round(2).tolist(), out.u.round(2).tolist()
+    ([0.51], [0.96])
     """
 
     modalities: Modality | Sequence[Modality] = ()

@@ -59,6 +59,16 @@ class StateEstimator(Block):
     ------
     ModelError
         If the model is not linear, dimensions do not fit, or the covariance is not positive semi-definite.
+
+    Examples
+    --------
+    >>> import math
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.1]], [[1.0], [1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.StateEstimator(model, initial_mean=20.0).online(compiled=False)
+    >>> out = step(y=[20.1, math.nan, 25.0], u=[0.0])  # one sample is missing, one is wrong
+    >>> out.x_hat.round(2).tolist(), out.fault_probability.round(2).tolist()
+    ([20.11], [0.0, 0.01, 1.0])
     """
 
     model: LinearModel

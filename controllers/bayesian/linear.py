@@ -178,6 +178,15 @@ class BayesianController(BayesianBlock):
     UnstableLoopWarning
         If the closed loop (fixed precision, no limits) has a pole on or outside the unit circle. Poles of constants that no
         control moves, such as a sensor's bias as a state, do not count.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.BayesianController(model, goal_covariance=0.01, control_covariance=4.0).online(compiled=False)
+    >>> out = step(y=[1.0, 1.1, 9.0], goal=[2.0])  # the third sensor is wrong
+    >>> out.fault_probability.round(2).tolist(), out.x_hat.round(2).tolist(), out.u.round(2).tolist()
+    ([0.0, 0.0, 1.0], [1.03], [6.41])
     """
 
     model: LinearModel

@@ -308,6 +308,24 @@ class NonlinearBayesianController(BayesianBlock):
     ModelError
         If dimensions do not fit, a covariance is not positive definite, the model is not finite at the initial mean, or a flat
         control prior leaves a control undetermined there.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> from bayesftc.cosim.ops import sin
+    >>> def swing(x, u, x_next):
+    ...     x_next[0] = x[0] + 0.05 * x[1]
+    ...     x_next[1] = x[1] + 0.05 * (u[0] - 9.81 * sin(x[0]))
+    >>> def angle_twice(x, y):
+    ...     y[0] = x[0]
+    ...     y[1] = x[0]
+    >>> model = controllers.NonlinearModel(swing, angle_twice, 2, 1, 2, 1e-6, 1e-4, dt=0.05)
+    >>> controller = controllers.NonlinearBayesianController(model, controllers.FixedPrecision(), goal_on=[[0.0, 1.0]])
+    >>> step = controller.online(compiled=False)
+    >>> for _ in range(3):
+    ...     out = step(y=[0.5, 0.51], goal=[0.0])  # the control holds the pendulum at this angle
+    >>> out.x_hat.round(2).tolist(), out.u.round(1).tolist()
+    ([0.51, -0.0], [4.8])
     """
 
     model: NonlinearModel

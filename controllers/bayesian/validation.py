@@ -39,6 +39,19 @@ class KalmanCheck:
         The same in the state's units.
     steps : int
         Number of samples compared.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> controller = controllers.BayesianController(model, controllers.FixedPrecision())
+    >>> sensors = cosim.Sensors(2, 0.1)
+    >>> loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=sensors, reference=1.0)
+    >>> check = controllers.check_kalman(loop.simulate(3.0, engine="interpreted"), controller, y="sensors.y")
+    >>> check.steps, check.covariance_difference < 1e-12
+    (31, True)
     """
 
     mean_difference: float
@@ -98,6 +111,16 @@ def ser_reference(
     -------
     Estimates
         Filtered means and covariances, which present samples were left out, and the innovations.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> y = np.array([[0.1, 0.0], [0.0, 0.1], [0.1, 3.0]])
+    >>> estimates = controllers.ser_reference(model, y, np.zeros((3, 1)), threshold=3.0)
+    >>> estimates.ignored[-1].tolist(), estimates.x_hat[-1].round(2).tolist()
+    ([False, True], [0.05])
     """
     n, m, p = model.states, model.sensors, model.controls
     y, u = np.asarray(y, float).reshape(-1, m), np.asarray(u, float).reshape(-1, p)
@@ -147,6 +170,19 @@ def check_kalman(
     -------
     KalmanCheck
         The largest differences. With ``belief="filtered"`` they are rounding errors; with ``"joint"`` they may be larger.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> controller = controllers.LQGController(model, controllers.GammaPrecision())
+    >>> sensors = cosim.Sensors(2, 0.1)
+    >>> loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=sensors, reference=1.0)
+    >>> check = controllers.check_kalman(loop.simulate(3.0, engine="interpreted"), controller, y="sensors.y")
+    >>> check.mean_difference < 1e-12
+    True
     """
     source = f"{name}.y" if y is None else y
     _check_recorded(signals, source, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R")))

@@ -31,7 +31,17 @@ SKIPPED = 200
 
 
 class Hazards(NamedTuple):
-    """How often faults begin and end: mean times in seconds (the paper's third experiment)."""
+    """How often faults begin and end: mean times in seconds (the paper's third experiment).
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> hazards = controllers.Hazards(mean_time_to_fault=9.0, mean_time_to_recovery=1.0)
+    >>> report = controllers.calibrate(model, hazards, steps=5000)
+    >>> round(report.fault_share, 1)
+    0.1
+    """
 
     mean_time_to_fault: float = 2.8
     mean_time_to_recovery: float = 0.4
@@ -57,6 +67,14 @@ class CalibrationReport:
         Number of samples in the test.
     reliability : Reliability or None
         The probability's reliability in ten bins of equal width; ``report.reliability.plot()`` draws its diagram.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> report = controllers.calibrate(model, steps=5000)
+    >>> report.samples, round(report.auc, 1), report.brier < report.brier_of_constant
+    (1922, 0.6, True)
     """
 
     calibration: Calibration | None
@@ -120,6 +138,18 @@ def calibrate(
     ModelError
         If the learner has no rate, the loop is unstable, or the run is too short or without faults. For a learner that gives a
         probability itself, use `judge_own_probability`.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> report = controllers.calibrate(model, steps=5000)
+    >>> learner = controllers.GammaPrecision(calibration=report.calibration)
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> for _ in range(10):
+    ...     out = step(y=[0.1, 3.0])
+    >>> out.fault_probability.round(1).tolist()
+    [0.0, 0.8]
     """
     from sklearn.linear_model import LogisticRegression
 

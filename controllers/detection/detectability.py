@@ -63,6 +63,13 @@ class Detectability:
         Expected delay in seconds from the first faulty sample to the first alarm, for the smallest detectable fault.
     law : object
         The distributions behind `probability`, `delay` and `exceedance`.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> found = controllers.detectability(sensor_variance=0.04, dt=0.1, false_alarms_per_hour=1.0)
+    >>> round(found.threshold, 2), round(found.offset, 2), round(found.offset_delay, 1)
+    (0.97, 0.25, 2.7)
     """
 
     form: str
@@ -215,6 +222,22 @@ def detectability(
     ModelError
         If a setting is not valid, the learner never forgets, the filter has no steady state, or false alarms alone are as
         frequent as the requested detections.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> print(controllers.detectability(sensor_variance=0.04, dt=0.1, false_alarm_probability=1e-4))
+    Detectability of beta (stream, sample time 0.1 s)
+      innovation's standard deviation          0.2
+      mean of beta without a fault            0.48
+      threshold on beta                     0.9472
+      false alarms per sample               0.0001
+      false alarms per hour                  1.621 (onsets of alarms)
+    smallest fault detected within 5 s with probability 0.9
+                                              size    mean delay (s)
+      offset                                0.2416              2.72
+      drift, per second                    0.07574              4.13
+      noise, standard deviation             0.2455              2.58
     """
     learner, linear_model = _learner_and_model(precision, model)
     probability = as_number("detectability has detection_probability", detection_probability, above=0, below=1)

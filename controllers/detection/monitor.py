@@ -31,6 +31,14 @@ class LogisticMap:
         The log-odds with all features at their shift.
     logarithm : bool
         Whether to use the logarithms of the features.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> beta_to_probability = controllers.LogisticMap((2.0,), (0.0,), (1.0,), intercept=-3.0, logarithm=True)
+    >>> step = controllers.FaultMonitor(2, ("beta",), 0.5, beta_to_probability).online(dt=0.1, compiled=False)
+    >>> step(beta=[1.0, 20.0]).fault_probability.round(3).tolist()
+    [0.047, 0.952]
     """
 
     weights: tuple[float, ...]
@@ -79,6 +87,17 @@ class FaultMonitor(Block):
         Decision threshold on the probability.
     classifier : LogisticMap or classifier
         The map, or a classifier with ``predict_proba`` for rows of features.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> rng = np.random.default_rng(0)
+    >>> beta = np.concatenate([rng.gamma(2.0, 1.0, 500), rng.gamma(2.0, 10.0, 500)])[:, None]
+    >>> classifier = controllers.FaultClassifier().fit(beta, np.arange(1000) >= 500)
+    >>> step = classifier.block(sensors=2).online(dt=0.1, compiled=False)
+    >>> step(beta=[2.0, 40.0]).fault.tolist()
+    [0.0, 1.0]
     """
 
     sensors: int

@@ -39,6 +39,21 @@ def beta_residual(result: Result, controller: str = "controller") -> Floats:
         If one of the two signals is not recorded.
     ModelError
         If the controller's precision learner has no rate.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> controller = controllers.LQGController(model, controllers.GammaPrecision())
+    >>> loop = cosim.closed_loop(
+    ...     plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), reference=1.0,
+    ...     faults=[cosim.Bias(sensor=0, magnitude=2.0, start=2.0)],
+    ... )
+    >>> run = loop.simulate(3.0, engine="interpreted")
+    >>> controllers.beta_residual(run)[-1].round(2).tolist()
+    [17.73, 0.1]
     """
     beta = _signal(result, controller, "beta")
     missing = np.isnan(_signal(result, controller, INNOVATION))
@@ -77,6 +92,23 @@ def state_estimation_residual(
         If a signal is not recorded.
     ModelError
         If `standardised` is not the controller's model, or not every step is recorded.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> controller = controllers.LQGController(model, controllers.GammaPrecision())
+    >>> loop = cosim.closed_loop(
+    ...     plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), reference=1.0,
+    ...     faults=[cosim.Bias(sensor=0, magnitude=2.0, start=2.0)],
+    ... )
+    >>> run = loop.simulate(3.0, engine="interpreted")
+    >>> controllers.state_estimation_residual(run)[-1].round(1).tolist()
+    [2.0, 0.1]
+    >>> controllers.state_estimation_residual(run, standardised=model)[-1].round().tolist()
+    [20.0, 1.0]
     """
     residual = np.abs(_signal(result, controller, INNOVATION))
     if standardised is None:
@@ -123,6 +155,19 @@ def residual_features(
     ------
     UnknownNameError, ModelError
         If a signal is not recorded, or does not have one value for each sensor.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> controller = controllers.LQGController(model, controllers.GammaPrecision())
+    >>> sensors = cosim.Sensors(2, 0.1)
+    >>> loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=sensors, reference=1.0)
+    >>> features = controllers.residual_features(loop.simulate(3.0, engine="interpreted"), ["beta", "innovation"])
+    >>> features.shape, features.reshape(-1, 2).shape
+    ((31, 2, 2), (62, 2))
     """
     innovation = _signal(result, controller, INNOVATION)
     columns = []

@@ -76,6 +76,19 @@ class ModelFinding:
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str
         Kinds that explain the run nearly as well; the sentence has them as well.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> rng = np.random.default_rng(0)
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> u, x = np.repeat(rng.choice([-5.0, 5.0], (40, 1)), 5, axis=0), np.zeros((200, 1))
+    >>> for k in range(2, 199):
+    ...     x[k + 1] = 0.9 * x[k] + 0.1 * u[k - 2]  # two samples late
+    >>> finding = controllers.diagnose_recording(model, x + 0.1 * rng.standard_normal((200, 2)), u)
+    >>> finding.kind, finding.values[0]  # the control is late, by 0.2 s
+    ('late', 0.2)
     """
 
     kind: str
@@ -113,6 +126,19 @@ def diagnose(
         If the block has no model, or not every step is recorded.
     UnknownNameError
         If a signal is not recorded.
+
+    Examples
+    --------
+    >>> import control
+    >>> from bayesftc import controllers, cosim
+    >>> plant = cosim.StateSpace(control.ss([[0.9]], [[-0.1]], [[1.0]], 0, 0.1))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)  # B has the wrong sign
+    >>> controller = controllers.LQGController(model, controllers.FixedPrecision())
+    >>> sensors = cosim.Sensors(2, 0.1)
+    >>> loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=sensors, reference=1.0)
+    >>> run = loop.simulate(10.0, engine="interpreted")
+    >>> controllers.diagnose(run, controller, y="sensors.y").kind
+    'sign'
     """
     model = checked_model(controller)
     if model is None:
@@ -161,6 +187,19 @@ def diagnose_recording(
     ------
     ModelError
         If the number of sensors or controls is not that of the model.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> rng = np.random.default_rng(0)
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> u, x = rng.choice([-5.0, 5.0], (200, 1)), np.zeros((200, 1))
+    >>> for k in range(199):
+    ...     x[k + 1] = 0.9 * x[k] - 0.1 * u[k]  # against the model
+    >>> finding = controllers.diagnose_recording(model, x + 0.1 * rng.standard_normal((200, 2)), u)
+    >>> finding.kind, np.round(finding.values, 1).tolist()
+    ('sign', [-1.0, 0.0])
     """
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
         if (recorded := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:

@@ -138,6 +138,17 @@ def compare_with_plant(
     -----
     ModelMismatchWarning
         For each difference.
+
+    Examples
+    --------
+    >>> import control, warnings
+    >>> from bayesftc import controllers, cosim
+    >>> plant = cosim.StateSpace(control.ss([[0.9]], [[0.2]], [[1.0]], 0, 0.1))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> with warnings.catch_warnings(action="ignore"):
+    ...     differences = controllers.compare_with_plant(model, plant, control="u", measured="y")
+    >>> [(difference.control, round(difference.ratio, 2)) for difference in differences]
+    [('u', 2.0)]
     """
     p = model.controls
     names = [control] if isinstance(control, str) else list(control)

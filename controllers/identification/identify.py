@@ -62,6 +62,20 @@ class Identification:
         Deficiencies of the model, as sentences; empty if there are none.
     time, measured, predicted, simulated, residuals : ndarray
         Held-out data in seconds and in the outputs' units.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from bayesftc import controllers
+    >>> rng = np.random.default_rng(0)
+    >>> u, y = rng.choice([-1.0, 1.0], 600), np.zeros(600)
+    >>> for k in range(599):
+    ...     y[k + 1] = 0.9 * y[k] + 0.5 * u[k] + 0.02 * rng.standard_normal()
+    >>> table = pd.DataFrame({"u": u, "y": y + 0.01 * rng.standard_normal(600)})
+    >>> found = controllers.LinearModel.identify(table, inputs="u", outputs="y", order=1, dt=0.1)
+    >>> round(float(found.model.A[0, 0]), 2), found.simulated_fit.round().tolist(), found.poor
+    (0.9, [95.0], ())
     """
 
     model: LinearModel

@@ -45,6 +45,18 @@ class RecordedRun(NamedTuple):
         Known inputs, each held until the next sample; by default 0.
     initial_mean, initial_covariance : optional
         Belief before the first sample, as for `StateEstimator`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> y = 20.0 + 0.1 * np.random.default_rng(0).standard_normal((100, 2))
+    >>> y[50:, 1] += 2.0
+    >>> run = controllers.RecordedRun(y, initial_mean=20.0)
+    >>> learned = controllers.learn_modes([run], model, iterations=1, compiled=False)
+    >>> {type(m).__name__: round(n, 1) for m, n in zip(learned.precision.modes, learned.onsets)}
+    {'Frozen': 0.0, 'Offset': 1.0, 'Drifting': 0.0, 'Ramping': 0.0, 'Unmodelled': 0.0, 'Noisier': 0.0, 'DroppedOut': 0.0}
     """
 
     y: ArrayLike
@@ -71,6 +83,19 @@ class LearnedModes:
         Logarithm of the recordings' density before each iteration, in nats.
     settled : bool
         Whether the last iteration changed no setting by more than a hundredth.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> y = 20.0 + 0.1 * np.random.default_rng(0).standard_normal((100, 2))
+    >>> y[20:40, 0] = y[20, 0]  # the first sensor freezes for two seconds
+    >>> learner = controllers.SwitchingPrecision([controllers.Frozen(), controllers.Offset()])
+    >>> run = controllers.RecordedRun(y, initial_mean=20.0)
+    >>> learned = controllers.learn_modes([run], model, learner, iterations=2, compiled=False)
+    >>> np.round(learned.onsets, 1).tolist(), np.round(learned.faulty, 1).tolist()  # frozen, offset
+    ([1.0, 0.0], [1.9, 0.0])
     """
 
     precision: SwitchingPrecision
@@ -118,6 +143,20 @@ def learn_modes(
     ------
     ModelError
         If there is no recording, or one does not fit the model.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> y = 20.0 + 0.1 * np.random.default_rng(0).standard_normal((100, 2))
+    >>> y[20:40, 0], y[60:80, 1] = y[20, 0], y[60, 1]  # each sensor freezes for two seconds
+    >>> learner = controllers.SwitchingPrecision([controllers.Frozen(), controllers.Offset()])
+    >>> run = controllers.RecordedRun(y, initial_mean=20.0)
+    >>> learned = controllers.learn_modes([run], model, learner, iterations=3, compiled=False)
+    >>> frozen, offset = learned.precision.modes
+    >>> round(frozen.time_to_fault), round(frozen.time_to_recovery, 1), round(offset.time_to_fault)
+    (306, 11.5, 776)
     """
     start = SwitchingPrecision() if precision is None else precision
     if not isinstance(start, SwitchingPrecision):

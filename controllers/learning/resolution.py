@@ -37,6 +37,14 @@ def find_resolution(samples: ArrayLike) -> float:
     -------
     float
         The largest such number, in the sensor's unit; 0 if there is none, or there are too few changes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> temperature = 20.0 + np.random.default_rng(0).standard_normal(100)
+    >>> controllers.find_resolution(0.5 * np.round(temperature / 0.5))
+    0.5
     """
     y = as_numbers("The samples", samples, "give the numbers of one sensor").ravel()
     y = y[np.isfinite(y)]

@@ -36,6 +36,14 @@ class SignalNames:
     ----------
     controls, sensors, states : sequence of str
         A name for each control, each sensor, and each state of the plant (without disturbances). Sensors may share a name.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> names = controllers.SignalNames(controls=["force"], sensors=["v_1", "v_2"], states=["v"])
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1, names=names)
+    >>> model.to_control().output_labels
+    ['v_1', 'v_2']
     """
 
     controls: tuple[str, ...]

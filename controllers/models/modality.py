@@ -46,6 +46,18 @@ class Modality:
     ------
     ModelError
         If neither or both of function and matrix are given, or sizes and signs do not fit.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> encoders = controllers.Modality("encoders", matrix=[[1.0, 0.0], [1.0, 0.0]], std=0.01)
+    >>> tachometer = controllers.Modality("tachometer", matrix=[[0.0, 1.0]], std=0.05)
+    >>> law = controllers.ProportionalDerivative(gain=4.0, derivative_gain=2.0)
+    >>> controller = controllers.UnbiasedActiveInference(
+    ...     [encoders, tachometer], law, dt=0.01, belief_rate=20.0, control="law"
+    ... )
+    >>> controller.online(compiled=False)(y=[0.1, 0.1, 0.0], goal=[1.0]).u.round(2).tolist()
+    [3.84]
     """
 
     name: str

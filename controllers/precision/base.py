@@ -118,6 +118,14 @@ class Learner:
         a linear model call in place of ``step`` and Kalman's update. Other controllers call ``step``.
     compiled : bool
         False if it calls Python code that cannot be compiled: its controller then runs interpreted, and cannot be exported.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> learner = controllers.GammaPrecision().learner(model)
+    >>> [port.name for port in learner.ports], learner.compiled
+    (['precision_shape', 'precision_rate', 'precision_mean', 'precision_mode', 'precision_variance'], True)
     """
 
     step: Callable[..., None]
@@ -132,7 +140,28 @@ class Learner:
 
 @dataclass(frozen=True)
 class PrecisionLearner:
-    """Base of all precision learners and baselines: the part of a controller that sets the weight of each sensor."""
+    """Base of all precision learners and baselines: the part of a controller that sets the weight of each sensor.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> def clip(sample, trust, memory, settings, work):
+    ...     for i in range(sample.y.shape[0]):
+    ...         trust.R[i, i] = sample.nominal[i, i] + sample.e[i] * sample.e[i]
+    ...         trust.used[i] = sample.present[i]
+    ...         trust.precision[i] = 1.0 / trust.R[i, i]
+    ...         trust.beta[i] = trust.fault_probability[i] = settings[0]
+    >>> @dataclass(frozen=True)
+    ... class Doubtful(controllers.PrecisionLearner):  # adds the squared innovation to the variance
+    ...     def learner(self, model):
+    ...         return controllers.Learner(clip, np.zeros(1), np.array([np.nan]))
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.StateEstimator(model, Doubtful()).online(compiled=False)
+    >>> step(y=[0.0, 3.0]).precision.round(2).tolist()
+    [25.0, 0.11]
+    """
 
     def _repr_html_(self) -> str:
         """Return the settings as a table, for notebooks."""
@@ -201,7 +230,17 @@ def keep_nominal(sample, trust, memory, settings, work):
 
 @dataclass(frozen=True)
 class FixedPrecision(PrecisionLearner):
-    """The nominal sensor covariance at all times: a Kalman filter without fault tolerance. ``beta`` and probability are NaN."""
+    """The nominal sensor covariance at all times: a Kalman filter without fault tolerance. ``beta`` and probability are NaN.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.StateEstimator(model, controllers.FixedPrecision()).online(compiled=False)
+    >>> out = step(y=[1.0, 5.0])  # a wrong sensor has its full weight
+    >>> out.precision.tolist(), out.x_hat.round(2).tolist()
+    ([25.0, 25.0], [2.94])
+    """
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""

@@ -63,6 +63,16 @@ class EFFDI(PrecisionLearner):
         Threshold on R_k, in standard deviations of the sensor's noise; by default its 99.9 % quantile without fault.
     duration : float
         Expected duration of a fault in seconds, for which the sensor is ignored.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.StateEstimator(model, controllers.EFFDI(duration=0.2)).online(compiled=False)
+    >>> for y in (0.0, 0.1, 0.0, 0.1, 4.0):  # at last the first sensor jumps
+    ...     out = step(y=[y, 0.0])
+    >>> out.fault_probability.tolist(), out.precision.round(1).tolist()
+    ([1.0, 0.0], [0.0, 25.0])
     """
 
     threshold: float = EFFDI_QUANTILE_999
@@ -122,6 +132,16 @@ class SERFDI(PrecisionLearner):
         Threshold on ``|y - C x_t|t-1|``, in standard deviations of the innovation.
     filter : {"own", "filterpy"}
         The Kalman filter in use.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> learner = controllers.SERFDI(threshold=3.0)
+    >>> step = controllers.StateEstimator(model, learner, initial_covariance=0.01).online(compiled=False)
+    >>> out = step(y=[0.1, 2.0])
+    >>> out.fault_probability.tolist(), out.precision.round(1).tolist(), out.x_hat.round(2).tolist()
+    ([0.0, 1.0], [25.0, 0.0], [0.02])
     """
 
     threshold: float = 3.0

@@ -31,6 +31,15 @@ class Calibration:
         The log-odds at x = 0.
     feature : {"log", "linear"}
         Which feature x is.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> learner = controllers.GammaPrecision(calibration=controllers.Calibration(slope=4.0, intercept=-3.0))
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> step(y=[0.1, 1.0]).fault_probability.round(2).tolist()
+    [0.06, 0.99]
     """
 
     slope: float
@@ -70,6 +79,15 @@ class RateLearner(PrecisionLearner):
     `calibrate` accepts any of them. A subclass is a dataclass with the field ``calibration: Calibration | None = None``. Its
     method ``prior_rates(model)`` returns the rates before the first sample. Its learning step function applies the calibration
     to ``beta / prior_rates``; without a calibration its ``fault_probability`` is NaN.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, [0.04, 0.16], dt=0.1)
+    >>> [cls.__name__ for cls in controllers.LEARNERS if issubclass(cls, controllers.RateLearner)]
+    ['GammaPrecision', 'WishartPrecision', 'VariationalBayesKF']
+    >>> controllers.GammaPrecision(prior_shape=2.0).prior_rates(model).tolist()
+    [0.08, 0.32]
     """
 
     calibration: Calibration | None

@@ -129,6 +129,15 @@ class StudentTUpdate(PrecisionLearner):
     joint : bool
         One lambda for all sensors (d of them), as published; one failed sensor then reduces the weight of the others as well. By
         default each sensor has its own (d = 1), and a correlation in the model's covariance is not used.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.StateEstimator(model, controllers.StudentTUpdate()).online(compiled=False)
+    >>> out = step(y=[0.0, 3.0])
+    >>> out.precision_weight.round(2).tolist(), out.x_hat.round(2).tolist()
+    ([0.76, 0.03], [0.11])
     """
 
     degrees_of_freedom: float = 5.0
@@ -167,6 +176,15 @@ class WeightedLikelihood(PrecisionLearner):
     joint : bool
         One weight for all sensors by ``e' R^-1 e``, as published; one failed sensor then reduces the weight of the others as
         well. By default each sensor has its own, and a correlation in the model's covariance is not used.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.StateEstimator(model, controllers.WeightedLikelihood(c=3.0)).online(compiled=False)
+    >>> out = step(y=[0.0, 3.0])
+    >>> out.precision_weight.round(3).tolist(), out.x_hat.round(2).tolist()
+    ([1.0, 0.038], [0.11])
     """
 
     c: float = 3.0

@@ -43,6 +43,16 @@ class FittedThreshold:
     ------
     ModelError
         If the sizes differ, the covariance is not positive definite, or the bound is not positive.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> threshold = controllers.FittedThreshold(mean=(0.0,), covariance=((0.05,),), bound=10.0)
+    >>> learner = controllers.ExplicitDetection(threshold=threshold)
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> step(y=[2.0, 2.5]).detected.tolist()  # 2.5 is 11 standard deviations
+    [0.0, 1.0]
     """
 
     mean: Sequence[float]
@@ -107,6 +117,15 @@ class ChebyshevThreshold:
     form : {"robust", "printed"}
         ``"robust"`` sets the threshold on d_M to sqrt(n / alpha). ``"printed"`` sets it to n / alpha, as printed in the paper's
         predecessor, which is far looser.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> healthy = 0.2 * np.random.default_rng(0).standard_normal((1000, 2))  # in practice a recorded innovation
+    >>> threshold = controllers.ChebyshevThreshold(alpha=0.01).fit(healthy)
+    >>> round(threshold.bound, 2), np.sqrt(np.diag(threshold.covariance)).round(1).tolist()
+    (14.14, [0.2, 0.2])
     """
 
     alpha: float = 0.01

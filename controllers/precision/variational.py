@@ -129,6 +129,16 @@ class VariationalBayesKF(RateLearner):
         Hartikainen, arXiv 1302.0681, 2013), with missing sensors as in `WishartPrecision`.
     calibration : Calibration or None
         Logistic map from beta to the fault probability; without one the probability is NaN.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.StateEstimator(model, controllers.VariationalBayesKF()).online(compiled=False)
+    >>> for _ in range(10):
+    ...     out = step(y=[0.0, 3.0])  # 25 is the nominal precision
+    >>> out.precision.round(1).tolist(), out.x_hat.round(2).tolist()
+    ([7.8, 0.2], [0.13])
     """
 
     forgetting: float = 0.95

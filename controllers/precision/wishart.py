@@ -96,6 +96,16 @@ class WishartPrecision(RateLearner):
         The precision in use: n V, or (n - m - 1) V, whose inverse is the expected covariance.
     calibration : Calibration or None
         Logistic map from beta to the fault probability; without one the probability is NaN.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> step = controllers.StateEstimator(model, controllers.WishartPrecision()).online(compiled=False)
+    >>> for _ in range(10):
+    ...     out = step(y=[0.0, 3.0])
+    >>> out.precision_mean.round(1).tolist()
+    [[64.6, 0.9], [0.9, 0.2]]
     """
 
     forgetting: float | None = 0.95

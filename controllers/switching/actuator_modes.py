@@ -37,6 +37,23 @@ class ActuatorMode:
         Mean time in seconds until it is healthy again.
 
     Both defaults grow with the sample time, as for `FaultMode`.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> from bayesftc import controllers
+    >>> @dataclass(frozen=True)
+    ... class Reversed(controllers.ActuatorMode):  # crossed wires: the plant gets -u
+    ...     relative = -1.0
+    ...     def expected(self, scale):
+    ...         return 2.0, 0.01, 0.0
+    >>> model = controllers.LinearModel([[0.9]], [[1.0]], [[1.0], [1.0]], 0.01, 0.04, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision(actuator_modes=[Reversed()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> for y in (0.0, -1.0, -1.9, -2.7):
+    ...     out = step(y=[y, y], u=[1.0])
+    >>> out.actuator_fault_probability.round(2).tolist()
+    [1.0]
     """
 
     time_to_fault: float = DefaultTime(3000.0)
@@ -68,6 +85,17 @@ class InputOffset(ActuatorMode):
         Standard deviation at the onset, in units of the control that moves the state in one sample as far as process noise does.
     walk : float
         Standard deviation of its random walk per sample, in the same units.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[1.0]], [[1.0], [1.0]], 0.01, 0.04, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision(actuator_modes=[controllers.InputOffset()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> for y in (0.0, 0.0, 0.5, 0.95, 1.36, 1.72, 2.05):  # a load of 0.5, while u is 0
+    ...     out = step(y=[y, y], u=[0.0])
+    >>> out.actuator_fault_probability.round(2).tolist(), out.actuator_fault_size.round(1).tolist()
+    ([1.0], [0.5])
     """
 
     jump: float = 5.0
@@ -100,6 +128,17 @@ class LostEffect(ActuatorMode):
         Standard deviation of the lost share.
     walk : float
         Standard deviation of its random walk per sample.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[1.0]], [[1.0], [1.0]], 0.01, 0.04, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> for y in (0.0, 1.2, 2.28, 3.25, 4.13, 4.92):  # 60 % of the control has an effect
+    ...     out = step(y=[y, y], u=[2.0])
+    >>> out.actuator_fault_probability.round(2).tolist(), out.actuator_fault_size.round(1).tolist()
+    ([1.0], [0.4])
     """
 
     share: float = 0.5
@@ -130,6 +169,17 @@ class StuckActuator(ActuatorMode):
     spread : float
         Standard deviation of the stuck value around the last control, in units of the control that moves the state in one sample
         as far as process noise does.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[0.9]], [[1.0]], [[1.0], [1.0]], 0.01, 0.04, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision(actuator_modes=[controllers.StuckActuator()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> for y, u in zip([0.0, 1.0, 1.9, 2.71, 3.44, 4.1], [1.0, 1.0, 0.5, -0.5, -1.0, -2.0]):  # stuck at 1
+    ...     out = step(y=[y, y], u=[u])
+    >>> out.actuator_fault_probability.round(2).tolist(), out.actuator_fault_size.round(1).tolist()
+    ([1.0], [1.0])
     """
 
     spread: float = 5.0

@@ -67,6 +67,26 @@ class FaultMode:
         Mean time in seconds until it is healthy again.
 
     Both defaults are for samples up to 20 ms apart; `SwitchingPrecision.paced` lengthens them for longer sample times.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> from math import log
+    >>> from bayesftc import controllers
+    >>> def any_value(e, present, variance, nominal, change, healthy, memory, at, settings, first):
+    ...     return settings[first]
+    >>> @dataclass(frozen=True)
+    ... class LooseContact(controllers.FaultMode):  # any value within a span of 200 units
+    ...     evidence = any_value
+    ...     def settings(self, model, sensor):
+    ...         return (-log(200.0),)
+    >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([LooseContact(), controllers.Offset()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> for y in (0.1, -31.0, 75.2, 5.1):
+    ...     out = step(y=[y, 0.0])
+    >>> out.mode_probability[0].round(2).tolist()  # healthy, loose contact, offset
+    [0.0, 1.0, 0.0]
     """
 
     time_to_fault: float = DefaultTime(300.0)
@@ -116,6 +136,19 @@ class Frozen(FaultMode):
         Expected share of the samples that a healthy sensor repeats exactly, for all sensors or for each. It is learned while the
         sensor is healthy; the expected share counts as ten samples. If a resolution is given, at most this share is learned,
         because the resolution explains the rest. With 0 nothing is learned.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([controllers.Frozen(), controllers.Offset()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> y = 0.1 * np.random.default_rng(0).standard_normal((20, 2))
+    >>> y[15:, 0] = y[15, 0]  # the first sensor freezes
+    >>> out = [step(y=sample) for sample in y][-1]
+    >>> out.mode_probability[0].round(2).tolist()  # healthy, frozen, offset
+    [0.0, 1.0, 0.0]
     """
 
     repeats: float = 0.9
@@ -172,6 +205,19 @@ class Offset(FaultMode):
         Standard deviation of its rate, in units of the sensor's noise per sample.
     walk : float
         Standard deviation of the offset's random walk, in units of the sensor's noise per sample.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0], [1.0]], 1e-6, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([controllers.Offset(), controllers.Noisier()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> y = 0.1 * np.random.default_rng(0).standard_normal((30, 3))
+    >>> y[15:, 0] += 0.5  # from 1.5 s on
+    >>> out = [step(y=sample) for sample in y][-1]
+    >>> out.mode_probability[0].round(1).tolist(), round(float(out.fault_size[0]), 1)  # healthy, offset, noisier
+    ([0.0, 1.0, 0.0], 0.5)
     """
 
     time_to_fault: float = DefaultTime(150.0)
@@ -204,6 +250,19 @@ class Drifting(Offset):
     ----------
     time_to_fault, time_to_recovery, jump, slope, walk
         See `Offset`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0], [1.0]], 1e-6, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([controllers.Drifting()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> y = 0.1 * np.random.default_rng(0).standard_normal((60, 3))
+    >>> y[:, 0] += 0.2 * np.clip(0.1 * np.arange(60) - 2.0, 0.0, None)  # from 2 s on by 0.2 per second
+    >>> out = [step(y=sample) for sample in y][-1]
+    >>> out.fault_kind.tolist()  # 1: drifting
+    [1.0, 0.0, 0.0]
     """
 
     time_to_fault: float = DefaultTime(300.0)
@@ -224,6 +283,19 @@ class Ramping(Offset):
     ----------
     time_to_fault, time_to_recovery, jump, slope, walk
         See `Offset`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0], [1.0]], 1e-6, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([controllers.Ramping()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> y = 0.1 * np.random.default_rng(0).standard_normal((30, 3))
+    >>> y[:, 0] += 0.4 * np.clip(0.1 * np.arange(30) - 1.0, 0.0, None)  # from 1 s on by 0.4 per second
+    >>> out = [step(y=sample) for sample in y][-1]
+    >>> out.fault_probability.round(1).tolist(), round(float(out.fault_size[0]), 1)
+    ([1.0, 0.0, 0.0], 0.7)
     """
 
     time_to_fault: float = DefaultTime(300.0)
@@ -244,6 +316,16 @@ class DroppedOut(FaultMode):
         See `FaultMode`.
     arrives : float
         Probability of a sample in this mode.
+
+    Examples
+    --------
+    >>> import math
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([controllers.DroppedOut()], loss=0.05)  # 5 % of the samples get lost
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> [round(float(step(y=[math.nan, 0.0]).fault_probability[0]), 2) for _ in range(4)]
+    [0.0, 0.03, 0.36, 0.92]
     """
 
     arrives: float = 0.001
@@ -274,6 +356,19 @@ class Noisier(FaultMode):
         Shape of the gamma distribution at the onset; a smaller one means less prior knowledge.
     forgetting : float
         Forgetting factor in (0, 1] per sample.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([controllers.Offset(), controllers.Noisier()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> y = 0.1 * np.random.default_rng(0).standard_normal((80, 2))
+    >>> y[30:, 0] *= 5.0  # the noise grows to five times the nominal one
+    >>> out = [step(y=sample) for sample in y][-1]
+    >>> out.mode_probability[0].round(1).tolist(), round(float(out.fault_size[0]), 1)  # healthy, offset, noisier
+    ([0.0, 0.0, 1.0], 4.5)
     """
 
     scale: float = 4.0
@@ -325,6 +420,19 @@ class Unmodelled(FaultMode):
         Expected share at the onset of samples that repeat exactly, between 0 and 1; it is learned (in the joint form).
     repeats_strength : float
         Weight of that share in samples.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([controllers.Offset(), controllers.Unmodelled()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> y = 0.1 * np.random.default_rng(0).standard_normal((40, 3))
+    >>> y[15:, 0] += np.sin(0.7 * np.arange(25))  # the first sensor oscillates
+    >>> out = [step(y=sample) for sample in y][-1]
+    >>> out.mode_probability[0].round(2).tolist()  # healthy, offset, unmodelled
+    [0.0, 0.0, 1.0]
     """
 
     scale: float = 1.0
@@ -378,6 +486,18 @@ class Burst(Noisier):
         Mean time in seconds between two bursts, and mean duration of one; by default at least three samples.
     scale, shape, forgetting
         See `Noisier`.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision([controllers.Noisier(), controllers.Burst()])
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> out = [step(y=[y, 0.0]) for y in (0.1, -0.1, 0.05, 0.9)][-1]
+    >>> out.mode_probability[0].round(2).tolist()  # healthy, noisier, burst
+    [0.0, 0.0, 0.99]
+    >>> out.fault_probability.round(2).tolist()
+    [0.0, 0.0]
     """
 
     time_to_fault: float = DefaultTime(5.0, usual_step=0.1)

@@ -39,6 +39,17 @@ class NoisierProcess:
     ------
     ModelError
         If neither scale nor fading is above 1.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision(process_modes=[controllers.NoisierProcess()], alike=0.0)
+    >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
+    >>> for y in (0.0, 0.1, -0.1, 0.0, 1.6):  # at last a kick moves all three sensors
+    ...     out = step(y=[y, y + 0.05, y - 0.05])
+    >>> out.process_mode_probability.round(2).tolist(), out.x_hat.round(1).tolist()  # nominal, kick, a kick has just ended
+    ([0.0, 1.0, 0.0], [1.6])
     """
 
     time_to_fault: float = DefaultTime(30000.0)

@@ -30,6 +30,20 @@ class Alarm:
     ------
     ModelError
         If the threshold is no probability, or `hold` is negative.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers, monitoring
+    >>> t, noise = 0.1 * np.arange(60), 0.1 * np.random.default_rng(0).standard_normal((60, 3))
+    >>> noise[30:, 1] += 1.0  # the second of three sensors jumps at 3 s
+    >>> recording = monitoring.align({name: monitoring.Signal(t, noise[:, i]) for i, name in enumerate("abc")}, {}, dt=0.1)
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-4, 0.01, dt=0.1)
+    >>> for threshold in (0.5, 0.999):
+    ...     alarm = monitoring.Alarm(threshold=threshold, hold=2.0)
+    ...     print(round(monitoring.monitor_recording(recording, model, alarm=alarm).events[0].start, 1))
+    3.3
+    3.6
     """
 
     threshold: float = 0.9
@@ -60,6 +74,19 @@ class FaultEvent:
     size : float or None
         Size of the fault at the end of the alarm: an offset in the sensor's unit; for a noisier sensor, its noise as a multiple
         of the nominal noise.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers, monitoring
+    >>> t, noise = 0.1 * np.arange(60), 0.1 * np.random.default_rng(0).standard_normal((60, 3))
+    >>> noise[30:, 1] += 2.0  # the second of three thermometers jumps at 3 s
+    >>> signals = {name: monitoring.Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("abc")}
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-4, 0.01, dt=0.1)
+    >>> monitored = monitoring.monitor_recording(monitoring.align(signals, {}, dt=0.1), model, initial_mean=20.0)
+    >>> event = monitored.events[0]
+    >>> event.sensor, event.kind, round(event.start, 1), round(event.size, 1)
+    ('b', 'Offset', 3.3, 2.0)
     """
 
     sensor: str
@@ -87,6 +114,21 @@ class ActuatorEvent:
         Most probable actuator mode at the end of the alarm.
     size : float or None
         Size of the fault at the end of the alarm: for `LostEffect` the lost share, otherwise in the input's unit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers, monitoring
+    >>> rng, t = np.random.default_rng(0), 0.1 * np.arange(100)
+    >>> flow = np.sin(t)
+    >>> level = np.cumsum(0.1 * flow * np.where(t < 4.0, 1.0, 0.3))  # from 4 s on 70 % of the flow are lost
+    >>> sensors = {name: monitoring.Signal(t, level + 0.01 * rng.standard_normal(100)) for name in "ab"}
+    >>> recording = monitoring.align(sensors, {"flow": monitoring.Signal(t, flow)}, dt=0.1)
+    >>> model = controllers.LinearModel([[1.0]], [[0.1]], [[1.0], [1.0]], 1e-5, 1e-4, dt=0.1)
+    >>> learner = controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
+    >>> event = monitoring.monitor_recording(recording, model, learner).actuator_events[0]
+    >>> event.actuator, event.kind, round(event.start, 1), round(event.size, 1)
+    ('flow', 'LostEffect', 4.1, 0.7)
     """
 
     actuator: str

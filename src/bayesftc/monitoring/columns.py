@@ -11,7 +11,7 @@ from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 
 @dataclass(frozen=True)
 class Column:
-    """The column of a signal in a CSV file.
+    r"""The column of a signal in a CSV file.
 
     Parameters
     ----------
@@ -27,6 +27,20 @@ class Column:
         Seconds by which its time stamps are late.
     invalid : sequence of float
         Values that the device records in place of a sample, such as ``[-9999, 65535]``.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import monitoring
+    >>> sensor = monitoring.Sensor(column="T_1", bias=0.5, delay=0.1, invalid=[-9999], std=0.1)
+    >>> monitor = monitoring.Monitor(0.1, monitoring.RandomWalk(std=0.02), {"tank": sensor})
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "plant.csv")
+    ...     _ = file.write_text("t,T_1\n0.1,20.5\n0.2,-9999\n0.3,20.7\n")
+    ...     signals, _ = monitor.signals([file])
+    >>> [values.round(1).tolist() for values in signals["tank"].corrected]
+    [[0.0, 0.2], [20.0, 20.2]]
     """
 
     file: str | None = None
@@ -55,6 +69,15 @@ class Sensor(Column):
         Its row of C, one number per state; by default it measures the first state.
     unit : str
         Unit of its samples, for figures and tables.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> position = monitoring.Sensor(std=0.1)
+    >>> speed = monitoring.Sensor(std=0.05, reads=[0.0, 1.0])
+    >>> model = monitoring.Monitor(0.1, monitoring.ConstantRate(std=0.2), {"position": position, "speed": speed}).model
+    >>> model.C.tolist(), model.sensor_covariance.round(4).tolist()
+    ([[1.0, 0.0], [0.0, 1.0]], [[0.01, 0.0], [0.0, 0.0025]])
     """
 
     std: float
@@ -84,6 +107,15 @@ class Input(Column):
         Standard deviation of that error's change in one second.
     unit : str
         Unit of its samples, for tables.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> sensors = {name: monitoring.Sensor(std=0.1) for name in ("wheel", "radar")}
+    >>> inputs = {"acceleration": monitoring.Input(bias=0.02, error_std=0.1, error_walk=0.01)}
+    >>> model = monitoring.Monitor(0.1, monitoring.Integrator(std=0.2), sensors, inputs).model
+    >>> model.states, model.disturbances  # speed and the error of the acceleration
+    (2, 1)
     """
 
     smooth: float = 0.0
@@ -110,6 +142,15 @@ class SensorErrors:
         Names of the sensors; by default all.
     common : bool
         Whether these sensors have one common error.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> sensors = {name: monitoring.Sensor(std=0.1) for name in "ab"}
+    >>> errors = monitoring.SensorErrors(std=0.3, time_constant=60.0, sensors=["b"])
+    >>> model = monitoring.Monitor(0.1, monitoring.RandomWalk(std=0.2), sensors, errors=[errors]).model
+    >>> model.C.tolist()
+    [[1.0, 0.0], [1.0, 1.0]]
     """
 
     std: float | Sequence[float]

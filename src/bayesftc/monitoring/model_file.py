@@ -51,7 +51,7 @@ class Head:
 
 
 def load_monitor(path: str | os.PathLike[str]) -> Monitor:
-    """Read a monitor's model file and check its content.
+    r"""Read a monitor's model file and check its content.
 
     Parameters
     ----------
@@ -64,6 +64,19 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
         If the file cannot be read, or if a key is unknown, missing or of a wrong type. The message names the key and its place.
     BayesFTCError
         If a setting is not valid. The message begins with its place in the file.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import monitoring
+    >>> text = "dt = 0.1\nmodel = { kind = 'RandomWalk', std = 0.02 }\nsensors.a.std = 0.1\nsensors.b.std = 0.2\n"
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "tank.toml")
+    ...     _ = file.write_text(text)
+    ...     monitor = monitoring.load_monitor(file)
+    >>> monitor.model.sensor_covariance.round(2).tolist()
+    [[0.01, 0.0], [0.0, 0.04]]
     """
     file = expanded(path)
     content, root = read_toml(file), Place(str(file))

@@ -15,7 +15,21 @@ from bayesftc.cosim.types import Floats
 
 @dataclass(frozen=True)
 class PlantModel:
-    """Base of all models of ``[model]``, which describe the state's motion. Each sensor has its own row of C."""
+    """Base of all models of ``[model]``, which describe the state's motion. Each sensor has its own row of C.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> @dataclass(frozen=True)
+    ... class Settling(monitoring.PlantModel):  # a quantity that returns to 0 with a time constant of 5 s
+    ...     std: float
+    ...     def matrices(self, dt):
+    ...         return np.array([[np.exp(-dt / 5.0)]]), None, np.array([[self.std**2 * dt]])
+    >>> monitoring.Monitor(0.1, Settling(std=0.2), {"a": monitoring.Sensor(std=0.1)}).model.A.round(3).tolist()
+    [[0.98]]
+    """
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
         """Return A, B (None: no input has an effect) and the covariance of the process noise per step."""
@@ -38,6 +52,14 @@ class RandomWalk(PlantModel):
     ----------
     std : float
         Standard deviation of its change in one second.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> sensors = {name: monitoring.Sensor(std=0.1) for name in "ab"}
+    >>> model = monitoring.Monitor(0.25, monitoring.RandomWalk(std=0.2), sensors).model
+    >>> model.process_covariance.round(4).tolist()  # in one step of 0.25 s
+    [[0.01]]
     """
 
     std: float
@@ -58,6 +80,14 @@ class Integrator(RandomWalk):
     ----------
     std : float
         Standard deviation of its change in one second that the input does not explain.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> sensors = {name: monitoring.Sensor(std=0.1) for name in ("wheel", "radar")}
+    >>> inputs = {"acceleration": monitoring.Input()}
+    >>> monitoring.Monitor(0.1, monitoring.Integrator(std=0.2), sensors, inputs).model.B.tolist()
+    [[0.1]]
     """
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
@@ -73,6 +103,14 @@ class ConstantRate(RandomWalk):
     ----------
     std : float
         Standard deviation of the rate's change in one second.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> sensors = {name: monitoring.Sensor(std=0.1) for name in "ab"}
+    >>> model = monitoring.Monitor(0.5, monitoring.ConstantRate(std=0.2), sensors).model
+    >>> model.A.tolist(), model.C.tolist()
+    ([[1.0, 0.5], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.0]])
     """
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
@@ -93,6 +131,15 @@ class Matrices(PlantModel):
         Covariance of the process noise per step.
     B : matrix, optional
         Effect of the inputs, one column per input.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> tank = monitoring.Matrices(A=[[0.98]], process_covariance=1e-4, B=[[0.02]])
+    >>> sensors = {name: monitoring.Sensor(std=0.1) for name in "ab"}
+    >>> monitor = monitoring.Monitor(0.1, tank, sensors, {"heater": monitoring.Input()})
+    >>> monitor.model.sizes
+    '1 states, 1 controls, 2 sensors, dt = 0.1 s'
     """
 
     A: Sequence[Sequence[float]]

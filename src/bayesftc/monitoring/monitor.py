@@ -43,7 +43,7 @@ OPENING = 9
 
 @dataclass(frozen=True, eq=False)
 class Monitor:
-    """The content of a model file: the recording's columns, the model, the learner, the alarm.
+    r"""The content of a model file: the recording's columns, the model, the learner, the alarm.
 
     Parameters
     ----------
@@ -67,6 +67,21 @@ class Monitor:
         Belief about the plant's states before the first sample; by default from the first samples.
     invalid : sequence of float
         Values that devices record in place of a sample, for all sensors and inputs.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import monitoring
+    >>> sensors = {name: monitoring.Sensor(std=0.1) for name in "abc"}
+    >>> monitor = monitoring.Monitor(0.1, monitoring.RandomWalk(std=0.02), sensors)
+    >>> rows = [f"{k / 10},{20 + k % 3 / 10},{20 - k % 2 / 10},{20 + k % 5 / 20 + 3 * (k > 20)}" for k in range(40)]
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "tank.csv")
+    ...     _ = file.write_text("\n".join(["t,a,b,c", *rows]))
+    ...     monitored = monitor.run(monitor.read([file]))
+    >>> [(event.sensor, event.kind) for event in monitored.events]
+    [('c', 'Offset')]
     """
 
     dt: float | str | Fraction

@@ -34,6 +34,13 @@ def default_precision(
         Resolution of each sensor, in its unit.
     repeats : float or sequence of float
         Share of the samples that a healthy sensor repeats, for all or for each.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> learner = monitoring.default_precision(loss=[0.01, 0.8], resolution=[0.0, 0.5])
+    >>> learner.joint, learner.modes[0].resolution, learner.modes[0].time_to_fault
+    (False, (0.0, 0.5), 3600.0)
     """
     rare = {"time_to_fault": DefaultTime(3600.0)}
     modes = (

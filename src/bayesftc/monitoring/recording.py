@@ -53,6 +53,14 @@ class Signal:
         If times and values do not have the same length, or times do not increase.
     ModelError
         If a setting is no number, or is negative but must not be.
+
+    Examples
+    --------
+    >>> import math
+    >>> from bayesftc import monitoring
+    >>> signal = monitoring.Signal([0.0, 0.1, 0.2, 0.3], [20.5, -9999, math.nan, 20.0], bias=0.5, invalid=[-9999])
+    >>> [values.tolist() for values in signal.corrected]
+    [[0.0, 0.3], [20.0, 19.5]]
     """
 
     time: ArrayLike
@@ -120,6 +128,15 @@ class Recording:
         Unit of each sensor; empty if not known.
     inputs, input_units : tuple of str
         Names of the inputs, and the unit of each.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> fast = monitoring.Signal([0.0, 0.1, 0.2, 0.3], [20.0, 20.1, 20.0, 19.9], unit="degC")
+    >>> slow = monitoring.Signal([0.0, 0.2], [20.2, 20.3], unit="degC")
+    >>> recording = monitoring.align({"fast": fast, "slow": slow}, {}, dt=0.1)
+    >>> recording.y[:, 1].tolist(), recording.loss
+    ([20.2, nan, 20.3, nan], (0.01, 0.5))
     """
 
     start: float
@@ -157,6 +174,15 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     ------
     RecordingError
         If there is no sensor, the signals do not overlap in time, or there would be too many steps.
+
+    Examples
+    --------
+    >>> from bayesftc import monitoring
+    >>> signals = {name: monitoring.Signal([0.02, 0.11, 0.2], [20.0, y, 20.1]) for name, y in (("a", 20.2), ("b", 20.3))}
+    >>> heater = monitoring.Signal([0.0, 0.15], [0.0, 1.0])
+    >>> recording = monitoring.align(signals, {"heater": heater}, dt=0.1)
+    >>> recording.y.tolist(), recording.u.round(2).tolist()
+    ([[20.0, 20.0], [20.2, 20.3], [20.1, 20.1]], [[0.0], [1.0], [1.0]])
     """
     step = rational_step(dt, "The monitor's sample time")
     if not sensors:

@@ -69,6 +69,20 @@ class Monitored:
         Probability of each mode.
     actuator_events : tuple of ActuatorEvent
         The actuators' alarms in the order of their start.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers, monitoring
+    >>> t, noise = 0.1 * np.arange(60), 0.1 * np.random.default_rng(0).standard_normal((60, 3))
+    >>> noise[30:, 1] += 2.0  # the second of three thermometers jumps at 3 s
+    >>> signals = {name: monitoring.Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("abc")}
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-4, 0.01, dt=0.1)
+    >>> monitored = monitoring.monitor_recording(monitoring.align(signals, {}, dt=0.1), model, initial_mean=20.0)
+    >>> monitored.to_pandas()[["t", "a", "b", "b_kind"]].iloc[[29, 40]].round(2)
+          t    a    b   b_kind
+    29  2.9  0.0  0.0  healthy
+    40  4.0  0.0  1.0   Offset
     """
 
     recording: Recording
@@ -151,6 +165,18 @@ def monitor_recording(
     ------
     ModelError
         If model and recording do not fit together.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers, monitoring
+    >>> t, noise = 0.1 * np.arange(60), 0.1 * np.random.default_rng(0).standard_normal((60, 3))
+    >>> noise[30:, 1] = noise[30, 1]  # the second of three thermometers freezes at 3 s
+    >>> signals = {name: monitoring.Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("abc")}
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-4, 0.01, dt=0.1)
+    >>> monitored = monitoring.monitor_recording(monitoring.align(signals, {}, dt=0.1), model, initial_mean=20.0)
+    >>> [(event.sensor, event.kind, round(event.onset, 1)) for event in monitored.events]
+    [('b', 'Frozen', 3.1)]
     """
     shape = (model.sensors, model.controls, model.step)
     if shape != (recording.y.shape[1], recording.u.shape[1], recording.dt):

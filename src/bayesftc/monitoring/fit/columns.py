@@ -20,12 +20,24 @@ TIMES = ("t", "time", "times", "timestamp", "seconds", "time_s", "time (s)", "t 
 
 @dataclass(frozen=True)
 class Place:
-    """The file and the columns of a signal.
+    r"""The file and the columns of a signal.
 
     Parameters
     ----------
     file, column, time : str
         Its file, its column and the column of its times.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import monitoring
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "tank.csv")
+    ...     _ = file.write_text("time,T_1,T_2\n0.0,20.1,20.0\n0.1,20.2,20.1\n")
+    ...     places, signals = monitoring.redundant_signals([file])
+    >>> places["T_2"]
+    Place(file='tank.csv', column='T_2', time='time')
     """
 
     file: str
@@ -36,7 +48,7 @@ class Place:
 def redundant_signals(
     paths: Sequence[str | os.PathLike[str]], names: Sequence[str] = ()
 ) -> tuple[dict[str, Place], dict[str, Signal]]:
-    """Return all signals of CSV files, except the times, and the place of each.
+    r"""Return all signals of CSV files, except the times, and the place of each.
 
     Parameters
     ----------
@@ -49,6 +61,18 @@ def redundant_signals(
     ------
     RecordingError
         If a file is no table, has no times, or lacks one of the named columns.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import monitoring
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder, "tank.csv")
+    ...     _ = file.write_text("time,T_1,T_2,valve\n0.0,20.1,20.0,1\n0.1,20.2,20.1,1\n")
+    ...     places, signals = monitoring.redundant_signals([file], ["T_1", "T_2"])
+    >>> {name: signal.values.tolist() for name, signal in signals.items()}
+    {'T_1': [20.1, 20.2], 'T_2': [20.0, 20.1]}
     """
     tables = Tables(paths)
     places: dict[str, Place] = {}
@@ -123,6 +147,15 @@ def stretch_of(recording: Recording, start: float | None, stop: float | None) ->
     ------
     RecordingError
         If there is no step between them.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> signals = {name: monitoring.Signal(0.1 * np.arange(50), np.zeros(50)) for name in "ab"}
+    >>> recording = monitoring.recorded(signals)
+    >>> monitoring.stretch_of(recording, 1.0, 2.0)
+    slice(10, 21, None)
     """
     time = recording.time
     first = 0 if start is None else int(np.searchsorted(time, start))
@@ -146,6 +179,16 @@ def recorded(signals: Mapping[str, Signal]) -> Recording:
     ------
     RecordingError
         As for `align`, or if a signal has only one sample.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> fast = monitoring.Signal(0.02 * np.arange(50), np.zeros(50))
+    >>> slow = monitoring.Signal(0.1 * np.arange(10), np.zeros(10))
+    >>> recording = monitoring.recorded({"fast": fast, "slow": slow})
+    >>> float(recording.dt), np.isfinite(recording.y).sum(axis=0).tolist()
+    (0.02, [50, 10])
     """
     for name, signal in signals.items():
         if len(np.asarray(signal.time)) < 2:

@@ -37,6 +37,18 @@ class FittedSensor:
         Share of its samples that equal the one before, while it changes at all; at least the default of `Sensor`.
     missing : float
         Share of the steps without a sample.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> rng, t = np.random.default_rng(0), 0.1 * np.arange(1000)
+    >>> level = 20.0 + np.cumsum(0.05 * rng.standard_normal(1000))
+    >>> noise = 0.1 * rng.standard_normal((1000, 3)) + [0.0, 0.0, 2.0]
+    >>> signals = {name: monitoring.Signal(t, level + noise[:, i]) for i, name in enumerate("abc")}
+    >>> sensor = monitoring.fit_model(monitoring.recorded(signals)).sensors["c"]
+    >>> round(sensor.std, 1), round(sensor.bias), sensor.missing
+    (0.1, 2, 0.0)
     """
 
     std: float
@@ -64,6 +76,18 @@ class FittedModel:
         Mean and standard deviation of the quantity.
     rate : float
         Standard deviation of its rate.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> rng, t = np.random.default_rng(0), 0.1 * np.arange(1000)
+    >>> level = 20.0 + np.cumsum(0.05 * rng.standard_normal(1000))
+    >>> noise = 0.1 * rng.standard_normal((1000, 3))
+    >>> recording = monitoring.recorded({name: monitoring.Signal(t, level + noise[:, i]) for i, name in enumerate("abc")})
+    >>> fitted = monitoring.fit_model(recording)
+    >>> type(fitted.plant).__name__, round(fitted.plant.std, 2), fitted.moves  # 0.05 in 0.1 s are 0.16 in 1 s
+    ('RandomWalk', 0.15, True)
     """
 
     plant: RandomWalk | ConstantRate
@@ -96,6 +120,18 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     ------
     RecordingError
         If there are fewer sensors or samples, or if a sensor does not follow the others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> rng, t = np.random.default_rng(0), 0.1 * np.arange(1000)
+    >>> level = 20.0 + np.cumsum(0.05 * rng.standard_normal(1000))
+    >>> noise = rng.standard_normal((1000, 3)) * [0.1, 0.1, 0.3]
+    >>> recording = monitoring.recorded({name: monitoring.Signal(t, level + noise[:, i]) for i, name in enumerate("abc")})
+    >>> fitted = monitoring.fit_model(recording)
+    >>> {name: round(sensor.std, 1) for name, sensor in fitted.sensors.items()}, type(fitted.plant).__name__
+    ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
     check_recording(recording, recording.y[stretch])
     dt, bias = float(recording.dt), biases(recording.y[stretch])

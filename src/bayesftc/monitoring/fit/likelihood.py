@@ -35,6 +35,19 @@ def log_likelihood(
         Belief before the first sample, as for `StateEstimator`.
     compiled : bool, optional
         As for `monitor_recording`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers, monitoring
+    >>> t, noise = 0.1 * np.arange(100), 0.1 * np.random.default_rng(0).standard_normal((100, 2))
+    >>> recording = monitoring.align({name: monitoring.Signal(t, noise[:, i]) for i, name in enumerate("ab")}, {}, dt=0.1)
+    >>> for std in (0.05, 0.1, 0.2):
+    ...     model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 2, 1e-6, std**2, dt=0.1)
+    ...     print(std, round(monitoring.log_likelihood(model, recording)))
+    0.05 41
+    0.1 179
+    0.2 111
     """
     estimator = StateEstimator(model, FixedPrecision(), initial_mean, initial_covariance)
     signals = estimate(estimator, recording.y, recording.u, ("innovation", "P"), compiled)

@@ -27,6 +27,19 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
         Its recording.
     places : mapping of str to Place
         File and columns of each sensor.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> rng, t = np.random.default_rng(0), 0.1 * np.arange(1000)
+    >>> level = 20.0 + np.cumsum(0.05 * rng.standard_normal(1000))
+    >>> noise = 0.1 * rng.standard_normal((1000, 2))
+    >>> recording = monitoring.recorded({name: monitoring.Signal(t, level + noise[:, i]) for i, name in enumerate("ab")})
+    >>> places = {name: monitoring.Place("tank.csv", f"T_{name}", "time") for name in "ab"}
+    >>> text = monitoring.as_model_file(monitoring.fit_model(recording), recording, places)
+    >>> text.splitlines()[2], text.splitlines()[6]
+    ('dt = 0.1  # sample time in s', 'kind = "RandomWalk"  # a level that changes at random')
     """
     several = len({place.file for place in places.values()}) > 1
     time = next(iter(places.values())).time
