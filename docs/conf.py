@@ -25,6 +25,7 @@ extensions = [
     "public_names",
     "drawn",
     "file_keys",
+    "inherited_parameters",
     "linked_names",
     "repository_files",
 ]

@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from docutils.statemachine import StringList
-from numpydoc.docscrape import NumpyDocString
+from inherited_parameters import entries
 from sphinx.application import Sphinx
 
 from bayesftc.scenario._schema import expected, settings
@@ -39,12 +39,10 @@ def described(schema: Any) -> dict[str, str]:
     """Return the first sentence about each key, from the docstring; of a class also from those of its bases."""
     texts: dict[str, str] = {}
     for base in reversed(schema.__mro__[:-1]) if isinstance(schema, type) else [schema]:
-        text = NumpyDocString(inspect.cleandoc(base.__doc__ or ""))
-        for entry in (*text["Parameters"], *text["Attributes"]):
+        for names, entry in entries(base):
             words = " ".join(entry.desc)
             if words and not words.startswith("See "):
-                for name in re.split(r",\s*", entry.name):
-                    texts[name] = words
+                texts |= dict.fromkeys(names, words)
     return texts
 
 
