@@ -183,6 +183,11 @@ def diagnose_recording(
     initial_mean : number or vector
         Approximate state at the first sample, the origin of nonlinear explanations.
 
+    Returns
+    -------
+    ModelFinding or None
+        The best explanation of the recording.
+
     Raises
     ------
     ModelError

@@ -139,6 +139,11 @@ def learn_modes(
     compiled : bool, optional
         False for interpreted runs, which a debugger can step through; by default for short recordings.
 
+    Returns
+    -------
+    LearnedModes
+        The learner with the learned modes, and what they have in the recordings.
+
     Raises
     ------
     ModelError

@@ -28,6 +28,8 @@ from bayesftc.controllers.switching.default_time import DefaultTime
 class ActuatorMode:
     """Base of all actuator modes.
 
+    The default times grow with the sample time, as for `FaultMode`.
+
     Parameters
     ----------
     time_to_fault : float
@@ -35,8 +37,6 @@ class ActuatorMode:
         modes cost nothing while all is healthy.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
-
-    Both defaults grow with the sample time, as for `FaultMode`.
 
     Examples
     --------

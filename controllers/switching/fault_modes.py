@@ -58,6 +58,8 @@ MOST_REPEATS = 0.6
 class FaultMode:
     """Base of all fault modes.
 
+    The default times are for samples up to 20 ms apart; `SwitchingPrecision.paced` lengthens them for longer sample times.
+
     Parameters
     ----------
     time_to_fault : float
@@ -65,8 +67,6 @@ class FaultMode:
         long that even a fifth of it would cost healthy sensors less than 1 % of the error.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
-
-    Both defaults are for samples up to 20 ms apart; `SwitchingPrecision.paced` lengthens them for longer sample times.
 
     Examples
     --------
@@ -195,10 +195,12 @@ class Frozen(FaultMode):
 class Offset(FaultMode):
     """An unknown offset, which may drift, is added at once: injection and bias.
 
+    By default jumps are twice as frequent as other faults, because many of them are short (`SwitchingPrecision`).
+
     Parameters
     ----------
     time_to_fault, time_to_recovery
-        See `FaultMode`. Jumps are twice as frequent as other faults, because many of them are short (`SwitchingPrecision`).
+        See `FaultMode`.
     jump : float
         Standard deviation of the offset at its onset, in units of the sensor's noise, or the first innovation if that is larger.
     slope : float

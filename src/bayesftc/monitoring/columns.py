@@ -22,7 +22,7 @@ class Column:
     time : str, optional
         The column of its time stamps; by default the monitor's.
     bias : float
-        Known offset, which is subtracted.
+        Known offset in its unit, which is subtracted.
     delay : float
         Seconds by which its time stamps are late.
     invalid : sequence of float

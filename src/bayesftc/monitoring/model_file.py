@@ -58,6 +58,11 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     path : str or path
         A TOML file.
 
+    Returns
+    -------
+    Monitor
+        The content of the file.
+
     Raises
     ------
     ScenarioError

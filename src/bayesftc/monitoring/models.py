@@ -126,11 +126,11 @@ class Matrices(PlantModel):
     Parameters
     ----------
     A : matrix
-        Transition of the state in one step.
+        Transition of the state in one step (n x n).
     process_covariance : number, vector or matrix
-        Covariance of the process noise per step.
+        Covariance of the process noise per step (n x n).
     B : matrix, optional
-        Effect of the inputs, one column per input.
+        Effect of the inputs (n x p), one column per input.
 
     Examples
     --------

@@ -35,6 +35,11 @@ def default_precision(
     repeats : float or sequence of float
         Share of the samples that a healthy sensor repeats, for all or for each.
 
+    Returns
+    -------
+    SwitchingPrecision
+        The learner.
+
     Examples
     --------
     >>> from bayesftc import monitoring

@@ -34,7 +34,7 @@ class Signal:
     values : array_like
         One sample per time. Samples that are not finite are missing.
     bias : float
-        Known offset, which is subtracted.
+        Known offset in the unit of the values, which is subtracted.
     delay : float
         Seconds by which the time stamps are late.
     smooth : float
@@ -169,6 +169,11 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         In the order of the model's sensors and inputs.
     dt : float, str or Fraction
         Seconds between two steps. A step longer than the interval of the fastest sensor loses samples.
+
+    Returns
+    -------
+    Recording
+        The samples and inputs at the steps, from the first one at which every sensor has a sample.
 
     Raises
     ------

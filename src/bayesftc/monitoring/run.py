@@ -161,6 +161,11 @@ def monitor_recording(
         False to run the plain Python form, with the same numbers. By default it is used for a short recording, because
         compilation would take longer.
 
+    Returns
+    -------
+    Monitored
+        The fault probabilities, the belief and the alarms.
+
     Raises
     ------
     ModelError

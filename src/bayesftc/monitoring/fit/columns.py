@@ -57,6 +57,11 @@ def redundant_signals(
     names : sequence of str
         Columns that are sensors; by default all.
 
+    Returns
+    -------
+    dict of str to Place, dict of str to Signal
+        By the name of the column, or by file and column if the name is not unique.
+
     Raises
     ------
     RecordingError
@@ -143,6 +148,11 @@ def stretch_of(recording: Recording, start: float | None, stop: float | None) ->
     start, stop : float or None
         Times in seconds; None for the recording's start or end.
 
+    Returns
+    -------
+    slice
+        The steps from `start` to `stop`, both included.
+
     Raises
     ------
     RecordingError
@@ -174,6 +184,11 @@ def recorded(signals: Mapping[str, Signal]) -> Recording:
     ----------
     signals : mapping of str to Signal
         All of them sensors.
+
+    Returns
+    -------
+    Recording
+        The samples at the steps of the fastest sensor.
 
     Raises
     ------

@@ -28,9 +28,9 @@ class FittedSensor:
     Attributes
     ----------
     std : float
-        Standard deviation of its white noise.
+        Standard deviation of its white noise, in its unit.
     bias : float
-        Its constant difference from the typical sensor.
+        Its constant difference from the typical sensor, in its unit.
     resolution : float
         Its samples are multiples of this; 0 if they are not.
     repeats : float
@@ -73,9 +73,9 @@ class FittedModel:
     moves : bool
         Whether the motion is visible above the noise.
     level, spread : float
-        Mean and standard deviation of the quantity.
+        Mean and standard deviation of the quantity, in its unit.
     rate : float
-        Standard deviation of its rate.
+        Standard deviation of its rate, per second.
 
     Examples
     --------
@@ -115,6 +115,11 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
         Steps in which the sensors are healthy; by default all. Biases come from it. Motion comes from the whole recording: a calm
         stretch does not show it, and no fault of a single sensor looks like it. Noise, up to twice that of the stretch, and
         wandering biases, up to the size of the noise, also come from the whole recording.
+
+    Returns
+    -------
+    FittedModel
+        The motion, the sensors and their lasting errors; `as_model_file` writes it as text.
 
     Raises
     ------

@@ -36,6 +36,11 @@ def log_likelihood(
     compiled : bool, optional
         As for `monitor_recording`.
 
+    Returns
+    -------
+    float
+        The logarithm, in nats.
+
     Examples
     --------
     >>> import numpy as np

@@ -28,6 +28,11 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
     places : mapping of str to Place
         File and columns of each sensor.
 
+    Returns
+    -------
+    str
+        The content of a TOML file.
+
     Examples
     --------
     >>> import numpy as np
