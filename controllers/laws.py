@@ -242,6 +242,13 @@ class PID(ProportionalDerivative):
         *Advanced PID Control*, section 3.5). "both": both of these. "none": neither.
     tracking_time : float
         Time constant of the back-calculation in seconds, at least the sample time.
+
+    Examples
+    --------
+    >>> from bayesftc import controllers
+    >>> law = controllers.PID(gain=2.0, integral_gain=1.0, u_max=3.0).online(dt=0.1, compiled=False)
+    >>> [round(float(law(x_hat=[2.0], goal=[3.0]).u[0]), 1) for _ in range(4)]
+    [2.0, 2.1, 2.2, 2.3]
     """
 
     integral_gain: Matrix = 0.0

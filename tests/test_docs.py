@@ -25,7 +25,7 @@ PUBLIC = {
     f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, cosim.statistics, controllers, monitoring) for n in m.__all__
 }
 
-WITH_EXAMPLES = (cosim, cosim.statistics)
+WITH_EXAMPLES = (cosim, cosim.statistics, controllers, monitoring, fmus)
 """Modules in which every public name has an example."""
 
 RECIPES = [p for p in PAGES if p.parent.name == "how-to" and p.name != "index.md"]
@@ -241,3 +241,15 @@ def test_links_out_of_the_pages_lead_to_copies_or_downloads():
         "![f](../figures/a.png)\n```\n[x](y)\n```\n"
     )
     assert repository_files.linked(text, "docs/reference/a.md", "docs/reference/a.md") == expected
+
+
+def test_a_page_of_a_class_describes_the_parameters_of_its_bases():
+    inherited = pytest.importorskip("inherited_parameters", exc_type=ImportError)
+    for cls in (cosim.Freeze, controllers.Frozen, controllers.Drifting, controllers.LQGController):
+        text = inherited.completed(cls, inspect.getdoc(cls))
+        entries = inherited.NumpyDocString(text)["Parameters"]
+        names = [name for entry in entries for name in entry.name.split(", ")]
+        assert sorted(names) == sorted(inspect.signature(cls).parameters)
+        assert not any(inherited.refers(entry) for entry in entries)
+        assert ("Examples" in text) == (">>>" in text)
+    assert inherited.completed(controllers.FaultMode, "As it was.") == "As it was."
