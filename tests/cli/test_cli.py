@@ -552,6 +552,8 @@ def test_example(bayesftc_, tmp_path):
     listed = {line.split()[0]: line for line in bayesftc_("example").output.splitlines()}
     assert {"tracking", "model", "wheel_speed", *shipped_scenarios()} <= set(listed)
     assert "bayesftc campaign tracking.toml" in listed["tracking"]
+    assert "bayesftc monitor faulty_wheel_speed.csv --fit" in listed["faulty_wheel_speed"]
+    assert bayesftc_("example", "faulty_wheel_speed").output != bayesftc_("example", "wheel_speed").output
     for name in ("tracking", "model", "gnss_speed", "imu", "wheel_speed"):
         file = tmp_path / listed[name].split()[-1] if name in {"tracking", "model"} else tmp_path / f"{name}.csv"
         file.write_text(bayesftc_("example", name).output, encoding="utf-8")

@@ -15,16 +15,27 @@ KINDS = {
     "campaign": "*/campaigns/*.toml",
     "monitor's model": "*/data/*.toml",
     "recording": "*/data/*.csv",
+    "faulty recording": "*/faulty/wheel_speed.csv",
 }
 """The pattern of the paths of each kind of file in the examples."""
 
 
+OTHERS = {
+    ".fmu": "an FMU, not a TOML file. bayesftc inspect {file} shows what it has; a scenario names it as fmu = ... in [plant].",
+    ".csv": "a recording, not a TOML file. bayesftc monitor {file} --fit finds faults in it.",
+    ".parquet": "a recording, not a TOML file. bayesftc fit reads it.",
+    ".ssp": "an SSP file, not a TOML file. bayesftc inspect {file} shows what it has.",
+}
+"""What files of other kinds are, and what to do with them."""
+
+
 def shipped_files(kind: str) -> dict[str, Path]:
-    """Return the shipped files of one of `KINDS`, by name."""
+    """Return the shipped files of one of `KINDS`, by name; a faulty recording has the name of the other one with a prefix."""
     import bayesftc.examples
 
     folders = [Path(folder) for folder in bayesftc.examples.__path__]
-    return {file.stem: file for folder in folders for file in sorted(folder.glob(KINDS[kind]))}
+    prefix = "faulty_" if kind == "faulty recording" else ""
+    return {prefix + file.stem: file for folder in folders for file in sorted(folder.glob(KINDS[kind]))}
 
 
 def shipped_scenarios() -> dict[str, Path]:
@@ -69,6 +80,8 @@ def read_toml(file: Path) -> dict[str, Any]:
     ScenarioError
         If it cannot be read, or is no TOML. The message has line and column.
     """
+    if instead := OTHERS.get(file.suffix.lower()):
+        raise ScenarioError(f"{file} is {instead.format(file=file)}")
     try:
         return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as error:

@@ -14,6 +14,7 @@ USES = {
     "campaign": "bayesftc campaign {file}",
     "monitor's model": "bayesftc monitor . --model {file}",
     "recording": "bayesftc monitor . --model model.toml",
+    "faulty recording": "bayesftc monitor {name}.csv --fit",
 }
 """The command that uses a file of each kind, once the file is in the current folder."""
 
