@@ -96,6 +96,8 @@ def _logarithmic(axis: Axes, drawn: list[Floats], margin: float = 0.0) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     axis.set_yscale("log")
+    axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
     values = np.concatenate(drawn) if drawn else np.array([])
     values = values[np.isfinite(values) & (values > 0)]
     if not len(values):
@@ -105,13 +107,22 @@ def _logarithmic(axis: Axes, drawn: list[Floats], margin: float = 0.0) -> None:
     if values.max() < 100 * values.min():
         few = values.max() < 5 * values.min()
         axis.yaxis.set_major_locator(LogLocator(subs=tuple(np.arange(1.0, 10.0)) if few else (1.0, 2.0, 5.0)))
-        axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.yaxis.set_minor_formatter(NullFormatter())
 
 
-def height_of_detection(signals: LoopSignals) -> float:
-    """Return the height of the panel of fault probabilities in inches; rows of kinds increase it."""
-    return 1.9 + 0.17 * len(_alarmed(signals))
+def detection_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes], None]]]:
+    """Return the panel of fault probabilities, or of beta; none if the run has neither. Rows of kinds increase its height."""
+    rated = _with_probability(signals) or signals.actuators or _with_beta(signals)
+    if not rated and all(sensor.alarm is None for sensor in signals.sensors):
+        return []
+    return [(1.9 + 0.17 * len(_alarmed(signals)), partial(_draw_detection, signals=signals))]
+
+
+def _with_probability(signals: LoopSignals) -> list[SensorSignals]:
+    return [s for s in signals.sensors if s.probability is not None and not np.isnan(s.probability).all()]
+
+
+def _with_beta(signals: LoopSignals) -> list[SensorSignals]:
+    return [s for s in signals.sensors if s.beta is not None and not np.isnan(s.beta).all()]
 
 
 def _alarmed(signals: LoopSignals) -> list[SensorSignals | ActuatorSignals]:
@@ -124,9 +135,9 @@ def _alarmed(signals: LoopSignals) -> list[SensorSignals | ActuatorSignals]:
     ]
 
 
-def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
+def _draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
     """Draw the fault probabilities and the kinds of faults; without probabilities, beta and detected faults."""
-    with_probability = [s for s in signals.sensors if s.probability is not None and not np.isnan(s.probability).all()]
+    with_probability = _with_probability(signals)
     if not with_probability and not signals.actuators:
         _draw_beta(axis, signals)
         return
@@ -178,7 +189,7 @@ def _words(kinds: Sequence[str], number: float) -> str:
 
 
 def _draw_beta(axis: Axes, signals: LoopSignals) -> None:
-    rated = [s for s in signals.sensors if s.beta is not None and not np.isnan(s.beta).all()]
+    rated = _with_beta(signals)
     for sensor in rated:
         assert sensor.beta is not None
         axis.plot(*thin(signals.time, _given(sensor, sensor.beta)), **_line(sensor))
@@ -191,11 +202,9 @@ def _draw_beta(axis: Axes, signals: LoopSignals) -> None:
     axis.set_ylabel(with_unit("beta", f"({unit})²" if unit else None))
     if rated:
         _logarithmic(axis, [s.beta for s in rated if s.beta is not None], (row + 0.5) * ROW if row else 0.0)
-        return
-    axis.set_yticks([])
-    axis.set_ylabel("fault probability")
-    where: dict[str, Any] = {"transform": axis.transAxes, "ha": "center", "color": "0.35"}
-    axis.text(0.5, 0.5, "no fault probability and no beta in this run", **where)
+    else:
+        axis.set_yticks([])
+        axis.set_ylabel("detected faults")
 
 
 def draw_shades(axis: Axes, signals: LoopSignals) -> None:
@@ -247,4 +256,4 @@ def _line(sensor: SensorSignals) -> dict[str, Any]:
     return {"color": colour_of(i), "ls": LINES[i % len(LINES)], "lw": 1.3, "label": f"sensor {i}"}
 
 
-__all__ = ["deviation_panels", "draw_detection", "draw_shades", "height_of_detection", "name_faults"]
+__all__ = ["detection_panels", "deviation_panels", "draw_shades", "name_faults"]

@@ -11,10 +11,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.judging.fault_panels import (
+    detection_panels,
     deviation_panels,
-    draw_detection,
     draw_shades,
-    height_of_detection,
     name_faults,
 )
 from bayesftc.cosim.judging.panels import finish, legend, make_panels, thin, with_unit
@@ -48,7 +47,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     - the standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``). While it is more than a
       hundred times the smallest one, the sensor counts as ignored and has a mark at the top. Crosses are missing samples;
     - the fault probability of each sensor and, in black, of each actuator whose faults the controller infers; above it the most
-      probable kind of fault during an alarm. Without a probability: beta, with marks for detected faults.
+      probable kind of fault during an alarm. Without a probability: beta, with marks for detected faults. Without both there is
+      no such panel.
 
     Present faults are shaded, those of an input hatched, and named at the top. Lines have gaps at missing samples. Signals that
     were not recorded are left out.
@@ -75,7 +75,7 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
         if each.control is None or each.control >= len(signals.controls):
             panels.append((NARROW, partial(_draw_input, time=signals.time, each=each)))
     panels += deviation_panels(signals)
-    panels.append((height_of_detection(signals), partial(draw_detection, signals=signals)))
+    panels += detection_panels(signals)
     drawing, axes = make_panels([height for height, _ in panels], figure)
     for axis, (_, draw) in zip(axes, panels, strict=True):
         draw(axis)

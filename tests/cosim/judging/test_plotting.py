@@ -12,6 +12,7 @@ from matplotlib.image import imread
 from bayesftc import cosim
 from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision
 from bayesftc.cosim.errors import UnknownNameError
+from bayesftc.cosim.judging.fault_panels import _logarithmic
 from bayesftc.cosim.judging.loop_figure import plot_run
 from bayesftc.cosim.judging.plotting import plot_signals
 from bayesftc.cosim.judging.roles import loop_signals
@@ -115,7 +116,18 @@ def test_beta_stands_in_for_a_missing_probability():
 
 def test_neither_beta_nor_probability():
     figure = plot_run(run_of(cruise_control(FixedPrecision()), 1.0))
-    assert [t.get_text() for t in panel(figure, "fault").texts] == ["no fault probability and no beta in this run"]
+    assert figure.axes[-1] is panel(figure, "expected")
+
+
+def test_ticks_of_logarithmic_panels_are_plain_numbers():
+    _, axis = pyplot.subplots()
+    for high in (3.0, 3000.0):
+        axis.set_ylim(0.01, high)
+        _logarithmic(axis, [np.array([0.01, high])])
+        axis.figure.canvas.draw()
+        texts = [label.get_text() for label in axis.get_yticklabels()]
+        assert "0.01" in texts
+        assert not any("$" in text for text in texts)
 
 
 def test_ignored_samples_are_marked():
