@@ -13,7 +13,7 @@ from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, r
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_vector
-from bayesftc.controllers.models.delays import extended_rows
+from bayesftc.controllers.models.delays import extended_rows, whole_delays
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import INPUT_NOISE, linearize, refuse_unmoved
 from bayesftc.controllers.models.names import Names, elements_of, names_of
@@ -165,7 +165,10 @@ def design(
             "acceptable_control", span if acceptable_control is None else acceptable_control, p
         )
     start = _initial(model)
-    late = model.with_delays(input_delays, sensor_delays)
+    late = model.with_delays(
+        whole_delays("design() has input_delays", input_delays, p, "control", model.dt),
+        whole_delays("design() has sensor_delays", sensor_delays, model.sensors, "sensor", model.dt),
+    )
     if late is not model:
         model, H = late, extended_rows(late, H)
     return LQGController(

@@ -133,8 +133,8 @@ def identify(
     names_in, names_out = named_columns(table, inputs, "input"), named_columns(table, outputs, "output")
     step = sample_time(table, time, dt)
     u, y = (table[names].to_numpy(dtype=np.float64) for names in (names_in, names_out))
-    late = whole_delays("identify() has input_delays", input_delays, len(names_in), "input")
-    old = whole_delays("identify() has sensor_delays", sensor_delays, len(names_out), "output")
+    late = whole_delays("identify() has input_delays", input_delays, len(names_in), "input", step)
+    old = whole_delays("identify() has sensor_delays", sensor_delays, len(names_out), "output", step)
     u, y = _undelayed(u, y, late, old)
     share = as_number("identify() has held_out", held_out, above=0, below=1)
     for name, value in (("order", order), ("past", past)):

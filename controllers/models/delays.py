@@ -59,7 +59,7 @@ class Delays:
 def with_delays(model: Any, inputs: int | Sequence[int], sensors: int | Sequence[int]) -> Any:
     """Return a `LinearModel` with delays; see `LinearModel.with_delays`."""
     late, old = (
-        whole_delays(f"with_delays() has {name}", value, size, name[:-1])
+        whole_delays(f"with_delays() has {name}", value, size, name[:-1], model.dt)
         for name, value, size in (
             ("inputs", inputs, model.controls),
             ("sensors", sensors, model.sensors),
@@ -144,8 +144,8 @@ def extended_rows(model: Any, rows: Floats) -> Floats:
     return np.insert(rows, [delays.plant] * delays.states, 0.0, axis=1)
 
 
-def whole_delays(title: str, value: object, size: int, what: str) -> tuple[int, ...]:
-    """Return the samples by which each signal is late; one number stands for all.
+def whole_delays(title: str, value: object, size: int, what: str, dt: Any = None) -> tuple[int, ...]:
+    """Return the samples by which each signal is late; one number stands for all. The error converts seconds by the step `dt`.
 
     Raises
     ------
@@ -159,8 +159,19 @@ def whole_delays(title: str, value: object, size: int, what: str) -> tuple[int, 
     if counts.shape != (size,):
         raise ModelError(f"{title}={brief(value)}; give one number for all, or one for each {what} ({size}).")
     if not ((counts >= 0) & (counts == np.round(counts)) & (counts <= MOST)).all():
-        raise ModelError(f"{title}={brief(value)}; a delay is a whole number of samples from 0 to {MOST}.")
+        raise ModelError(
+            f"{title}={brief(value)}; a delay is a whole number of samples from 0 to {MOST}.{_as_samples(counts, dt)}"
+        )
     return tuple(int(count) for count in counts)
+
+
+def _as_samples(delays: Floats, dt: Any) -> str:
+    """Return a sentence on delays that are a whole number of samples if they are seconds, else nothing."""
+    for seconds in delays[delays != np.round(delays)] if dt is not None else ():
+        samples = float(seconds) / float(dt)
+        if 0 < samples <= MOST and abs(samples - round(samples)) < 1e-6 * samples:
+            return f" {seconds:g} s are {round(samples)} sample{'s' * (round(samples) != 1)}."
+    return ""
 
 
 def _rows(C: Floats, old: Sequence[int]) -> tuple[list[Floats], list[int]]:

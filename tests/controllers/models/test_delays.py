@@ -340,11 +340,19 @@ def test_a_late_sensor_vouches_against_an_absurd_one(old):
         ({"inputs": 150, "sensors": 150}, "need 450 states"),
         ({"inputs": True}, "inputs=True; it must be a number of samples"),
         ({"sensors": float("nan")}, "sensors=nan; a delay is a whole number"),
+        ({"inputs": 0.3}, r"a whole number of samples from 0 to \d+\. 0\.3 s are 3 samples\."),
+        ({"inputs": 0.35}, r"a whole number of samples from 0 to \d+\.$"),
     ],
 )
 def test_wrong_delays_are_refused(settings, message):
     with pytest.raises(ModelError, match=message):
         cart().with_delays(**settings)
+
+
+def test_a_wrong_delay_of_a_design_has_the_name_of_the_argument():
+    plant = control.ss(A, B, [[1.0, 0.0]], 0, 0.1, inputs=["u"], outputs=["x"])
+    with pytest.raises(ModelError, match=r"design\(\) has sensor_delays=0.1; .* 0\.1 s are 1 sample\.$"):
+        controllers.design(plant, measured="x", actuated="u", acceptable_error=0.1, sensor_delays=0.1)
 
 
 def test_wrong_orders_of_changes_are_refused():
