@@ -59,8 +59,8 @@ def closed_loop(
     input_faults -> plant``, and ``noise -> input_faults -> plant`` for further inputs.
 
     The blocks are named ``plant``, ``controller``, ``sensors``, ``reference`` (``reference_0``, ... if there are several) and
-    ``<input>_noise``. Sensor faults have names such as ``freeze_0``, faults of an input such as ``<input>_freeze_0``
-    (``u_1_freeze_0`` for ``u[1]``). Monitors have the given names.
+    ``<input>_noise``. Sensor faults have names such as ``freeze_0`` (a second one of the same kind and sensor ``freeze_0_2``),
+    faults of an input such as ``<input>_freeze_0`` (``u_1_freeze_0`` for ``u[1]``). Monitors have the given names.
 
     Parameters
     ----------
@@ -146,6 +146,8 @@ def closed_loop(
             "row, or its modalities a sample, for each sensor, and Sensors the same count."
         )
     diagram.connect(samples, controller_node["y"])
+    if sum(map(len, goals)) != len(controller_node["goal"]):
+        raise ConnectionError(_wrong_goals(sum(map(len, goals)), controller))
     diagram.connect(goals, controller_node["goal"])
     inputs = {name: node[name] for name in _names(control, "control")}
     if len(controller_node["u"]) != sum(map(len, inputs.values())):
@@ -234,9 +236,21 @@ def check_count(faults: Sequence[object]) -> None:
         )
 
 
-def fault_block(fault: Fault, of: str = "") -> str:
-    """Return the name of a fault's block; for an input of the plant it begins with the name of that input."""
-    return fault.name or (f"{_plain(of)}_" if of else "") + fault.default_name
+def fault_blocks(faults: Sequence[Fault], of: str = "") -> list[str]:
+    """Return the names of the blocks of a signal's faults; for an input of the plant they begin with the name of that input.
+
+    Of several faults without names, of one kind and channel, the second one is ``freeze_0_2``, the third one ``freeze_0_3``.
+    """
+    names: list[str] = []
+    given = {fault.name for fault in faults}
+    for fault in faults:
+        first = name = fault.name or (f"{_plain(of)}_" if of else "") + fault.default_name
+        number = 1
+        while not fault.name and (name in names or name in given):
+            number += 1
+            name = f"{first}_{number}"
+        names.append(name)
+    return names
 
 
 def noise_block(name: str) -> str:
@@ -268,8 +282,8 @@ def _chain(faults: Fault | Sequence[Fault]) -> Sequence[Fault]:
 
 def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], of: str = "") -> PortRef:
     """Connect a signal to a chain of faults, of sensors or of an input; return the output of the last."""
-    for fault in faults:
-        modifier = diagram.add(replace(fault, channels=len(signal)), fault_block(fault, of))
+    for fault, name in zip(faults, fault_blocks(faults, of), strict=True):
+        modifier = diagram.add(replace(fault, channels=len(signal)), name)
         diagram.connect(signal, modifier["u"])
         signal = modifier["y"]
     return signal
@@ -402,6 +416,26 @@ def _references(
     if time := preview_time(controller):
         return [(name, Preview(block, time), "ahead") for name, block in zip(names, blocks, strict=True)]
     return [(name, block, "y") for name, block in zip(names, blocks, strict=True)]
+
+
+def _wrong_goals(given: int, controller: Block) -> str:
+    """Return the message about a reference of another size than the goal."""
+    size = next(port.size for port in controller.inputs if port.name == "goal")
+    several = f"{size} elements" if size > 1 else "one element"
+    names = f" ({', '.join(known)})" if (known := _goal_names(controller)) else ""
+    advice = (
+        "Give a source for each: reference=[...], or one [[reference]] for each in a scenario file."
+        if size > 1
+        else "Give one source: reference=..., or [reference] in a scenario file."
+    )
+    return f"The goal has {several}{names}, but the reference has {given}. {advice}"
+
+
+def _goal_names(controller: Block) -> list[str]:
+    """Return the names of the states that are the elements of the goal; none if an element is no single state."""
+    names, rows = getattr(getattr(controller, "model", None), "state_names", ()), getattr(controller, "goal_matrix", ())
+    places = [np.flatnonzero(row) for row in rows]
+    return [names[place[0]] for place in places] if names and all(len(place) == 1 for place in places) else []
 
 
 def with_invalid(controller: Block, sensors: Sensors) -> Block:

@@ -307,6 +307,7 @@ WRONG = {
     "sensor count": (("C = [[1.0], [1.0]]", "C = [[1.0]]"), ConnectionError, ["1 sensors", "2"]),
     "duration": (("duration = 20.0", "duration = '20 s'"), StepSizeError, ["'simulation'", "'20 s'"]),
     "dt": (("dt = 0.02", "dt = 'x'"), StepSizeError, ["'model'", "'x'"]),
+    "dt of the simulation": (("seed = 1", "dt = 0"), StepSizeError, ["'simulation': dt is 0.0 s"]),
     "setting": (
         ('"SwitchingPrecision"', '"GammaPrecision"\nforgetting = 1.5'), ModelError, ["controller.precision", "forgetting=1.5"],
     ),
@@ -329,6 +330,21 @@ WRONG = {
     ),
     "matrix": (("A = [[0.999]]", "A = [[0.999, 1.0]]"), ModelError, ["'model'", "square"]),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("a.fmu", "is an FMU, .* bayesftc inspect"), ("a.csv", "is a recording, .* bayesftc monitor")]
+)
+def test_files_of_other_kinds_are_named(tmp_path, name, words):
+    (tmp_path / name).write_bytes(b"PK\xff")
+    with pytest.raises(ScenarioError, match=words):
+        load_scenario(tmp_path / name)
+
+
+def test_goals_without_a_reference_are_named(write):
+    text = LINEAR.replace('kind = "Design"', 'kind = "BayesianController"\n[model]\n' + MODEL_OF_TWO)
+    with pytest.raises(ConnectionError, match=r"The goal has 2 elements \(x\[0\], x\[1\]\), .* one \[\[reference\]\]"):
+        load_scenario(write(text=text)).loop()
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -570,6 +586,13 @@ def test_a_controller_is_designed_for_the_plant_of_the_file():
     np.testing.assert_allclose(result["controller.fault_probability"][-1], [1.0, 0.0], atol=0.01)
 
 
+MODEL_OF_TWO = """
+A = [[1, 0.05], [0, 0.95]]
+B = [[0], [0.05]]
+C = [[1, 0]]
+process_covariance = 1e-4
+sensor_covariance = 1e-4
+"""
 LINEAR = """
 [simulation]
 duration = 1

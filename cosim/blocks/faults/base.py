@@ -17,7 +17,7 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.faults import kernels
-from bayesftc.cosim.blocks.faults.conditions import When, Window, conditional
+from bayesftc.cosim.blocks.faults.conditions import When, Window, conditional, when
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Kernel
@@ -42,10 +42,11 @@ class Fault(Block):
     ----------
     sensor : int
         Number of the channel, from 0; 0 for a scalar input of a plant.
-    start, stop : float or When
-        Seconds: the fault can be present while start <= t < stop. Or conditions on a signal, such as
-        ``cosim.when("plant.v", ">", 22.0)``: it can be present from the step at which the start is fulfilled, until the one at
-        which the stop is. It can begin again each time the start is fulfilled anew. A stop that is fulfilled prevents it.
+    start, stop : float, When or str
+        Seconds: the fault can be present while start <= t < stop. Or conditions on a signal, such as ``"plant.v > 22"``, which
+        stands for ``cosim.when("plant.v", ">", 22.0)``: it can be present from the step at which the start is fulfilled, until
+        the one at which the stop is. It can begin again each time the start is fulfilled anew. A stop that is fulfilled
+        prevents it.
     duration : float
         Seconds from the start to the end of the fault, rounded to whole steps, at least one; a stop may end it before.
     latching : bool
@@ -81,8 +82,8 @@ class Fault(Block):
     remembers: ClassVar[bool] = False
 
     sensor: int = 0
-    start: float | When = field(default=0.0, metadata={"unit": "s"})
-    stop: float | When = field(default=inf, metadata={"unit": "s"})
+    start: float | When | str = field(default=0.0, metadata={"unit": "s"})
+    stop: float | When | str = field(default=inf, metadata={"unit": "s"})
     duration: float = field(default=inf, metadata={"unit": "s"})
     latching: bool = True
     mean_time_to_fault: float | None = None
@@ -92,6 +93,9 @@ class Fault(Block):
 
     def __post_init__(self) -> None:
         kind = type(self).__name__
+        for which in ("start", "stop"):
+            if isinstance(text := getattr(self, which), str):
+                object.__setattr__(self, which, when(text))
         if not (real(self.sensor) >= 0 and real(self.sensor).is_integer()):
             raise ModelError(f"{kind} has sensor={brief(self.sensor)}; it must be the number of a channel, from 0.")
         if self.channels is not None and not (real(self.channels) >= 1 and real(self.channels).is_integer()):

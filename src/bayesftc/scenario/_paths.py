@@ -8,7 +8,7 @@ from dataclasses import asdict, fields
 from typing import Any
 
 from bayesftc.cosim.blocks.faults.conditions import When
-from bayesftc.cosim.diagram.closed_loop import fault_block, noise_block
+from bayesftc.cosim.diagram.closed_loop import fault_blocks, noise_block
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.scenario._fmu_files import Shipped
@@ -69,8 +69,8 @@ def _lines_of_blocks(content: Mapping[str, Any]) -> dict[str, str]:
     lists = {"faults": ("", content.get("faults", []))}
     lists |= {f"input_faults.{name}": (name, faults) for name, faults in content.get("input_faults", {}).items()}
     for section, (name, faults) in lists.items():
-        fault_blocks = fault_list(faults, root / section)
-        lines |= {fault_block(fault, name): f"{section}[{i}]" for i, fault in enumerate(fault_blocks)}
+        names = fault_blocks(fault_list(faults, root / section), name)
+        lines |= {block: f"{section}[{i}]" for i, block in enumerate(names)}
     for name in ("plant", "controller"):
         lines |= _lines_inside(content[name], name, name)
     return {**lines, **_lines_inside(content, "", "")}

@@ -178,7 +178,8 @@ def _writable(hint: Any) -> Any:
     if hint in SCALARS or origin is Literal:
         return hint
     if origin in {Union, UnionType}:
-        kept = [part for part in map(_writable, parts) if part is not NoneType]
+        texts = {str} if When in parts else set()  # of a condition, which `convert` reads
+        kept = [part for part in map(_writable, parts) if part is not NoneType and part not in texts]
         return Union[tuple(kept)] if kept else NoneType  # noqa: UP007 - from a list
     if isinstance(origin, type) and issubclass(origin, Sequence | Mapping):
         inner = tuple(part if part is Ellipsis else _writable(part) for part in parts)

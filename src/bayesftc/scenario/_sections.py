@@ -7,6 +7,7 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
+from bayesftc.controllers.models.delays import whole_delays
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
 from bayesftc.controllers.registry import CONTROLLERS
@@ -53,9 +54,10 @@ class Simulation:
     decimation: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("duration", "dt"):
-            if isinstance(getattr(self, name), str):
-                rational_step(getattr(self, name), f"{name} =")
+        if isinstance(self.duration, str):
+            rational_step(self.duration, "duration")
+        if self.dt is not None:
+            rational_step(self.dt, "dt")
 
 
 @dataclass(frozen=True)
@@ -205,7 +207,9 @@ def _model(
         with (place / "disturbance").named():
             model = model.with_disturbance(extension.disturbance)
     with place.named():
-        return model.with_delays(extension.input_delays, extension.sensor_delays)
+        late = whole_delays("input_delays", extension.input_delays, model.controls, "control", model.dt)
+        old = whole_delays("sensor_delays", extension.sensor_delays, model.sensors, "sensor", model.dt)
+        return model.with_delays(late, old)
 
 
 @dataclass(frozen=True)

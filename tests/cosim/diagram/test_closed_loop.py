@@ -175,7 +175,16 @@ def test_references(reference):
         ({"faults": 3}, cosim.ModelError, r"faults must contain only faults, .* not 3"),
         ({"input_faults": {"force": None}}, cosim.ModelError, r"faults must contain only faults, .* not None"),
         ({"faults": [cosim.Freeze(sensor=1, start=1.0)]}, cosim.ModelError, r"refers to sensor 1, but there are 1"),
-        ({"reference": [1.0, 2.0]}, cosim.ConnectionError, r"cannot be connected to controller\.goal \(size 1\)"),
+        (
+            {"reference": [1.0, 2.0]},
+            cosim.ConnectionError,
+            r"The goal has one element, but the reference has 2\. Give one",
+        ),
+        (
+            {"controller": Proportional(goals=3)},
+            cosim.ConnectionError,
+            r"The goal has 3 elements, but the reference has 1\. .* one \[\[reference\]\] for each in a scenario file",
+        ),
         ({"reference": "up"}, cosim.ModelError, r"Only blocks can be added"),
         ({"plant": cosim.Constant(1.0)}, cosim.UnknownNameError, r"Block 'plant' has no port 'speed'"),
         (
@@ -219,10 +228,14 @@ def test_one_fault_needs_no_list():
     assert [n.name for n in loop(faults=freeze).nodes] == [n.name for n in loop(faults=[freeze]).nodes]
 
 
-def test_two_faults_of_a_kind_on_a_sensor_need_names():
+def test_further_faults_of_a_kind_on_a_sensor_are_numbered():
     twice = [cosim.Freeze(sensor=0, start=1.0, stop=2.0), cosim.Freeze(sensor=0, start=3.0)]
-    with pytest.raises(cosim.ModelError, match=r"already has a block 'freeze_0'"):
-        loop(faults=twice)
+    assert [n.name for n in loop(faults=twice).nodes if "freeze" in n.name] == ["freeze_0", "freeze_0_2"]
+    taken = [*twice, cosim.Freeze(sensor=0, start=5.0), cosim.Freeze(sensor=0, start=7.0, name="freeze_0_2")]
+    names = [n.name for n in loop(faults=taken).nodes if "freeze" in n.name]
+    assert names == ["freeze_0", "freeze_0_3", "freeze_0_4", "freeze_0_2"]
+    with pytest.raises(cosim.ModelError, match=r"already has a block 'again'"):
+        loop(faults=[cosim.Freeze(name="again")] * 2)
     named = [twice[0], cosim.Freeze(sensor=0, start=3.0, name="again")]
     assert "again" in [n.name for n in loop(faults=named).nodes]
 

@@ -245,9 +245,9 @@ def test_what_was_not_recorded_is_not_made_up():
             r"has a Dropout for 'force'",
         ),
         (
-            {"input_faults": {"force": [cosim.Freeze()] * 2}},
+            {"input_faults": {"force": [cosim.Freeze(name="shut")] * 2}},
             ModelError,
-            r"already has a block 'force_freeze_0'; give this Freeze",
+            r"already has a block 'shut'; give this Freeze",
         ),
         ({"input_faults": [cosim.Freeze()]}, ModelError, r"input_faults=\{'force': "),
     ],
