@@ -114,7 +114,7 @@ def detection_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes],
     rated = _with_probability(signals) or signals.actuators or _with_beta(signals)
     if not rated and all(sensor.alarm is None for sensor in signals.sensors):
         return []
-    return [(1.9 + 0.17 * len(_alarmed(signals)), partial(_draw_detection, signals=signals))]
+    return [(1.9 + 0.17 * len(_alarmed(signals)), partial(draw_detection, signals=signals))]
 
 
 def _with_probability(signals: LoopSignals) -> list[SensorSignals]:
@@ -135,7 +135,7 @@ def _alarmed(signals: LoopSignals) -> list[SensorSignals | ActuatorSignals]:
     ]
 
 
-def _draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
+def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
     """Draw the fault probabilities and the kinds of faults; without probabilities, beta and detected faults."""
     with_probability = _with_probability(signals)
     if not with_probability and not signals.actuators:
@@ -256,4 +256,4 @@ def _line(sensor: SensorSignals) -> dict[str, Any]:
     return {"color": colour_of(i), "ls": LINES[i % len(LINES)], "lw": 1.3, "label": f"sensor {i}"}
 
 
-__all__ = ["detection_panels", "deviation_panels", "draw_shades", "name_faults"]
+__all__ = ["detection_panels", "deviation_panels", "draw_detection", "draw_shades", "name_faults"]

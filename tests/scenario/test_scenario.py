@@ -341,6 +341,7 @@ def test_files_of_other_kinds_are_named(tmp_path, name, words):
         load_scenario(tmp_path / name)
 
 
+@pytest.mark.filterwarnings("ignore::bayesftc.controllers.bayesian.linear.UnstableLoopWarning")
 def test_goals_without_a_reference_are_named(write):
     text = LINEAR.replace('kind = "Design"', 'kind = "BayesianController"\n[model]\n' + MODEL_OF_TWO)
     with pytest.raises(ConnectionError, match=r"The goal has 2 elements \(x\[0\], x\[1\]\), .* one \[\[reference\]\]"):
