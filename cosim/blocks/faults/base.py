@@ -17,7 +17,7 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.faults import kernels
-from bayesftc.cosim.blocks.faults.conditions import When, Window, conditional, when
+from bayesftc.cosim.blocks.faults.conditions import When, Window, conditional
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Kernel
@@ -95,7 +95,11 @@ class Fault(Block):
         kind = type(self).__name__
         for which in ("start", "stop"):
             if isinstance(text := getattr(self, which), str):
-                object.__setattr__(self, which, when(text))
+                if (condition := When.read(text)) is None:
+                    raise ModelError(
+                        f"{kind} has {which}={text!r}; it must be seconds, or a condition such as 'plant.v > 22'."
+                    )
+                object.__setattr__(self, which, condition)
         if not (real(self.sensor) >= 0 and real(self.sensor).is_integer()):
             raise ModelError(f"{kind} has sensor={brief(self.sensor)}; it must be the number of a channel, from 0.")
         if self.channels is not None and not (real(self.channels) >= 1 and real(self.channels).is_integer()):
