@@ -14,6 +14,7 @@ from bayesftc.controllers.models.checks import as_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.baselines import SERFDI
 from bayesftc.controllers.precision.filterpy import reference_filter, update_by_ser
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
@@ -61,6 +62,9 @@ class KalmanCheck:
     mean_absolute: float
     covariance_absolute: float
     steps: int
+
+    def __repr__(self) -> str:
+        return short(self)
 
 
 class Estimates(NamedTuple):

@@ -24,6 +24,7 @@ from bayesftc.controllers.diagnosis.words import sentence
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.signals import ALARM
 
@@ -97,6 +98,9 @@ class ModelFinding:
     values: tuple[float, ...] = ()
     evidence: float = float("nan")
     others: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return short(self)
 
 
 def diagnose(

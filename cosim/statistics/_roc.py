@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.metrics import NAN, auc, without_nan
 from bayesftc.cosim.judging.signals import Flags
@@ -136,6 +137,9 @@ class Roc:
     lower: Floats = field(repr=False)
     upper: Floats = field(repr=False)
     true_positive_rate_pooled: Floats = field(repr=False)
+
+    def __repr__(self) -> str:
+        return short(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file; NaN becomes None."""

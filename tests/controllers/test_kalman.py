@@ -201,7 +201,9 @@ def test_what_computes_by_filterpy_says_where_it_cannot(tmp_path):
     assert controllers.check_kalman(result, controller, y="sensors.y", most=10).steps == 10
     assert controllers.check_kalman(result, controller) == controllers.check_kalman(result, controller, y="sensors.y")
     del result._columns["sensors.y"]
-    with pytest.raises(UnknownNameError, match=r"'controller\.y', which is not recorded; add it to record=\['\*', 'contr"):
+    with pytest.raises(
+        UnknownNameError, match=r"'controller\.y', which is not recorded; add it to record=\['\*', 'contr"
+    ):
         controllers.check_kalman(result, controller)
     with pytest.raises(ModelError, match=r"belief='joint' has its own belief.*filter='own'"):
         controllers.BayesianController(model, precision=learner, belief="joint")

@@ -63,7 +63,9 @@ def test_inputs_hold_their_samples_and_are_averaged_up_to_the_next_step():
     np.testing.assert_allclose(recording.u[:, 2], slow)
 
 
-@pytest.mark.parametrize(("every", "expected"), [(1, range(8)), (2, [0, 0, 2, 2, 4, 4, 6, 6]), (0.5, np.arange(8) + 0.25)])
+@pytest.mark.parametrize(
+    ("every", "expected"), [(1, range(8)), (2, [0, 0, 2, 2, 4, 4, 6, 6]), (0.5, np.arange(8) + 0.25)]
+)
 def test_a_control_acts_from_its_time_stamp_on_at_any_rate(every, expected):
     """A control that is logged at t_k acts from t_k to t_k+1, as that of a controller with a hold."""
     t = 0.1 * np.arange(8)

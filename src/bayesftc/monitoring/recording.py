@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from bayesftc.controllers.learning.resolution import find_resolution
 from bayesftc.controllers.models.checks import check_number
 from bayesftc.cosim.base.invalid import invalid_values
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
@@ -74,6 +75,9 @@ class Signal:
     resolution: float | None = None
     unit: str = ""
     invalid: Sequence[float] = ()
+
+    def __repr__(self) -> str:
+        return short(self, delay="s", smooth="s")
 
     def __post_init__(self) -> None:
         time, values = (np.asarray(given, dtype=np.float64) for given in (self.time, self.values))
@@ -153,6 +157,9 @@ class Recording:
     units: tuple[str, ...]
     inputs: tuple[str, ...] = ()
     input_units: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return short(self, start="s", dt="s")
 
     @property
     def time(self) -> Floats:

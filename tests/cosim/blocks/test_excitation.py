@@ -48,7 +48,9 @@ def test_a_bit_lasts_for_its_interval(engine):
 def test_an_interval_between_two_samples_is_refused(interval):
     prbs = cosim.PRBS(1.0, interval)
     for run in (lambda: prbs.online(dt=0.1), lambda: signal(prbs, 1.0)):
-        with pytest.raises(StepSizeError, match=f"The interval of PRBS of {interval} s is no whole number of steps of 0.1 s"):
+        with pytest.raises(
+            StepSizeError, match=f"The interval of PRBS of {interval} s is no whole number of steps of 0.1 s"
+        ):
             run()
 
 
