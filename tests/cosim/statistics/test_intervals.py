@@ -32,9 +32,13 @@ def test_lists_and_tables_columns_are_numbers_as_arrays_are():
     for given in (list, pd.Series, tuple):
         assert interval(given(ours)) == interval(np.array(ours, float))
         assert ratio(given(ours), given(theirs)) == ratio(np.array(ours), np.array(theirs))
-        assert rms_ratio(given(ours), given(theirs), resamples=9) == rms_ratio(np.array(ours), np.array(theirs), resamples=9)
+        assert rms_ratio(given(ours), given(theirs), resamples=9) == rms_ratio(
+            np.array(ours), np.array(theirs), resamples=9
+        )
         assert bootstrap_interval(given(ours)) == bootstrap_interval(np.array(ours))
-        assert (roc_curve(given([0, 1, 0, 1]), given(ours)) == roc_curve(np.array([0, 1, 0, 1]) > 0, np.array(ours))).all()
+        assert (
+            roc_curve(given([0, 1, 0, 1]), given(ours)) == roc_curve(np.array([0, 1, 0, 1]) > 0, np.array(ours))
+        ).all()
 
 
 def test_interval_is_scipys():
