@@ -76,9 +76,9 @@ def test_the_samples_of_a_closed_loop_need_no_name(tmp_path):
     result.save(tmp_path / "run.npz")
     named = loop.simulate(10.0, engine="interpreted", record=["*", "controller.y"])
     assert controllers.diagnose(named, controller).kind == "sign"
-    for given in (result, cosim.Result.load(tmp_path / "run.npz")):
-        assert controllers.diagnose(given, controller) == controllers.diagnose(named, controller)
-        assert controllers.check_kalman(given, controller) == controllers.check_kalman(named, controller)
+    for one in (result, cosim.Result.load(tmp_path / "run.npz")):
+        assert controllers.diagnose(one, controller) == controllers.diagnose(named, controller)
+        assert controllers.check_kalman(one, controller) == controllers.check_kalman(named, controller)
 
 
 @pytest.mark.slow

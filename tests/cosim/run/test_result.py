@@ -51,9 +51,9 @@ def test_a_signal_without_a_unit_has_that_of_its_connections(tmp_path):
     result = loop.simulate(0.1, engine="interpreted", record=["*", "controller.y"])
     units = {"controller.u": "N", "controller.y": "m/s", "sensors.y": "m/s", "freeze_0.y": "m/s", "plant.v": "m/s"}
     result.save(tmp_path / "run.npz")
-    for given in (result, pickle.loads(pickle.dumps(result)), Result.load(tmp_path / "run.npz")):
-        assert {name: given.units.get(name) for name in units} == units
-        assert "controller.precision" not in given.units
+    for one in (result, pickle.loads(pickle.dumps(result)), Result.load(tmp_path / "run.npz")):
+        assert {name: one.units.get(name) for name in units} == units
+        assert "controller.precision" not in one.units
 
 
 def test_signals(result):
