@@ -52,9 +52,9 @@ class Tables:
             raise RecordingError(f"There is no CSV file in {self._files[0]}. Check the path.")
         return list(dict.fromkeys(files))
 
-    def names(self, file: Path) -> list[str]:
+    def names(self, file: PathLike[str]) -> list[str]:
         """Return the names of all columns."""
-        return self._table(file)[0]
+        return self._table(Path(file))[0]
 
     def numeric(self, file: Path) -> list[str]:
         """Return the names of the columns that contain a number."""
