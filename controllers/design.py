@@ -126,7 +126,10 @@ def design(
         model, H, mean = plant, _goal_rows(plant, goal), np.zeros(plant.states - plant.disturbances)
     else:
         if measured is None or actuated is None:
-            raise ModelError("design() needs measured= and actuated=, names of outputs and inputs of the plant.")
+            raise ModelError(
+                f"design() needs measured= and actuated=, names of outputs{_known(plant, 'output')} and inputs"
+                f"{_known(plant, 'input')} of the plant."
+            )
         sensed, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
         goals = sensed if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
         linear = linearize(
@@ -247,3 +250,9 @@ def _initial(model: LinearModel) -> Floats:
             "sensors hardly see its motion. Measure an output that the control moves more, give another dt, or, for an FMU whose "
             "states are not accessible, give a smaller order=."
         ) from None
+
+
+def _known(plant: Any, side: str) -> str:
+    """Return the names of the inputs or outputs of a block or a system of python-control, for a message."""
+    names = getattr(plant, f"{side}_labels", None) or [port.name for port in getattr(plant, f"{side}s", ())]
+    return f" ({', '.join(names[:8])}{', ...' if len(names) > 8 else ''})" if names else ""

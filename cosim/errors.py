@@ -158,7 +158,7 @@ class StoreError(BayesFTCError):
 def brief(value: object, length: int = 60) -> str:
     """Return the text of a given value, short enough for a message."""
     try:
-        text = repr(value)
+        text = " ".join(repr(value).split())
     except ValueError:  # Python does not write out whole numbers of more than 4300 digits
         return "a number of thousands of digits"
     return text if len(text) <= length else f"{text[: length - 3]}..."

@@ -22,6 +22,7 @@ from threading import Timer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -30,6 +31,10 @@ from bayesftc.cosim import Block, Definition, Diagram, Table
 from bayesftc.cosim.stepping.machine import steps
 
 steps.lenient = False  # whatever is wrong on the way from a step function to machine code fails a test
+
+# On a busy machine, examples that take long say nothing about the tests.
+hypothesis.settings.register_profile("busy", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("busy")
 
 # A shell starts what runs in the background deaf to Ctrl-C, and so would be the tests of it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -40,6 +40,9 @@ class LQGController(BayesianController):
     for the cost ``(y - goal)' goal_covariance^-1 (y - goal) + (u - u_ss)' control_covariance^-1 (u - u_ss)`` of each sample. A
     common factor of both precisions changes nothing. It is so small that the uncertainty of the belief has no effect.
 
+    The law itself has no limits. ``u_min``, ``u_max`` and ``u_rate`` limit its control, which is then no longer optimal. The
+    belief is predicted with the limited control, so that estimated disturbances do not wind up.
+
     Integrators that the goals do not see, such as the position for a goal on the speed, are not controlled. A, B, P and the
     steady state are those of the remaining states.
 

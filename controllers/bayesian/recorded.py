@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from bayesftc.controllers.bayesian.estimator import StateEstimator
+from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.types import Floats
 
 SHORT = 1000
@@ -36,6 +38,40 @@ def estimate(
         for name, values in recorded.items():
             values[k] = out[name]
     return recorded
+
+
+def samples_of(signals: Mapping[str, Any], y: str | None, name: str, reader: str) -> Floats:
+    """Return the samples of a run that a controller or estimator got.
+
+    Parameters
+    ----------
+    signals : Result or mapping
+        The signals.
+    y : str or None
+        Name of the signal with the samples; None for the recorded input, or else for what the result knows about its loop.
+    name : str
+        Name of the controller or estimator in the diagram.
+    reader : str
+        What needs the samples, for the error message.
+    """
+    source = f"{name}.y" if y is None else y
+    roles = getattr(signals, "roles", None) if y is None and source not in signals else None
+    if roles is not None and roles.controller == name:
+        places = [sensor.samples for sensor in roles.sensors]
+        if all(place is not None and place[0] in signals for place in places):
+            columns = [np.asarray(signals[signal]).reshape(len(signals[signal]), -1)[:, i] for signal, i in places]
+            return np.stack(columns, axis=1)
+    check_recorded(signals, reader, source)
+    return np.asarray(signals[source])
+
+
+def check_recorded(signals: Mapping[str, Any], reader: str, *names: str) -> None:
+    """Raise an error if a signal is not recorded; the reader is what needs it."""
+    for needed in names:
+        if needed not in signals:
+            raise UnknownNameError(
+                f"{reader} needs the signal {needed!r}, which is not recorded; add it to record=['*', {needed!r}]."
+            )
 
 
 def innovation_covariances(estimator: StateEstimator, P: Floats) -> Floats:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bayesftc.controllers.bayesian.estimator import StateEstimator
-from bayesftc.controllers.bayesian.recorded import estimate
+from bayesftc.controllers.bayesian.recorded import check_recorded, estimate, samples_of
 from bayesftc.controllers.models.checks import as_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.baselines import SERFDI
 from bayesftc.controllers.precision.filterpy import reference_filter, update_by_ser
-from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 INTERPRETED = 10_000
 """Recordings of up to this many steps run interpreted, because compiling takes seconds."""
+
+READER = "The Kalman check"
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class KalmanCheck:
     >>> controller = controllers.BayesianController(model, controllers.FixedPrecision())
     >>> sensors = cosim.Sensors(2, 0.1)
     >>> loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=sensors, reference=1.0)
-    >>> check = controllers.check_kalman(loop.simulate(3.0, engine="interpreted"), controller, y="sensors.y")
+    >>> check = controllers.check_kalman(loop.simulate(3.0, engine="interpreted"), controller)
     >>> check.steps, check.covariance_difference < 1e-12
     (31, True)
     """
@@ -59,6 +62,9 @@ class KalmanCheck:
     mean_absolute: float
     covariance_absolute: float
     steps: int
+
+    def __repr__(self) -> str:
+        return short(self)
 
 
 class Estimates(NamedTuple):
@@ -160,7 +166,7 @@ def check_kalman(
     controller : BayesianController
         The controller that ran, for its model and initial belief.
     y : str, optional
-        Name of the signal that was connected to the controller's ``y``; by default its recorded input.
+        Name of the signal that was connected to the controller's ``y``; of a closed loop it is known.
     name : str
         The controller's name in the diagram.
     most : int, optional
@@ -180,18 +186,17 @@ def check_kalman(
     >>> controller = controllers.LQGController(model, controllers.GammaPrecision())
     >>> sensors = cosim.Sensors(2, 0.1)
     >>> loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=sensors, reference=1.0)
-    >>> check = controllers.check_kalman(loop.simulate(3.0, engine="interpreted"), controller, y="sensors.y")
+    >>> check = controllers.check_kalman(loop.simulate(3.0, engine="interpreted"), controller)
     >>> check.mean_difference < 1e-12
     True
     """
-    source = f"{name}.y" if y is None else y
-    _check_recorded(signals, source, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R")))
+    samples = samples_of(signals, y, name, READER)
+    check_recorded(signals, READER, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R")))
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The Kalman check needs every step, but the run has a decimation; run with decimation=1.")
     learner = controller.precision
     threshold = learner.threshold if isinstance(learner, SERFDI) else None
-    samples, innovation = np.asarray(signals[source]), f"{name}.innovation"
-    if innovation in signals:  # NaN for absurd samples and invalid values as well
+    if (innovation := f"{name}.innovation") in signals:  # NaN for absurd samples and invalid values as well
         samples = np.where(np.isnan(signals[innovation]), np.nan, samples)
     reference = ser_reference(
         controller.model,
@@ -231,24 +236,19 @@ def sensor_by_sensor(
     ModelError
         If the learner has no per-sensor form.
     """
-    source, ports = f"{name}.y" if y is None else y, ("x_hat", "P", "R", "innovation")
-    _check_recorded(signals, source, f"{name}.u")
+    samples, ports = samples_of(signals, y, name, READER), ("x_hat", "P", "R", "innovation")
+    check_recorded(signals, READER, f"{name}.u")
     learner = controller.precision.apart("The Kalman check")
     estimator = StateEstimator(
         controller.model, learner, controller.initial_mean, controller.initial_covariance, invalid=controller.invalid
     )
-    samples, u = np.asarray(signals[source]), np.asarray(signals[f"{name}.u"])
+    u = np.asarray(signals[f"{name}.u"])
     estimated = estimate(estimator, samples, u, ports, compiled=len(samples) > INTERPRETED)
-    recorded = {f"{name}.{port}": values for port, values in estimated.items()} | {source: samples, f"{name}.u": u}
+    recorded = {f"{name}.{port}": values for port, values in estimated.items()} | {
+        f"{name}.y" if y is None else y: samples,
+        f"{name}.u": u,
+    }
     return recorded, replace(controller, precision=learner)
-
-
-def _check_recorded(signals: Mapping[str, Any], *names: str) -> None:
-    for needed in names:
-        if needed not in signals:
-            raise UnknownNameError(
-                f"The Kalman check needs the signal {needed!r}, which is not recorded; add it to record=[...]."
-            )
 
 
 def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:

@@ -14,6 +14,7 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.gamma import GammaPrecision
 from bayesftc.controllers.precision.rate import Calibration, RateLearner
 from bayesftc.controllers.registry import LEARNERS
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.probabilities import Reliability, reliability
 
@@ -85,6 +86,9 @@ class CalibrationReport:
     fault_share: float
     samples: int
     reliability: Reliability | None = field(default=None, repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        return short(self)
 
 
 def calibrate(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
 from bayesftc.controllers.diagnosis.candidates import explanations
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, Explanation, Judge
@@ -23,7 +24,8 @@ from bayesftc.controllers.diagnosis.words import sentence
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
-from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.signals import ALARM
 
 if TYPE_CHECKING:
@@ -97,6 +99,9 @@ class ModelFinding:
     evidence: float = float("nan")
     others: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return short(self)
+
 
 def diagnose(
     signals: Mapping[str, Any], controller: Any, *, y: str | None = None, name: str = "controller"
@@ -110,7 +115,7 @@ def diagnose(
     controller : controller or StateEstimator
         The block that ran, for its model and its initial belief. For a nonlinear model only `model_suspect` is used.
     y : str, optional
-        Name of the signal that was connected to its ``y``; by default its recorded input.
+        Name of the signal that was connected to its ``y``; of a closed loop it is known.
     name : str
         The block's name in the diagram.
 
@@ -137,25 +142,22 @@ def diagnose(
     >>> sensors = cosim.Sensors(2, 0.1)
     >>> loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=sensors, reference=1.0)
     >>> run = loop.simulate(10.0, engine="interpreted")
-    >>> controllers.diagnose(run, controller, y="sensors.y").kind
+    >>> controllers.diagnose(run, controller).kind
     'sign'
     """
     model = checked_model(controller)
     if model is None:
         raise ModelError(f"A diagnosis needs a model, but this {type(controller).__name__} has none.")
-    source, suspect = f"{name}.y" if y is None else y, f"{name}.model_suspect"
-    for needed in (suspect,) if isinstance(model, NonlinearModel) else (source, f"{name}.u"):
-        if needed not in signals:
-            raise UnknownNameError(
-                f"The diagnosis needs the signal {needed!r}, which is not recorded; add it to record=[...]."
-            )
+    suspect, reader = f"{name}.model_suspect", "The diagnosis"
+    check_recorded(signals, reader, suspect if isinstance(model, NonlinearModel) else f"{name}.u")
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The diagnosis needs every step, but the run has a decimation; run with decimation=1.")
     raised = suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM
     if isinstance(model, NonlinearModel):
         words = sentence("suspect", (), model.linearised(controller.initial_mean, controller.control_mean))
         return ModelFinding("unknown", words) if raised else None
-    result = diagnose_recording(model, signals[source], signals[f"{name}.u"], controller.initial_mean)
+    samples = samples_of(signals, y, name, reader)
+    result = diagnose_recording(model, samples, signals[f"{name}.u"], controller.initial_mean)
     if result is None and raised:
         return ModelFinding("unknown", sentence("unknown", (), model))
     return result

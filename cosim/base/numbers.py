@@ -1,9 +1,12 @@
-"""Conversion of users' numbers to floats."""
+"""Conversion of users' numbers to floats, and of the numbers of results to short texts."""
 
 from __future__ import annotations
 
+from dataclasses import fields, is_dataclass
+from fractions import Fraction
 from math import inf, nan
 from numbers import Real
+from typing import Any
 
 import numpy as np
 
@@ -48,4 +51,29 @@ def check_count(owner: object, name: str, most: int | None = None) -> None:
         raise ModelError(f"{type(owner).__name__} has {name}={brief(value)}; it must be {limits}.")
 
 
-__all__ = ["check_count", "real", "reals"]
+def short(result: Any, **units: str) -> str:
+    """Return the ``repr`` of a result: numbers with four digits and their units, arrays by their shape.
+
+    Parameters
+    ----------
+    result : dataclass or NamedTuple
+        The result; its attributes have all digits.
+    **units : str
+        Unit of each attribute that has one.
+    """
+    names = [f.name for f in fields(result) if f.repr] if is_dataclass(result) else result._fields
+    shown = [f"{name}={_short(getattr(result, name))} {units.get(name, '')}".rstrip() for name in names]
+    return f"{type(result).__name__}({', '.join(shown)})"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float | Fraction):
+        return f"{float(value):.4g}"
+    if isinstance(value, tuple) and type(value) is tuple:
+        return f"({', '.join(map(_short, value))}{',' * (len(value) == 1)})"
+    if isinstance(value, np.ndarray):
+        return f"<{' x '.join(map(str, value.shape))} numbers>"
+    return repr(value)
+
+
+__all__ = ["check_count", "real", "reals", "short"]

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.types import Floats
 
 GRID = 4000
@@ -57,6 +58,9 @@ class Margins(NamedTuple):
     gain_crossover: float
     phase_crossover: float
     modulus: float
+
+    def __repr__(self) -> str:
+        return short(self, phase="deg", delay="s", gain_crossover="rad/s", phase_crossover="rad/s")
 
 
 def margins_of(loop: Any) -> Margins:

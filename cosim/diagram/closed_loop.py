@@ -29,6 +29,7 @@ from bayesftc.cosim.errors import (
     StepSizeError,
     UnconnectedInputError,
     UnknownNameError,
+    brief,
     did_you_mean,
 )
 
@@ -195,7 +196,7 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
     for role, given in (("plant", plant), ("controller", controller)):
         if not isinstance(given, Block):
             raise ModelError(
-                f"The {role} must be a block, not {given!r}; use cosim.FMU(path) for an FMU, cosim.StateSpace(system) for a "
+                f"The {role} must be a block, not {brief(given)}; use cosim.FMU(path) for an FMU, cosim.StateSpace(system) for a "
                 "system of python-control, or write a block (docs/reference/write-a-block.md)."
             )
     assert isinstance(controller, Block)

@@ -1,4 +1,4 @@
-"""The roles of a diagram's signals in a closed loop: plain data that a result keeps and saves."""
+"""The units of a diagram's signals, and their roles in a closed loop: plain data that a result keeps and saves."""
 
 from __future__ import annotations
 
@@ -28,6 +28,11 @@ from bayesftc.cosim.types import Floats
 
 Place = tuple[str, int]
 """A signal and the number of an element; matrices are counted row by row."""
+
+Key = tuple[str, str]
+"""Block and port."""
+
+Units = Mapping[Key, str]
 
 
 @dataclass(frozen=True)
@@ -262,4 +267,50 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     return tuple(roles)
 
 
-__all__ = ["ControlRole", "InputRole", "LoopRoles", "Place", "QuantityRole", "SensorRole", "find_roles", "known_roles"]
+def units_of(diagram: Diagram) -> Units:
+    """Return the unit of each port that declares one, or is connected to ports of one unit.
+
+    Units are passed on along connections, and through blocks whose ports share one unit (`Block.one_unit`), such as a fault or a
+    delay. If ports of different units are connected, as in a combined vector, the unit is not known.
+    """
+    groups: dict[Key, set[Key]] = {}
+    units: dict[Key, str] = {}
+
+    def join(one: Key, other: Key) -> None:
+        group = groups.setdefault(one, {one}) | groups.setdefault(other, {other})
+        for key in group:
+            groups[key] = group
+
+    for node in diagram.nodes:
+        for port in (*node.block.inputs, *node.block.outputs):
+            if port.unit:
+                units[node.name, port.name] = port.unit
+        sharing = [(node.name, name) for name in node.block.one_unit]
+        for key in sharing[1:]:
+            join(sharing[0], key)
+    for (name, input_name, _), (source, _) in diagram.connections():
+        if (
+            groups.get((name, input_name)) is None
+            or (source.node.name, source.port.name) not in groups[name, input_name]
+        ):
+            join((name, input_name), (source.node.name, source.port.name))
+    result = dict(units)
+    for key, group in groups.items():
+        group_units = {units[other] for other in group if other in units}
+        if key not in units and len(group_units) == 1:
+            result[key] = group_units.pop()
+    return result
+
+
+__all__ = [
+    "ControlRole",
+    "InputRole",
+    "LoopRoles",
+    "Place",
+    "QuantityRole",
+    "SensorRole",
+    "Units",
+    "find_roles",
+    "known_roles",
+    "units_of",
+]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator
 from fractions import Fraction
 
+from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
 from bayesftc.cosim.blocks.preview import Preview
@@ -231,17 +232,25 @@ def present_origin(diagram: Diagram, controller: Node, element: int) -> PortRef 
 
 
 def check_goals_ahead(diagram: Diagram, controller: Node) -> None:
-    """Refuse a controller with a preview whose goal is a present value.
+    """Refuse a controller with a preview whose goal is a present value, or that of another later time.
 
     Raises
     ------
     ConnectionError
         With the output that the goal comes from, and the one to connect.
     """
-    if not preview_time(controller.block):
+    time = preview_time(controller.block)
+    if not time:
         return
     goal = controller["goal"]
     for i in goal.elements:
+        source = diagram.source_of(controller, controller.port("goal"), i)
+        if source is not None and lies_ahead(source[0]) and source[0].node.block.time != time:  # type: ignore[attr-defined]
+            node = source[0].node
+            raise ConnectionError(
+                f"{node.name}.{AHEAD} lies {show(Fraction(node.block.time))} s ahead, but the controller's preview is "  # type: ignore[attr-defined]
+                f"{show(time)} s. Give Preview the time {show(time)}, or connect 'reference.{AHEAD}'."
+            )
         origin = present_origin(diagram, controller, i)
         if origin is None:
             continue

@@ -16,12 +16,12 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE, Names, opened, part_of
+from bayesftc.cosim.diagram.roles import units_of
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.diagram.subsystem import Subsystem, with_inside
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.export.names import check, legal, unique
 from bayesftc.cosim.export.signals import OneElement, Place, Places, Signal, Tunable, signal_of, tunables_of
-from bayesftc.cosim.export.units import units_of
 from bayesftc.cosim.ports import Port, labels
 from bayesftc.cosim.stepping.fingerprint import foreign_functions
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE
+from bayesftc.cosim.diagram.roles import Units
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.export.tunables import Element, settings_of
-from bayesftc.cosim.export.units import Units, unit_of_setting
+from bayesftc.cosim.export.units import unit_of_setting
 from bayesftc.cosim.ports import Port, labels
 
 Place = tuple[Node, Port, int]

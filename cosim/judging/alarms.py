@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.metrics import NAN, periods, without_nan
 from bayesftc.cosim.judging.signals import Flags
@@ -69,6 +70,9 @@ class Alarms:
     false_alarms: int
     hours: float
     false_hours: float
+
+    def __repr__(self) -> str:
+        return short(self, step="s", hours="h", false_hours="h")
 
     def __add__(self, other: Alarms) -> Alarms:
         """Return the alarms of both records."""

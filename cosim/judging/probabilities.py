@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.metrics import NAN, without_nan
 from bayesftc.cosim.types import Floats
@@ -54,6 +55,9 @@ class Reliability:
     samples: Floats = field(repr=False)
     predicted: Floats = field(repr=False)
     observed: Floats = field(repr=False)
+
+    def __repr__(self) -> str:
+        return short(self)
 
     def plot(self, title: str | None = None) -> Figure:
         """Return the reliability diagram: share of faulty samples over mean probability, and the samples of each bin.

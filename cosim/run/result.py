@@ -21,7 +21,7 @@ import numpy as np
 
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.paths import is_file
-from bayesftc.cosim.diagram.roles import LoopRoles, known_roles
+from bayesftc.cosim.diagram.roles import LoopRoles, known_roles, units_of
 from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
@@ -69,8 +69,6 @@ class Result(Mapping[str, Floats]):
 
     Attributes
     ----------
-    units : dict
-        The unit of each signal that has one.
     metadata : dict
         Properties of the run: seed, duration, step, engine, kinds of blocks, models and parameters of FMUs.
     stopped : str or None
@@ -107,18 +105,30 @@ class Result(Mapping[str, Floats]):
     ):
         self._recording, self._columns = recording, dict(columns)
         self.step, self.decimation, self.before = step, decimation, before
-        self.units, self.metadata, self.stopped = dict(units or {}), dict(metadata or {}), stopped
-        self._parts = parts
+        self.metadata, self.stopped = dict(metadata or {}), stopped
+        self._parts, self._units = parts, dict(units or {})
 
     @property
     def roles(self) -> LoopRoles | None:
         """The roles of the signals in a closed loop; None if the diagram is no closed loop, or is not known."""
+        self._read_diagram()
+        return self._parts  # type: ignore[return-value]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each signal that has one, or is connected to signals of one unit, as a control to an input of an FMU."""
+        self._read_diagram()
+        return self._units
+
+    def _read_diagram(self) -> None:
         if self._parts is not None and not isinstance(self._parts, LoopRoles):
+            known = {f"{block}.{port}": unit for (block, port), unit in units_of(self._parts).items()}
+            self._units = {name: known[name] for name in self if name in known}
             self._parts = known_roles(self._parts)
-        return self._parts
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_parts": self.roles}  # roles, because a copy in another process needs no blocks
+        self._read_diagram()
+        return self.__dict__.copy()  # roles, because a copy in another process needs no blocks
 
     @property
     def time(self) -> Floats:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.judging.metrics import NAN, without_nan
 from bayesftc.cosim.judging.probabilities import Reliability, bins_of, of_bins
 from bayesftc.cosim.statistics._intervals import check_level, interval, ratio
@@ -53,6 +54,9 @@ class Calibration:
     level: float
     runs: int
     left_out: int
+
+    def __repr__(self) -> str:
+        return short(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file; NaN becomes None."""

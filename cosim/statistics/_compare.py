@@ -94,8 +94,9 @@ def compare(
     Examples
     --------
     >>> import pandas as pd
+    >>> from bayesftc.cosim import statistics
     >>> table = pd.DataFrame({"gain": [1, 1, 1, 2, 2, 2], "seed": [0, 1, 2] * 2, "rmse": [0.4, 0.5, 0.7, 0.5, 0.7, 0.8]})
-    >>> compare(table, "rmse", "gain")[["first", "second", "difference", "low", "high", "p"]].round(4)
+    >>> statistics.compare(table, "rmse", "gain")[["first", "second", "difference", "low", "high", "p"]].round(4)
        first  second  difference     low    high       p
     0      1       2     -0.1333 -0.2768  0.0101  0.0572
     """

@@ -77,9 +77,10 @@ def delay_curve(
     Examples
     --------
     >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
     >>> rng = np.random.default_rng(0)
     >>> faulty = np.tile(np.arange(600) >= 400, (20, 1))  # 20 runs of a minute, with a fault in the last 20 seconds
-    >>> curve = delay_curve(rng.normal(size=(20, 600)) + 2 * faulty, faulty, step=0.1, thresholds=[2.0, 3.0, 4.0])
+    >>> curve = statistics.delay_curve(rng.normal(size=(20, 600)) + 2 * faulty, faulty, step=0.1, thresholds=[2.0, 3.0, 4.0])
     >>> curve[["threshold", "false_alarms_per_hour", "median_delay", "missed_share"]].round(1)
        threshold  false_alarms_per_hour  median_delay  missed_share
     0        2.0                  796.5           0.0           0.0

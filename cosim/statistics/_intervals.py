@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.types import Floats
 
 Method = Literal["BCa", "percentile", "basic"]
 METHODS = ("BCa", "percentile", "basic")
@@ -18,12 +18,12 @@ LARGEST = 10_000_000
 """Largest number of values that the bootstrap draws at a time: 80 MB."""
 
 
-def interval(values: Floats, level: float = 0.95) -> list[float]:
+def interval(values: ArrayLike, level: float = 0.95) -> list[float]:
     """Return the confidence interval of the mean of independent values, by Student's t distribution.
 
     Parameters
     ----------
-    values : ndarray of shape (n,)
+    values : array_like of shape (n,)
         At least two.
     level : float
         Probability that the interval covers the mean.
@@ -35,19 +35,19 @@ def interval(values: Floats, level: float = 0.95) -> list[float]:
 
     Examples
     --------
-    >>> import numpy as np
     >>> from bayesftc.cosim import statistics
-    >>> errors = np.array([0.41, 0.52, 0.47, 0.55, 0.40])
+    >>> errors = [0.41, 0.52, 0.47, 0.55, 0.40]
     >>> [round(bound, 3) for bound in statistics.interval(errors)]
     [0.388, 0.552]
     """
     from scipy.special import stdtrit
 
+    values = np.asarray(values, dtype=np.float64)
     half = stdtrit(len(values) - 1, 0.5 + level / 2) * values.std(ddof=1) / len(values) ** 0.5
     return [float(values.mean() - half), float(values.mean() + half)]
 
 
-def ratio(ours: Floats, theirs: Floats, level: float = 0.95) -> tuple[float, list[float]]:
+def ratio(ours: ArrayLike, theirs: ArrayLike, level: float = 0.95) -> tuple[float, list[float]]:
     """Return the ratio of the means of paired values, and its confidence interval.
 
     By the delta method: to first order the error of the ratio r is that of the mean of ``(ours - r theirs) / mean(theirs)``,
@@ -55,7 +55,7 @@ def ratio(ours: Floats, theirs: Floats, level: float = 0.95) -> tuple[float, lis
 
     Parameters
     ----------
-    ours, theirs : ndarray of shape (n,)
+    ours, theirs : array_like of shape (n,)
         At least two pairs; the mean of `theirs` is not zero.
     level : float
         Probability that the interval covers the ratio.
@@ -74,12 +74,13 @@ def ratio(ours: Floats, theirs: Floats, level: float = 0.95) -> tuple[float, lis
     >>> round(ratio, 3), round(low, 3), round(high, 3)
     (0.5, 0.427, 0.573)
     """
+    ours, theirs = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
     r = float(ours.mean() / theirs.mean())
     low, high = interval((ours - r * theirs) / theirs.mean(), level)
     return r, [r + low, r + high]
 
 
-def rms_ratio(ours: Floats, theirs: Floats, *, resamples: int = 0, seed: int = 0) -> dict[str, Any]:
+def rms_ratio(ours: ArrayLike, theirs: ArrayLike, *, resamples: int = 0, seed: int = 0) -> dict[str, Any]:
     """Return the ratio of two root mean squares over runs with the same noise, and its 95 % confidence interval.
 
     By the delta method (`ratio`), or by the percentiles of the paired bootstrap, which suits errors that are many times larger
@@ -87,7 +88,7 @@ def rms_ratio(ours: Floats, theirs: Floats, *, resamples: int = 0, seed: int = 0
 
     Parameters
     ----------
-    ours, theirs : ndarray of shape (runs,)
+    ours, theirs : array_like of shape (runs,)
         Error of each run. If `theirs` has more runs, the first count.
     resamples : int
         Number of samples of pairs that the bootstrap draws; 0 for the delta method.
@@ -101,13 +102,13 @@ def rms_ratio(ours: Floats, theirs: Floats, *, resamples: int = 0, seed: int = 0
 
     Examples
     --------
-    >>> import numpy as np
     >>> from bayesftc.cosim import statistics
-    >>> ours, theirs = np.array([0.4, 0.5, 0.3, 0.6]), np.array([0.8, 0.9, 0.7, 1.1])
+    >>> ours, theirs = [0.4, 0.5, 0.3, 0.6], [0.8, 0.9, 0.7, 1.1]
     >>> figures = statistics.rms_ratio(ours, theirs)
     >>> round(figures["ratio"], 2), [round(bound, 2) for bound in figures["ratio_ci"]], figures["n"]
     (0.52, [0.45, 0.59], 4)
     """
+    ours, theirs = np.asarray(ours, dtype=np.float64), np.asarray(theirs, dtype=np.float64)
     n = len(ours)
     squared, bounds = ratio(ours**2, theirs[:n] ** 2)
     if resamples:
@@ -117,7 +118,7 @@ def rms_ratio(ours: Floats, theirs: Floats, *, resamples: int = 0, seed: int = 0
 
 
 def bootstrap_interval(
-    values: Floats, level: float = 0.95, *, method: Method = "BCa", resamples: int = 9_999, seed: int = 0
+    values: ArrayLike, level: float = 0.95, *, method: Method = "BCa", resamples: int = 9_999, seed: int = 0
 ) -> list[float]:
     """Return the confidence interval of the mean of independent values by the bootstrap, which assumes no distribution.
 
@@ -125,7 +126,7 @@ def bootstrap_interval(
 
     Parameters
     ----------
-    values : ndarray of shape (n,)
+    values : array_like of shape (n,)
         At least two.
     level : float
         Probability that the interval covers the mean.
@@ -144,9 +145,8 @@ def bootstrap_interval(
 
     Examples
     --------
-    >>> import numpy as np
     >>> from bayesftc.cosim import statistics
-    >>> errors = np.array([0.41, 0.52, 0.47, 0.55, 0.40, 0.44, 0.49, 2.50])  # one run is an outlier
+    >>> errors = [0.41, 0.52, 0.47, 0.55, 0.40, 0.44, 0.49, 2.50]  # one run is an outlier
     >>> [round(bound, 1) for bound in statistics.bootstrap_interval(errors)]
     [0.5, 1.5]
     """
@@ -154,6 +154,7 @@ def bootstrap_interval(
 
     if method not in METHODS:
         raise ModelError(f"The bootstrap has no method {method!r}; use one of {', '.join(map(repr, METHODS))}.")
+    values = np.asarray(values, dtype=np.float64)
     if np.ptp(values) == 0:  # BCa would divide by zero; the bootstrap of equal values is that value
         return [float(values[0])] * 2
     bounds = bootstrap(

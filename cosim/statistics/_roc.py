@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.metrics import NAN, auc, without_nan
 from bayesftc.cosim.judging.signals import Flags
@@ -42,7 +43,7 @@ def roc_rates() -> Floats:
     return np.linspace(0.0, 1.0, POINTS)
 
 
-def roc_curve(faulty: Flags, score: Floats) -> Floats:
+def roc_curve(faulty: ArrayLike, score: ArrayLike) -> Floats:
     """Return the true positive rate of a single record at each of the false positive rates of `roc_rates`.
 
     At the rate 0 it is the share of faulty samples whose score is at least the highest healthy score. Over healthy samples of
@@ -50,7 +51,7 @@ def roc_curve(faulty: Flags, score: Floats) -> Floats:
 
     Parameters
     ----------
-    faulty, score : ndarray of the same shape
+    faulty, score : array_like of the same shape
         The truth and the finite score of each sample; at least one sample is faulty and one is not.
 
     Returns
@@ -67,7 +68,8 @@ def roc_curve(faulty: Flags, score: Floats) -> Floats:
     >>> float(np.interp(0.1, statistics.roc_rates(), curve).round(1))  # 10 % false positives
     0.8
     """
-    healthy, positive = np.sort(score[~faulty]), np.sort(score[faulty])
+    truth, score = np.asarray(faulty, dtype=bool), np.asarray(score, dtype=np.float64)
+    healthy, positive = np.sort(score[~truth]), np.sort(score[truth])
     thresholds = np.quantile(healthy, 1.0 - roc_rates())
     rates = 1.0 - np.searchsorted(positive, thresholds, side="left") / len(positive)
     ties = np.searchsorted(healthy, thresholds, side="right") - np.searchsorted(healthy, thresholds, side="left")
@@ -137,6 +139,9 @@ class Roc:
     upper: Floats = field(repr=False)
     true_positive_rate_pooled: Floats = field(repr=False)
 
+    def __repr__(self) -> str:
+        return short(self)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file; NaN becomes None."""
         plain: dict[str, Any] = without_nan(
@@ -170,9 +175,10 @@ def roc(score: ArrayLike | Sequence[ArrayLike], faulty: ArrayLike | Sequence[Arr
     Examples
     --------
     >>> import numpy as np
+    >>> from bayesftc.cosim import statistics
     >>> rng = np.random.default_rng(0)
     >>> faulty = np.tile(np.arange(100) >= 60, (30, 1))  # 30 runs, with a fault from sample 60 on
-    >>> result = roc(rng.normal(size=(30, 100)) + faulty, faulty)
+    >>> result = statistics.roc(rng.normal(size=(30, 100)) + faulty, faulty)
     >>> round(result.auc, 2), result.low < 0.76 < result.high  # by theory 0.76
     (0.75, True)
     """

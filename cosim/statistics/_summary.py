@@ -64,8 +64,9 @@ def summary(
     Examples
     --------
     >>> import pandas as pd
+    >>> from bayesftc.cosim import statistics
     >>> table = pd.DataFrame({"gain": [1, 1, 1, 2, 2, 2], "rmse": [0.4, 0.5, 0.6, 0.8, 1.0, None]})
-    >>> summary(table, "rmse", "gain")[["gain", "n", "left_out", "mean"]]
+    >>> statistics.summary(table, "rmse", "gain")[["gain", "n", "left_out", "mean"]]
        gain  n  left_out  mean
     0     1  3         0   0.5
     1     2  2         1   0.9

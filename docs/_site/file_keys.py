@@ -1,4 +1,4 @@
-"""Tables of the keys of scenario, campaign and model files, from the dataclasses and functions that are their schema.
+"""Tables of the keys of scenario, campaign and monitor files; ``bayesftc keys`` prints the same.
 
 ``{keys} bayesftc.cosim.Freeze`` is a table of a class's or function's keys; ``{kinds} bayesftc.cosim.FAULTS`` has one for each
 class of a list.
@@ -6,54 +6,15 @@ class of a list.
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import re
-from dataclasses import MISSING, fields
-from typing import Any, get_type_hints
+from typing import Any
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from docutils.statemachine import StringList
-from inherited_parameters import entries
 from sphinx.application import Sphinx
 
-from bayesftc.scenario._schema import expected, settings
-
-
-def thing(path: str) -> Any:
-    """Return what a full name stands for."""
-    parts = path.split(".")
-    for i in range(len(parts) - 1, 0, -1):
-        try:
-            found: Any = importlib.import_module(".".join(parts[:i]))
-        except ImportError:
-            continue
-        for part in parts[i:]:
-            found = getattr(found, part)
-        return found
-    raise ImportError(path)
-
-
-def described(schema: Any) -> dict[str, str]:
-    """Return the first sentence about each key, from the docstring; of a class also from those of its bases."""
-    texts: dict[str, str] = {}
-    for base in reversed(schema.__mro__[:-1]) if isinstance(schema, type) else [schema]:
-        for names, entry in entries(base):
-            words = " ".join(entry.desc)
-            if words and not words.startswith("See "):
-                texts |= dict.fromkeys(names, words)
-    return texts
-
-
-def defaults(schema: Any) -> dict[str, Any]:
-    """Return the default of each key; MISSING for a required one."""
-    if isinstance(schema, type):
-        return {f.name: MISSING if f.default_factory is MISSING else None for f in fields(schema)} | {
-            f.name: f.default for f in fields(schema) if f.default is not MISSING
-        }
-    parameters = inspect.signature(schema).parameters
-    return {name: MISSING if p.default is p.empty else p.default for name, p in parameters.items()}
+from bayesftc.scenario._keys import keys_of, summary, thing
 
 
 def meaning(text: str) -> str:
@@ -62,27 +23,13 @@ def meaning(text: str) -> str:
     return text.replace("|", r"\|") or " "
 
 
-def shown(value: Any) -> str:
-    """Return how a default is written in a file."""
-    if value is MISSING:
-        return "required"
-    if isinstance(value, bool):
-        return f"`{str(value).lower()}`"
-    if isinstance(value, str):
-        return f'`"{value}"`'
-    if isinstance(value, int | float):
-        return f"`{value}`"
-    return f"`[{', '.join(map(repr, value))}]`" if isinstance(value, tuple) and value else " "
-
-
-def table(schema: Any, without: set[str]) -> list[str]:
+def table(schema: Any, without: str) -> list[str]:
     """Return the Markdown table of the keys that a class or function has in a file."""
-    hints, texts, given = get_type_hints(schema), described(schema), defaults(schema)
-    rows = []
-    for name in settings(schema):
-        phrase = expected(hints[name]) if name not in without else ""
-        if phrase:
-            rows.append(f"| `{name}` | {phrase} | {shown(given[name])} | {meaning(texts.get(name, ''))} |")
+    rows = [
+        f"| `{key.name}` | {key.value} | {f'`{key.default}`' if key.default not in {'', 'required'} else key.default or ' '} | "
+        f"{meaning(key.meaning)} |"
+        for key in keys_of(schema, without)
+    ]
     return ["| key | value | default | meaning |", "|---|---|---|---|", *rows, ""] if rows else ["No further keys.", ""]
 
 
@@ -98,7 +45,7 @@ class Keys(Directive):
 
     def lines(self, chosen: Any) -> list[str]:
         """Return the text."""
-        return table(chosen, set(self.options.get("without", "").split()))
+        return table(chosen, self.options.get("without", ""))
 
     def parsed(self, lines: list[str]) -> list[nodes.Node]:
         """Return the nodes of a Markdown text."""
@@ -114,8 +61,7 @@ class Kinds(Keys):
         """Return the text."""
         out: list[str] = []
         for cls in chosen:
-            first = " ".join((inspect.getdoc(cls) or "").split("\n\n")[0].split())
-            out += [f'**`kind = "{cls.__name__}"`**: {meaning(first)}', "", *super().lines(cls)]
+            out += [f'**`kind = "{cls.__name__}"`**: {meaning(summary(cls))}', "", *super().lines(cls)]
         return out
 
 

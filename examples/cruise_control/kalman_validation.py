@@ -18,7 +18,7 @@ def validate(precision: PrecisionLearner, duration: float) -> KalmanCheck:
     result = loop.simulate(duration, seed=1)
     controller = loop["controller"].block
     assert isinstance(controller, BayesianController)
-    return controllers.check_kalman(result, controller, y="freeze_0.y")
+    return controllers.check_kalman(result, controller)
 
 
 def main(duration: float = 20.0) -> dict[str, KalmanCheck]:

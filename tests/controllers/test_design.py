@@ -394,10 +394,12 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
 @pytest.mark.parametrize(
     ("settings", "error", "words"),
     [
+        ({"measured": None, "plant": cosim.FMU(fmus.path("PositionServo"))}, ModelError, r"s \(angle, speed, current\) and inp"),
+        ({"actuated": None, "plant": control.tf([1], [1, 1])}, ModelError, r"outputs \(y\[0\]\) and inputs \(u\[0\]\) of"),
         ({"measured": "angel"}, UnknownNameError, "did you mean 'angle'"),
         ({"actuated": []}, ModelError, "actuated=.*at least one variable"),
         ({"measured": ["angle", "angle"]}, ModelError, "each once"),
-        ({"measured": None}, ModelError, "needs measured= and actuated="),
+        ({"measured": None}, ModelError, "needs measured= and actuated=, names of outputs and inputs of"),
         ({"measured": "speed"}, None, None),
         ({"sensors": 0}, ModelError, "at least 1"),
         ({"at": {"volts": 1.0}}, UnknownNameError, "volts"),

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
 from bayesftc import controllers, cosim
 from bayesftc.controllers.bayesian.validation import compare, ser_reference
-from bayesftc.cosim.errors import KernelError, ModelError
+from bayesftc.cosim.errors import KernelError, ModelError, UnknownNameError
 
 STEPS = 250
 
@@ -199,6 +199,12 @@ def test_what_computes_by_filterpy_says_where_it_cannot(tmp_path):
     assert np.isfinite(result["controller.u"]).all()
     assert controllers.check_kalman(result, controller, y="sensors.y").steps == 51
     assert controllers.check_kalman(result, controller, y="sensors.y", most=10).steps == 10
+    assert controllers.check_kalman(result, controller) == controllers.check_kalman(result, controller, y="sensors.y")
+    del result._columns["sensors.y"]
+    with pytest.raises(
+        UnknownNameError, match=r"'controller\.y', which is not recorded; add it to record=\['\*', 'contr"
+    ):
+        controllers.check_kalman(result, controller)
     with pytest.raises(ModelError, match=r"belief='joint' has its own belief.*filter='own'"):
         controllers.BayesianController(model, precision=learner, belief="joint")
     with pytest.raises(ModelError, match="filter='own'"):

@@ -46,25 +46,32 @@ def test_samples_go_to_the_nearest_step_and_nothing_is_interpolated():
     np.testing.assert_array_equal(recording.u, np.zeros((5, 1)))
 
 
-def test_inputs_are_averaged_backwards_and_hold_in_between():
+def test_inputs_hold_their_samples_and_are_averaged_up_to_the_next_step():
     times = np.arange(0.0, 1.0, 0.01) + 0.003
     values = np.random.default_rng(0).standard_normal(len(times))
     sensor = Signal([0.2, 0.95], [0.0, 0.0])
-    recording = align(
-        {"s": sensor},
-        {
-            "smooth": Signal(times, values, smooth=0.2),
-            "step": Signal(times, values),
-            "slow": Signal([0.31, 0.62], [1, 2]),
-        },
-        DT,
-    )
+    signals = {"smooth": Signal(times, values, smooth=0.2), "step": Signal(times, values)}
+    recording = align({"s": sensor}, {**signals, "slow": Signal([0.31, 0.62], [1, 2])}, DT)
+    fine = np.arange(0.0005, 1.0, 0.001)  # within milliseconds, during which nothing changes
+    course = values[np.searchsorted(times, fine) - 1]
     for k, t in enumerate(recording.time):
         for column, window in ((0, 0.2), (1, DT)):
-            inside = (times > t + DT - window) & (times <= t + DT)
-            assert recording.u[k, column] == pytest.approx(values[inside].mean(), abs=1e-12)
-    slow = np.where(recording.time + DT < 0.31, np.nan, np.where(recording.time + DT < 0.62, 1.0, 2.0))
-    np.testing.assert_array_equal(recording.u[:, 2], slow)
+            inside = (fine > t + DT - window) & (fine < t + DT)
+            assert recording.u[k, column] == pytest.approx(course[inside].mean(), abs=1e-9)
+    slow = np.where(recording.time < 0.26, np.nan, np.where(recording.time < 0.62, 1.0, 2.0))
+    slow[np.isclose(recording.time, 0.6)] = 1.6  # the last 30 of 50 ms
+    np.testing.assert_allclose(recording.u[:, 2], slow)
+
+
+@pytest.mark.parametrize(
+    ("every", "expected"), [(1, range(8)), (2, [0, 0, 2, 2, 4, 4, 6, 6]), (0.5, np.arange(8) + 0.25)]
+)
+def test_a_control_acts_from_its_time_stamp_on_at_any_rate(every, expected):
+    """A control that is logged at t_k acts from t_k to t_k+1, as that of a controller with a hold."""
+    t = 0.1 * np.arange(8)
+    logged = np.arange(0, 8, every)
+    recording = align({"s": Signal(t, t)}, {"u": Signal(0.1 * logged, logged)}, 0.1)
+    np.testing.assert_allclose(recording.u[:, 0], expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

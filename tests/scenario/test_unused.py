@@ -39,6 +39,35 @@ def test_a_fault_after_the_end_is_a_note_where_it_disturbs_nobody(bayesftc_, car
     assert unused(load_scenario("car.toml")) == []
 
 
+def test_a_block_that_is_connected_to_nothing_is_a_note(bayesftc_, car):
+    blocks = """
+[blocks.path]
+kind = "Sine"
+amplitude = 1.0
+period = 2.0
+[blocks.wind]
+kind = "Constant"
+value = 3.0
+[blocks.double]
+kind = "Gain"
+gain = 2.0
+[[connections]]
+from = "plant.v"
+to = "double.u"
+[[faults]]
+kind = "Bias"
+magnitude = 1.0
+start = "wind.y > 2"
+"""
+    car()
+    with open("car.toml", "a", encoding="utf-8") as file:
+        file.write(blocks)
+    note = "car.toml: 'blocks.path' is connected to nothing. It has no effect. Connect it in [[connections]], or leave it out."
+    assert unused(load_scenario("car.toml")) == [note]
+    done = bayesftc_("run", "car.toml", "--duration", "1", "--engine", "interpreted")
+    assert note in " ".join(done.stderr.split())
+
+
 INSIDE = """
 [blocks.part]
 kind = "Subsystem"

@@ -24,6 +24,6 @@ recording = align(signals, inputs={}, dt=0.1)
 model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 0.02**2, 0.1**2, dt=0.1)
 found = monitor_recording(recording, model, initial_mean=5.0)
 for event in found.events:
-    print(f"{event.sensor}: {event.kind} of {event.size:.2f} m since {event.onset:.1f} s")
+    print(event)
 found.plot()
 plt.show()

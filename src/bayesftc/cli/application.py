@@ -24,6 +24,7 @@ COMMANDS = {
     "export": "Write blocks of a scenario as an FMU that needs no Python, or as C.",
     "verify": "Run an FMU beside the blocks that it was exported from, with noise and faults, and print the differences.",
     "example": "Print a shipped file (scenario, campaign, monitor) to start from: bayesftc example cruise_control > car.toml.",
+    "keys": "Print the keys of scenario, campaign and monitor files: bayesftc keys scenario faults.",
     "calibrate": "Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file.",
     "monitor": "Find faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large.",
     "fit": "Fit parameters of an FMU to a recording with gaps and faults: values, standard errors, what it cannot determine.",

@@ -11,6 +11,7 @@ from bayesftc.controllers.models.checks import check_number
 from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.recording import Recording
 
@@ -97,6 +98,9 @@ class FaultEvent:
     onset: float | None = None
     size: float | None = None
 
+    def __repr__(self) -> str:
+        return short(self, start="s", end="s", onset="s")
+
 
 @dataclass(frozen=True)
 class ActuatorEvent:
@@ -137,6 +141,9 @@ class ActuatorEvent:
     probability: float
     kind: str
     size: float | None = None
+
+    def __repr__(self) -> str:
+        return short(self, start="s", end="s")
 
 
 def alarms(probability: Floats, threshold: float, hold: int) -> list[tuple[int, int]]:

@@ -52,6 +52,10 @@ class Tables:
             raise RecordingError(f"There is no CSV file in {self._files[0]}. Check the path.")
         return list(dict.fromkeys(files))
 
+    def names(self, file: PathLike[str]) -> list[str]:
+        """Return the names of all columns."""
+        return self._table(Path(file))[0]
+
     def numeric(self, file: Path) -> list[str]:
         """Return the names of the columns that contain a number."""
         import pandas as pd
@@ -94,9 +98,13 @@ class Tables:
         wrong = np.flatnonzero(np.isnan(numbers) & cells.notna().to_numpy())
         if len(wrong):
             line, _ = next(islice(_rows(file), int(wrong[0]) + 1, None))
+            remedy = (
+                "Write times as seconds, such as 12.5."
+                if signal.startswith("the times")
+                else "Leave a missing sample empty, and write numbers with a decimal point."
+            )
             raise RecordingError(
-                f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number. Leave a "
-                "missing sample empty, and write numbers with a decimal point."
+                f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number. {remedy}"
             )
         return np.asarray(numbers)
 

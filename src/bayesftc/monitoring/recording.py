@@ -12,12 +12,16 @@ from numpy.typing import ArrayLike
 from bayesftc.controllers.learning.resolution import find_resolution
 from bayesftc.controllers.models.checks import check_number
 from bayesftc.cosim.base.invalid import invalid_values
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 
 MOST_STEPS = 20_000_000
 """Largest number of steps, two days at 100 samples per second: a longer recording more likely has a wrong unit of time."""
+
+ROUNDING = 1e-6
+"""Share of a step by which the time stamps of steps and samples that belong together may differ, from rounding."""
 
 LEAST_LOSS, MOST_LOSS = 0.01, 0.999
 """Limits of a healthy sensor's share of steps without a sample."""
@@ -38,7 +42,7 @@ class Signal:
     delay : float
         Seconds by which the time stamps are late.
     smooth : float
-        Seconds over which an input is averaged, up to each step's end; at least one step.
+        Seconds over which an input is averaged, up to the next step; at least one step.
     resolution : float
         Resolution of a sensor in its unit: its samples are whole multiples of it; 0 if it is too fine to matter. By default it is
         estimated from the samples: files have few decimals, and samples that are equal for this reason are no freeze.
@@ -71,6 +75,9 @@ class Signal:
     resolution: float | None = None
     unit: str = ""
     invalid: Sequence[float] = ()
+
+    def __repr__(self) -> str:
+        return short(self, delay="s", smooth="s")
 
     def __post_init__(self) -> None:
         time, values = (np.asarray(given, dtype=np.float64) for given in (self.time, self.values))
@@ -151,6 +158,9 @@ class Recording:
     inputs: tuple[str, ...] = ()
     input_units: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return short(self, start="s", dt="s")
+
     @property
     def time(self) -> Floats:
         """Times of the steps in seconds."""
@@ -158,10 +168,10 @@ class Recording:
 
 
 def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float | str | Fraction) -> Recording:
-    """Bring signals to common steps: each sample goes to the nearest step, each input is averaged up to the step's end.
+    """Bring signals to common steps: each sample goes to the nearest step, each input is averaged up to the next step.
 
-    Nothing is interpolated: a sensor without a sample near a step has none at that step. As online, an input uses only past
-    samples; between two samples the last one stays valid.
+    Nothing is interpolated: a sensor without a sample near a step has none at that step. An input holds each sample from its
+    time stamp until the next one. Its value at a step is the mean of this course from the step to the next.
 
     Parameters
     ----------
@@ -187,7 +197,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     >>> heater = monitoring.Signal([0.0, 0.15], [0.0, 1.0])
     >>> recording = monitoring.align(signals, {"heater": heater}, dt=0.1)
     >>> recording.y.tolist(), recording.u.round(2).tolist()
-    ([[20.0, 20.0], [20.2, 20.3], [20.1, 20.1]], [[0.0], [1.0], [1.0]])
+    ([[20.0, 20.0], [20.2, 20.3], [20.1, 20.1]], [[0.0], [0.7], [1.0]])
     """
     step = rational_step(dt, "The monitor's sample time")
     if not sensors:
@@ -242,10 +252,16 @@ def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tu
 
 
 def _mean_before(signal: Signal, ends: Floats, window: float) -> Floats:
-    """Return the mean of the samples in the window before each time, or the last sample before it if there are none."""
+    """Return the mean of a held signal over the window before each time; NaN before its first sample."""
     time, values = signal.corrected
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    upto = np.searchsorted(time, ends, side="right")
-    first = np.minimum(np.searchsorted(time, ends - window, side="right"), np.maximum(upto - 1, 0))
-    with np.errstate(invalid="ignore"):
-        return np.asarray((total[upto] - total[first]) / (upto - first))
+    before = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])
+
+    def integral(at: Floats) -> Floats:
+        last = np.searchsorted(time, at, side="right") - 1
+        return np.asarray(before[last] + values[last] * (at - time[last]))
+
+    begins = np.maximum(ends - window, time[0])
+    long = ends - begins > ROUNDING * window
+    u = np.full(len(ends), np.nan)
+    u[long] = (integral(ends[long]) - integral(begins[long])) / (ends - begins)[long]
+    return u

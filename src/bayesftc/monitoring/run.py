@@ -15,6 +15,7 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.actuator_settings import check_controls
 from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.types import Floats
@@ -100,6 +101,9 @@ class Monitored:
     actuator_kinds: tuple[str, ...] = ()
     actuator_mode_probability: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
     actuator_events: tuple[ActuatorEvent, ...] = ()
+
+    def __repr__(self) -> str:
+        return short(self)
 
     @property
     def time(self) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +29,7 @@ OF_CAMPAIGNS = [f"simulation.{f.name}" for f in fields(Simulation) if f.name != 
 
 
 def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -> list[str]:
-    """Return a sentence for each fault after the end of the run, and for each unused sensor or variable.
+    """Return a sentence for each fault after the end of the run, and for each unused sensor, variable or block.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -
         return []
     root = Place(str(scenario.path))
     starts = {place: [start] for place, start in _starts(scenario)}
-    return [*_late(root, starts, end), *_unread(root, scenario)]
+    return [*_late(root, starts, end), *_unread(root, scenario), *_unconnected(root, scenario)]
 
 
 def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
@@ -65,6 +66,7 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
         ),
         *_late(where, starts, campaign.job.steps * campaign.job.step),
         *_unread(where, scenario),
+        *_unconnected(where, scenario),
     ]
 
 
@@ -106,3 +108,17 @@ def _unread(root: Place, scenario: Scenario) -> Iterator[str]:
     if isinstance(model, LinearModel):
         for i in np.flatnonzero(~model.matrix("C").any(axis=1)):
             yield f"{root / 'model.C'} has a row of zeros, so the controller does not use sensor {i}."
+
+
+def _unconnected(root: Place, scenario: Scenario) -> Iterator[str]:
+    """Yield a sentence for each further block that reads no signal, and that nothing reads."""
+    parts = [
+        *scenario.faults,
+        *chain(*scenario.input_faults.values()),
+        *(block for block, _ in scenario.blocks.values()),
+    ]
+    ends = [end for sources, target in scenario.connections for end in (*sources, target)]
+    ends += [signal for part in parts for signal in part.named_sources.values()]
+    for name in sorted(scenario.blocks.keys() - {end.partition(".")[0] for end in ends}):
+        where = root / f"blocks.{name}"
+        yield f"{where} is connected to nothing. It has no effect. Connect it in [[connections]], or leave it out."

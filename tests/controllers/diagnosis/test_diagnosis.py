@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
@@ -60,6 +61,24 @@ def test_numbers_of_findings_are_those_of_the_plant():
     assert values("heavier")[0] == pytest.approx(1 / 1.4, rel=0.15)
     assert values("late")[0] == pytest.approx(0.2, abs=0.06)
     assert values("limit")[:2] == pytest.approx((-400, 400), rel=0.1)
+
+
+def test_the_samples_of_a_closed_loop_need_no_name(tmp_path):
+    """Also behind a fault of one sensor, in a result from a file, and for the Kalman check."""
+    model = controllers.LinearModel([[0.9]], [[-0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    controller = controllers.LQGController(model, controllers.FixedPrecision())
+    plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+    sensors, faults = cosim.Sensors(2, 0.1), [cosim.Bias(sensor=1, start=5.0, magnitude=0.3)]
+    loop = cosim.closed_loop(
+        plant, controller, control="u", measured="y", sensors=sensors, faults=faults, reference=1.0
+    )
+    result = loop.simulate(10.0, engine="interpreted")
+    result.save(tmp_path / "run.npz")
+    named = loop.simulate(10.0, engine="interpreted", record=["*", "controller.y"])
+    assert controllers.diagnose(named, controller).kind == "sign"
+    for one in (result, cosim.Result.load(tmp_path / "run.npz")):
+        assert controllers.diagnose(one, controller) == controllers.diagnose(named, controller)
+        assert controllers.check_kalman(one, controller) == controllers.check_kalman(named, controller)
 
 
 @pytest.mark.slow
@@ -329,7 +348,7 @@ def test_a_late_plant_is_said_to_be_late():
 def test_a_diagnosis_says_what_it_lacks():
     case = Case("car", "right")
     controller = parts(case, LEARNERS["fixed"])[1]
-    result = loop(case, LEARNERS["fixed"]).simulate(1.0)
+    result = loop(case, LEARNERS["fixed"]).simulate(1.0, record="controller.u")
     with pytest.raises(cosim.UnknownNameError, match=r"controller\.y"):
         controllers.diagnose(result, controller)
     with pytest.raises(cosim.ModelError, match="every step"):

@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from control import ss
 
 from bayesftc import cosim
 from bayesftc.cosim import Port
@@ -198,6 +199,11 @@ def test_references(reference):
             r"controller, of the kind Gain, has no input 'y'.*whether plant and controller are exchanged",
         ),
         ({"plant": "car.fmu"}, cosim.ModelError, r"plant must be a block, not 'car.fmu'; use cosim.FMU\(path\)"),
+        (
+            {"plant": ss([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], 0)},
+            cosim.ModelError,
+            r"not StateSpace\( array.*use cosim",
+        ),
         ({"controller": control}, cosim.ModelError, r"controller must be a block, not <function control"),
         ({"sensors": 2}, cosim.ModelError, r"sensors is 2; it must be a Sensors block, such as cosim.Sensors\(count=2"),
         ({"noise": cosim.Gaussian(1.0)}, cosim.ModelError, r"it must be a mapping from inputs of the plant to sources"),

@@ -89,6 +89,13 @@ def test_a_goal_without_a_known_future_is_refused(source, blocks):
 def test_a_constant_and_a_preview_of_ones_own_are_goals():
     loop_of([("c.y", "controller.goal")], c=cosim.Constant(1.0))
     loop_of([("p.ahead", "controller.goal")], p=cosim.Preview(SINE, 1.0))
+    with pytest.raises(
+        ConnectionError, match=r"p.ahead lies 0.5 s ahead, but the controller's preview is 1 s. Give Preview"
+    ):
+        loop_of([("p.ahead", "controller.goal")], p=cosim.Preview(SINE, 0.5))
+    loop_of(
+        [("p.ahead", "g.u"), ("g.y", "controller.goal")], p=cosim.Preview(SINE, 1.5), g=cosim.Gain(1.0)
+    )  # may be a delay
     loop_of(through("reference.ahead")["connections"], s=cosim.RateLimiter(rising=1.0))
 
 

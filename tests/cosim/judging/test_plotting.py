@@ -188,7 +188,7 @@ def test_long_runs_are_thinned(signals):
 def test_signals_by_unit():
     result = load_scenario("cruise_control").simulate(duration=1.0, engine="interpreted")
     figure = result.plot(["plant.v", "reference.y", "controller.u", "controller.precision"])
-    assert [axis.get_ylabel() for axis in figure.axes] == ["m/s", "controller.u", "controller.precision"]
+    assert [axis.get_ylabel() for axis in figure.axes] == ["m/s", "N", "controller.precision"]
     assert names(figure.axes[0]) == ["plant.v", "reference.y"]
     assert names(figure.axes[2]) == ["controller.precision[0]", "controller.precision[1]"]
     assert len(result.plot("plant.v").axes) == 1

@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import cosim
 from bayesftc.cosim import Port, Result
+from bayesftc.scenario import load_scenario
 
 
 def write(t, k, a, b, c):
@@ -42,6 +43,17 @@ def partial(make_block):
     with pytest.raises(cosim.SimulationError) as caught:
         diagram.simulate(9)
     return caught.value.result
+
+
+def test_a_signal_without_a_unit_has_that_of_its_connections(tmp_path):
+    """A control has the unit of the plant's input, samples that of the measured variable, also behind faults."""
+    loop = load_scenario("cruise_control").loop()
+    result = loop.simulate(0.1, engine="interpreted", record=["*", "controller.y"])
+    units = {"controller.u": "N", "controller.y": "m/s", "sensors.y": "m/s", "freeze_0.y": "m/s", "plant.v": "m/s"}
+    result.save(tmp_path / "run.npz")
+    for one in (result, pickle.loads(pickle.dumps(result)), Result.load(tmp_path / "run.npz")):
+        assert {name: one.units.get(name) for name in units} == units
+        assert "controller.precision" not in one.units
 
 
 def test_signals(result):

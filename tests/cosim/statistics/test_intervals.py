@@ -1,11 +1,12 @@
 """Confidence intervals of means and ratios: they cover as often as they say, and agree with scipy."""
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.stats
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.statistics import bootstrap_interval, interval, ratio, rms_ratio
+from bayesftc.cosim.statistics import bootstrap_interval, interval, ratio, rms_ratio, roc_curve
 
 
 def test_interval_covers_the_mean_as_often_as_it_says():
@@ -24,6 +25,20 @@ def test_the_interval_of_a_ratio_covers_it():
     assert covered == pytest.approx(0.95, abs=0.02)
     value, (low, high) = ratio(3.0 * common[0], common[0])
     assert value == pytest.approx(low) == pytest.approx(high) == pytest.approx(3.0)
+
+
+def test_lists_and_tables_columns_are_numbers_as_arrays_are():
+    ours, theirs = [1, 2, 4, 3], [2.0, 3.0, 5.0, 5.0]
+    for given in (list, pd.Series, tuple):
+        assert interval(given(ours)) == interval(np.array(ours, float))
+        assert ratio(given(ours), given(theirs)) == ratio(np.array(ours), np.array(theirs))
+        assert rms_ratio(given(ours), given(theirs), resamples=9) == rms_ratio(
+            np.array(ours), np.array(theirs), resamples=9
+        )
+        assert bootstrap_interval(given(ours)) == bootstrap_interval(np.array(ours))
+        assert (
+            roc_curve(given([0, 1, 0, 1]), given(ours)) == roc_curve(np.array([0, 1, 0, 1]) > 0, np.array(ours))
+        ).all()
 
 
 def test_interval_is_scipys():

@@ -363,3 +363,33 @@ def test_every_choice_of_the_fit_has_a_reason_and_is_made_somewhere():
     for choice in fields(_fit_settings.FitSettings):
         assert len(choice.metadata["why"]) > 20
         assert f"FIT.{choice.name}" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "t,a,b\n01.03.2026 12:00,1,1\n",
+            r"'01.03.2026 12:00' in line 2, column 't', is no number. Write times as seconds",
+        ),
+        ("Zeit,a,b\n12:00,1,1\n12:01,2,2\n", r"the first, 'Zeit', has no number. Name the column of times 't'"),
+        ("Zeit,a,b\n1,1,1\n1,2,2\n", r"the first, 'Zeit', does not increase"),
+        ("t,a,b\n0,1,1\n1,x,1\n2,1,1\n", r"^[^:]*data.csv: 'x' in line 3, column 'a', is no number"),
+    ],
+)
+def test_times_that_are_no_seconds_are_named(text, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("data.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(RecordingError, match=words):
+        redundant_signals(["data.csv"])
+
+
+def test_a_fit_that_takes_another_quantity_for_a_sensor_gives_a_model_that_can_be_read(tmp_path):
+    """Three encoders, of which one freezes, and the voltage: a lasting error of one of them came out as zero."""
+    rng, t = np.random.default_rng(0), 0.01 * np.arange(3000)
+    voltage = 5 * np.sign(np.sin(0.7 * t)) + 2 * np.sin(3 * t)
+    y = np.cumsum(0.02 * voltage)[:, None] + rng.normal(size=(3000, 3)) * [0.001, 0.005, 0.02]
+    y[1500:, 0] = y[1500, 0]
+    columns = {"a": y[:, 0], "b": y[:, 1], "c": y[:, 2], "voltage": voltage}
+    fitted = fit_model(align({name: Signal(t, x.round(5)) for name, x in columns.items()}, {}, 0.01))
+    assert all(errors.std > 0 for errors in fitted.errors)

@@ -93,8 +93,9 @@ def redundant_signals(
             name = column if column not in places else f"{file.stem}_{column}"
             places[name] = Place(file.name, column, time)
             times = tables.column(file, time, "the times")
+            samples = tables.column(file, column, "a sensor")
             try:
-                signals[name] = Signal(times, tables.column(file, column, "a sensor"))
+                signals[name] = Signal(times, samples)
             except RecordingError as error:
                 raise RecordingError(f"{file}, the column {column!r}: {error}") from None
     missing = [name for name in names if name not in columns]
@@ -106,13 +107,17 @@ def redundant_signals(
 
 
 def _time_column(tables: Tables, file: os.PathLike[str], header: Sequence[str]) -> str:
-    for name in header:
+    every = tables.names(file)
+    for name in every:
         if name.lower() in TIMES:
             return name
-    if header and np.all(np.diff(tables.column(file, header[0], "the times")) > 0):  # type: ignore[arg-type]
-        return header[0]
+    why = "has no number"
+    if every[0] in header:
+        why = "does not increase"
+        if np.all(np.diff(tables.column(file, every[0], "the times")) > 0):  # type: ignore[arg-type]
+            return every[0]
     raise RecordingError(
-        f"{os.fspath(file)} has no column of times: none is called {', '.join(TIMES[:3])}, and the first does not increase. "
+        f"{os.fspath(file)} has no column of times: none is called {', '.join(TIMES[:3])}, and the first, {every[0]!r}, {why}. "
         "Name the column of times 't', with times in seconds."
     )
 

@@ -165,10 +165,14 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
             _typical(np.isnan(recording.y[stretch, i])),
         )
         lasting = [*single[i].lasting, *([(slow[i], times[i])] if slow[i] > FIT.wanders * single[i].variance else [])]
-        errors += [SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting]
+        errors += [
+            SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting if variance
+        ]
     for pair, of_pair in shared.items():
         names = [recording.sensors[i] for i in pair]
-        errors += [SensorErrors(float(v) ** 0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting]
+        errors += [
+            SensorErrors(float(v) ** 0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting if v
+        ]
     level = median(whole, 1)
     middle, spread = float(np.nanmedian(level)), float(np.nanstd(level))
     return FittedModel(plant, sensors, tuple(errors), motion.seen, middle, spread, rate)

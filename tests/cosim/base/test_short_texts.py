@@ -1,0 +1,28 @@
+"""The texts of results: four digits, units, no arrays of numbers."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from bayesftc import controllers, cosim, monitoring
+
+
+def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
+    margins = cosim.Margins(2.059427999239328, 35.59179287407551, float("nan"), 11.537691630200618, 22.16851, np.inf)
+    assert str(margins) == (
+        "Margins(gain=2.059, phase=35.59 deg, delay=nan s, gain_crossover=11.54 rad/s, phase_crossover=22.17 rad/s, modulus=inf)"
+    )
+    assert margins.gain == 2.059427999239328
+    finding = controllers.ModelFinding("late", "B acts late.", (1 / 3, 0.0), 20 / 3, ("dt",))
+    assert repr(finding).endswith("values=(0.3333, 0), evidence=6.667, others=('dt',))")
+    event = monitoring.FaultEvent("wheel", 10 / 3, 20.0, 0.999999, "Frozen", 3.2999999999999998)
+    assert repr(event) == (
+        "FaultEvent(sensor='wheel', start=3.333 s, end=20 s, probability=1, kind='Frozen', onset=3.3 s, size=None)"
+    )
+
+
+def test_a_recording_shows_the_shapes_of_its_samples():
+    t = 0.1 * np.arange(30)
+    recording = monitoring.align({"a": monitoring.Signal(t, t), "b": monitoring.Signal(t, t)}, {}, 0.1)
+    assert recording.dt == Fraction(1, 10)
+    assert "dt=0.1 s, sensors=('a', 'b'), y=<30 x 2 numbers>, u=<30 x 1 numbers>, loss=(0.01, 0.01)" in repr(recording)
