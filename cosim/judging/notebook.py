@@ -155,7 +155,7 @@ class _Differences(_Pictures):
         below = io.BytesIO()
         self._write(self.first, below)
         address = f"data:image/{self.kind};base64,{base64.b64encode(below.getvalue()).decode('ascii')}"
-        return f"max-width: 100%; background: url({address}) 0 0 / 100% 100%"
+        return f"max-width: 100%; background: url({address}) 0 0 / 100% 100%; print-color-adjust: exact"
 
 
 __all__ = ["NotebookAnimation", "NotebookFigure"]
