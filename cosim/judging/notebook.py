@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 from collections.abc import Callable, Sequence
@@ -12,9 +13,12 @@ from matplotlib.animation import FuncAnimation
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
-from PIL import Image
+from PIL import Image, features
 
 DOTS_PER_INCH = 100
+OPAQUE = 255
+ALTERNATIVE = "Animation: the plant, what each sensor reads, and the signals up to the shown instant."
+SLIDER = "Shown instant"
 SIGNS = {
     "minus": "−", "fast-backward": "|◀◀", "step-backward": "|◀", "play fa-flip-horizontal": "◀", "pause": "❚❚", "play": "▶",
     "step-forward": "▶|", "fast-forward": "▶▶|", "plus": "+",
@@ -49,13 +53,16 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
     def __init__(self, figure: Figure, show: Callable[[int], Any], moving: Sequence[Artist], **settings: Any):
         super().__init__(figure, show, **settings)
         self.figure, self.moving = figure, moving
+        self.page: str | None = None
+        self.differences: _Differences | None = None
 
     def save(self, *args: Any, **settings: Any) -> None:
         """See `matplotlib.animation.Animation.save`."""
+        pictures = self.differences or _Pictures(self.figure, self.moving)
         figure: Any = self.figure
         canvas, dpi = figure.canvas, figure.dpi
         canvas.draw_idle = lambda: None  # nothing is shown on the screen meanwhile
-        figure.savefig = _Pictures(figure, self.moving).write
+        figure.savefig = pictures.write
         try:
             super().save(*args, **settings)
         finally:
@@ -63,9 +70,23 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
             figure.dpi = dpi
 
     def to_jshtml(self, *args: Any, **settings: Any) -> str:
-        """See `matplotlib.animation.Animation.to_jshtml`. The page needs no other address: its buttons have signs, no icons."""
-        page = re.sub(r'<link rel="stylesheet"\s+href="https?://[^>]*>', "", super().to_jshtml(*args, **settings))
-        return re.sub(r'<i class="fa fa-([\w -]+)"></i>', lambda icon: SIGNS.get(icon[1], icon[0]), page)
+        """See `matplotlib.animation.Animation.to_jshtml`.
+
+        The page needs no other address: its buttons have signs, no icons. It is a fifth as large: a picture contains only what
+        differs from the first one, which lies below it.
+        """
+        if self.page is None:
+            self.differences = pictures = _Differences(self.figure, self.moving)
+            try:
+                page = super().to_jshtml(*args, **settings)
+            finally:
+                self.differences = None
+            page = re.sub(r'<link rel="stylesheet"\s+href="https?://[^>]*>', "", page)
+            page = re.sub(r'<i class="fa fa-([\w -]+)"></i>', lambda icon: SIGNS.get(icon[1], icon[0]), page)
+            page = page.replace("data:image/png;", f"data:image/{pictures.kind};")
+            page = page.replace('<img id="', f'<img alt="{ALTERNATIVE}" style="{pictures.style()}" id="', 1)
+            self.page = page.replace('type="range"', f'type="range" style="max-width: 100%" aria-label="{SLIDER}"', 1)
+        return self.page
 
     def _repr_html_(self) -> str:
         return self.to_jshtml(default_mode="once")
@@ -99,9 +120,42 @@ class _Pictures:
             artist.draw(self.renderer)
         pixels = np.asarray(self.renderer.buffer_rgba())
         if format == "png":
-            Image.fromarray(pixels).save(file, format="png")
+            self.encode(pixels, file)
         else:
             file.write(pixels.tobytes())
+
+    def encode(self, pixels: Any, file: Any) -> None:
+        """Write a picture."""
+        Image.fromarray(pixels).save(file, format="png")
+
+
+class _Differences(_Pictures):
+    """Pictures that are transparent where they are equal to the first one: without loss, and half as large."""
+
+    def __init__(self, figure: Any, moving: Sequence[Artist]):
+        super().__init__(figure, moving)
+        self.first: Any = None
+        self.kind = "webp" if features.check("webp") else "png"
+
+    def encode(self, pixels: Any, file: Any) -> None:
+        """Write a picture."""
+        if self.first is None:
+            self.first = pixels.copy()
+        if (self.first[..., 3] == OPAQUE).all():  # else the first one would shine through
+            pixels = np.where((pixels == self.first).all(axis=2, keepdims=True), np.uint8(0), pixels)
+        self._write(pixels, file)
+
+    def _write(self, pixels: Any, file: Any) -> None:
+        Image.fromarray(pixels).save(file, format=self.kind, lossless=True)
+
+    def style(self) -> str:
+        """Return the style of an image that shows the first picture below the present one."""
+        if not (self.first[..., 3] == OPAQUE).all():
+            return "max-width: 100%"
+        below = io.BytesIO()
+        self._write(self.first, below)
+        address = f"data:image/{self.kind};base64,{base64.b64encode(below.getvalue()).decode('ascii')}"
+        return f"max-width: 100%; background: url({address}) 0 0 / 100% 100%; print-color-adjust: exact"
 
 
 __all__ = ["NotebookAnimation", "NotebookFigure"]

@@ -15,7 +15,7 @@ from numpydoc.docscrape import NumpyDocString, Parameter
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-ONLY_A_REFERENCE = re.compile(r"See `[\w.]+`\.?")
+ONLY_A_REFERENCE = re.compile(r"See `[\w.]+`(, also for errors)?\.?")
 BEFORE_NUMPYDOC = 400
 
 

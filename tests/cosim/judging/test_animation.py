@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.image import imread
+from PIL import Image
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.judging.notebook import _Pictures
+from bayesftc.cosim.judging.notebook import _Differences, _Pictures
 from bayesftc.cosim.judging.pictures import PICTURES
 
 MODEL = {"process_covariance": 0.001, "sensor_covariance": 1.0, "dt": 0.02}
@@ -161,6 +162,9 @@ def test_a_notebook_shows_a_player_and_a_file_can_be_written(tmp_path):
     assert "<script" in page
     assert not re.search(r"<(link|script)[^>]*http", page)  # it is complete without a network
     assert "fa-" not in page
+    assert re.search(r'<img [^>]*alt="Animation: ', page)
+    assert re.search(r'<input [^>]*type="range"[^>]*aria-label="', page)
+    assert animation.to_jshtml() == page
     animation.save(tmp_path / "run.gif", writer="pillow")
     assert (tmp_path / "run.gif").read_bytes().startswith(b"GIF8")
 
@@ -213,3 +217,19 @@ def test_saved_pictures_are_those_of_the_figure():
         a, b = (imread(io.BytesIO(each.getvalue())) for each in (shared, whole))
         assert a.shape == b.shape
         assert (np.abs(a - b) > 0.02).any(axis=2).mean() < 0.002  # lines that cross may be drawn in another order
+
+
+def test_pictures_of_a_page_are_those_of_the_figure_and_small():
+    """A page has only the differences from the first picture, which lies below them."""
+    run = car(faults=[cosim.Injection(sensor=0, start=0.1, magnitude=8.0)]).simulate(0.2, seed=1, engine="interpreted")
+    animation = keep(run.animate(frames=3))
+    pictures = _Differences(animation.figure, animation.moving)
+    for k in (0, 2, 1):
+        show(animation, k)
+        raw, part = io.BytesIO(), io.BytesIO()
+        pictures.write(raw, format="rgba", dpi=60)
+        pictures.write(part, format="png", dpi=60)
+        shown = Image.fromarray(pictures.first)
+        shown.alpha_composite(Image.open(part).convert("RGBA"))
+        assert shown.tobytes() == raw.getvalue()
+    assert len(animation.to_jshtml()) < 150_000
