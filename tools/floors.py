@@ -41,6 +41,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.fmi.prediction",),
     ("cosim.diagram",),
     ("cosim.run", "cosim.run.coupled"),
+    ("cosim.live",),
     ("cosim.judging",),
     ("cosim.control",),
     ("cosim.ssp",),
