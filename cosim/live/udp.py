@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -57,6 +58,7 @@ class UDP(Bridge):
     sender: str | None = None
     _socket: socket.socket | None = field(default=None, init=False, repr=False)
     _thread: Thread | None = field(default=None, init=False, repr=False)
+    _last: bytes = field(default=b"", init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
@@ -76,7 +78,7 @@ class UDP(Bridge):
         ModelError
             If the address is not one, or the port is used already.
         """
-        self.lost, self.problem = 0, ""
+        self.lost, self.problem, self._last = 0, "", b""
         try:
             family, kind, protocol, _, where = socket.getaddrinfo(self.address, self.port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind, protocol)
@@ -102,14 +104,19 @@ class UDP(Bridge):
         """Send a packet; nobody says whether it arrives."""
         try:
             assert self._socket is not None
-            self._socket.sendto(encode(values, time, self.format), self._where)
+            self._last = encode(values, time, self.format)
+            self._socket.sendto(self._last, self._where)
             self.connected = True
         except (OSError, AssertionError) as error:
             self.connected, self.problem, self.lost = False, str(error), self.lost + 1
 
     def close(self) -> None:
-        """Close the socket and end the thread."""
+        """Send the last packet twice more, as one may be lost, then close the socket and end the thread."""
         opened, self._socket, self.connected = self._socket, None, False
+        if opened is not None and self._last:
+            with suppress(OSError):
+                for _ in range(2):
+                    opened.sendto(self._last, self._where)
         if self._thread is not None:
             self._thread.join(PATIENCE)
             self._thread = None
