@@ -84,8 +84,9 @@ class Bridge(ABC):
 class Reconnecting(Bridge):
     """A bridge with a thread that connects, reads or writes, and connects again after an error.
 
-    A subclass has `connect`, and `read` or `write` or both. They may raise `OSError`: the connection is then closed, and made
-    again after a pause. If values come faster than `write` sends them, the newest one is sent and the others are lost.
+    A subclass has `connect`, and `read` or `write` or both. They may raise `OSError`, or any other error: the connection is then
+    closed, and made again after a pause. If values come faster than `write` sends them, the newest one is sent and the others
+    are lost.
 
     Attributes
     ----------
@@ -164,14 +165,14 @@ class Reconnecting(Bridge):
         while not self._ended:
             try:
                 connection = self.connect()
-            except OSError as error:
-                self.problem = str(error)
+            except Exception as error:  # noqa: BLE001 - a bridge of one's own may raise anything, and must not end silently
+                self._note(error)
             else:
                 self.connected, pause = True, FIRST_PAUSE
                 try:
                     self._use(connection)
-                except OSError as error:
-                    self.problem = str(error)
+                except Exception as error:  # noqa: BLE001
+                    self._note(error)
                 finally:
                     self.connected = False
                     connection.close()
@@ -179,6 +180,9 @@ class Reconnecting(Bridge):
                 if not self._ended:
                     self._news.wait_for(lambda: self._ended, pause)
             pause = min(2 * pause, LONGEST_PAUSE)
+
+    def _note(self, error: Exception) -> None:
+        self.problem = str(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
 
     def _use(self, connection: Any) -> None:
         if self.inbox is not None:
@@ -193,6 +197,6 @@ class Reconnecting(Bridge):
                 return
             try:
                 self.write(connection, *given)
-            except OSError:
+            except Exception:
                 self.lost += 1
                 raise

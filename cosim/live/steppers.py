@@ -37,9 +37,16 @@ class Stepper(ABC):
     inputs: Mapping[str, Port]
     outputs: Mapping[str, Port]
 
-    @abstractmethod
     def prepare(self) -> None:
-        """Compile; make the step at t = 0 if it needs no inputs."""
+        """Compile, once; a session makes its first step, at t = 0."""
+        if not self._is_prepared:
+            self._prepare()
+            self._is_prepared = True
+
+    _is_prepared = False
+
+    @abstractmethod
+    def _prepare(self) -> None: ...
 
     @abstractmethod
     def advance(self, inputs: Floats) -> Floats:
@@ -114,8 +121,7 @@ class SessionStepper(Stepper):
         self._inner = dict(zip(self.inputs, ports, strict=True))
         self._duration = float(self.step)
 
-    def prepare(self) -> None:
-        """Make the first step of the session, at t = 0, which compiles."""
+    def _prepare(self) -> None:
         result = self._session.advance(0 if self._session.k < 0 else self._duration)
         self.outputs = {name: Port(name, result[name].shape[1:], result.units.get(name)) for name in result}
         first, self._ranges = 0, []
@@ -159,8 +165,7 @@ class OnlineStepper(Stepper):
         self.inputs, self.outputs = online.inputs, online.outputs
         self._k = -1
 
-    def prepare(self) -> None:
-        """Make a step without samples, which compiles, and return to the state before it."""
+    def _prepare(self) -> None:
         self._online(**{name: np.zeros(port.shape) for name, port in self.inputs.items()})
         self._online.reset()
         self._k = -1
