@@ -79,8 +79,8 @@ def load_wires(path: str | os.PathLike[str]) -> WireFile:
     Parameters
     ----------
     path : str or path
-        A TOML file, or the name of a shipped one, such as ``"car_by_udp"``. Paths in it begin at its folder. A ``kind`` such as ``"my_bridges.py:CanBridge"`` names a class of a user's
-        file, which is executed.
+        A TOML file, or the name of a shipped one, such as ``"car_by_udp"``. Paths in it begin at its folder. A ``kind`` such as
+        ``"my_bridges.py:CanBridge"`` names a class of a user's file, which is executed.
 
     Returns
     -------
