@@ -28,9 +28,9 @@ PURPOSE = "The recording of a live run"
 STEP, TIME, CLOCK = FIRST = ("step", "time", "clock")
 """The first columns: number of the step, its time in seconds, and the time of the clock (seconds since 1970, UTC)."""
 HEADER = b"bayesftc"
-MOST = 32e6
+MOST = 16e6
 """Largest size of a piece in memory, in bytes."""
-BUFFERS = 3
+BUFFERS = 6
 """Pieces in memory: one is filled, the others are written or wait for it."""
 
 

@@ -196,7 +196,7 @@ def run_live(
     (5, {'no message': 5}, 5)
     >>> received.close()
     """
-    settings, stop = settings or LiveSettings(), stop or Stop()
+    settings, stop = settings or LiveSettings(), Stop() if stop is None else stop
     stepper = _stepper(target)
     stepper.prepare()
     ins, outs = _connected(stepper, wires)
