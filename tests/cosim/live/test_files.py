@@ -29,7 +29,7 @@ def append(path, text):
 def test_only_complete_rows_are_used(tmp_path, opened, until):
     path = tmp_path / "speeds.csv"
     append(path, "t,left,right\n0.0,1.0,2.0\n0.1,1.")
-    bridge, box = opened(path, 2, time="t", from_start=True)
+    _, box = opened(path, 2, time="t", from_start=True)
     until(lambda: box.received == 1)
     append(path, "5,2")
     append(path, ".5\n")

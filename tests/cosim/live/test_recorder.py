@@ -76,7 +76,7 @@ def test_old_pieces_are_deleted_also_those_of_earlier_runs(tmp_path):
     filled(tmp_path, 30, rows=10)
     second = filled(tmp_path, 50, rows=10, keep=3)
     assert [p.name for p in sorted(tmp_path.rglob("*.parquet"))] == [f"{n:06d}.parquet" for n in (2, 3, 4)]
-    assert [p for p in tmp_path.iterdir()] == [second.folder]
+    assert list(tmp_path.iterdir()) == [second.folder]
     assert read_recording(tmp_path).time[0] == 0.2
 
 
