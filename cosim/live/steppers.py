@@ -31,6 +31,23 @@ class Stepper(ABC):
         Seconds.
     inputs, outputs : mapping of str to Port
         By name. They are known after `prepare`.
+
+    Examples
+    --------
+    >>> from fractions import Fraction
+    >>> import numpy as np
+    >>> from bayesftc import cosim
+    >>> from bayesftc.cosim import live
+    >>> class Twice(live.Stepper):
+    ...     step, inputs, outputs, k = Fraction(1, 100), {"u": cosim.Port("u")}, {"y": cosim.Port("y")}, -1
+    ...     def _prepare(self): ...
+    ...     def bears_missing(self, name):
+    ...         return True
+    ...     def advance(self, inputs):
+    ...         self.k += 1
+    ...         return 2.0 * inputs
+    >>> Twice().advance(np.array([1.5])).tolist()
+    [3.0]
     """
 
     step: Fraction
