@@ -43,6 +43,9 @@ class Bridge(ABC):
         Number of values that could not be sent.
     problem : str
         The last error of the connection, or an empty text.
+    safe : sequence of float, optional
+        The safe values of the wire; set before `open`. A bridge can leave them with the other side, for the case that this
+        process dies.
 
     Examples
     --------
@@ -67,6 +70,7 @@ class Bridge(ABC):
     connected: bool = False
     lost: int = 0
     problem: str = ""
+    safe: Sequence[float] | None = None
 
     @abstractmethod
     def open(self, inbox: Inbox | None) -> None:

@@ -51,16 +51,17 @@ def decode(payload: bytes, form: Format) -> Message:
     return _DECODERS[form](payload)
 
 
-def encode(values: Sequence[float], time: float, form: Format) -> bytes:
-    """Return a message with the values of the step at `time`, in seconds."""
+def encode(values: Sequence[float], time: float | None, form: Format) -> bytes:
+    """Return a message with the values of the step at `time`, in seconds; in JSON, None leaves the time out."""
     if form == "doubles":
         return struct.pack(f"<{len(values)}d", *values)
     if form == "stamped doubles":
-        return struct.pack(f"<{len(values) + 1}d", time, *values)
+        return struct.pack(f"<{len(values) + 1}d", nan if time is None else time, *values)
     if form == "text":
         return ",".join(map(repr, map(float, values))).encode()
     numbers = [float(value) if isfinite(value) else None for value in values]
-    content = {"time": time, **({"value": numbers[0]} if len(numbers) == 1 else {"values": numbers})}
+    content: dict[str, Any] = {} if time is None else {"time": time}
+    content |= {"value": numbers[0]} if len(numbers) == 1 else {"values": numbers}
     return json.dumps(content, allow_nan=False).encode()
 
 

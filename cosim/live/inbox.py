@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import inf, isfinite, isinf
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.formats import Format, decode
 from bayesftc.cosim.types import Floats
 
-NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE = REASONS = (
+NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE, STATUS = REASONS = (
     "no message",
     "late",
     "stale",
@@ -25,6 +25,7 @@ NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE = REASONS = (
     "out of range",
     "not decodable",
     "wrong size",
+    "bad status",
 )
 """Reasons of missing samples. A step without a sample counts the reason of the last message since the step before."""
 
@@ -33,6 +34,9 @@ RESTART = 10
 
 DRIFT = 2e-4
 """Largest relative difference of the rates of two clocks, by which the least delay of a message grows with time."""
+
+CLOCKS, YEAR = 1.0, 3.2e7
+"""Largest lead of a sender's clock, and largest age of a sample that the other side has kept, in seconds."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +134,14 @@ class Inbox:
         self._least: float | None = None
         self._least_at = 0.0
 
-    def put(self, values: Sequence[float] | float, sent: float | None = None, *, sequence: int | None = None) -> None:
+    def put(
+        self,
+        values: Sequence[float] | float,
+        sent: float | None = None,
+        *,
+        sequence: int | None = None,
+        kept: bool = False,
+    ) -> None:
         """Add a sample, from any thread.
 
         Parameters
@@ -141,6 +152,9 @@ class Inbox:
             The sender's time in seconds, from any origin.
         sequence : int, optional
             The sender's sequence number.
+        kept : bool
+            Whether the other side has kept the sample for some time, as a broker does. Its age is then the time since `sent`,
+            in seconds since 1970, and counts for ``stale_after``. Without ``stale_after``, it is used if samples are held.
         """
         now = self._clock()
         raw = np.atleast_1d(np.asarray(values, dtype=np.float64))
@@ -153,13 +167,20 @@ class Inbox:
                 if stamp is not None and (reason := self._misplaced(kind, stamp)):
                     self._refuse(reason)
                     return
-            delay = 0.0 if sent is None else self._delay(now, sent)
+            if kept:
+                delay = _age(sent)
+                if self.limits.stale_after is None and not self.limits.hold:
+                    self._refuse(LATE, f"{LATE}: kept by the other side, and no stale_after is given")
+                    return
+            else:
+                delay = 0.0 if sent is None else self._delay(now, sent)
             if self.limits.stale_after is not None and delay > self.limits.stale_after:
-                self._refuse(LATE)
+                unknown = f"{LATE}: kept by the other side, without the time in seconds since 1970"
+                self._refuse(LATE, unknown if isinf(delay) else "")
                 return
             self._accept(raw, now - delay)
 
-    def receive(self, payload: bytes, form: Format) -> None:
+    def receive(self, payload: bytes, form: Format, *, kept: bool = False) -> None:
         """Decode a message and add its sample, or reject it, from any thread.
 
         Parameters
@@ -168,19 +189,28 @@ class Inbox:
             The message.
         form : {"doubles", "stamped doubles", "json", "text"}
             Its format.
+        kept : bool
+            Whether the other side has kept it for some time; see `put`.
         """
         try:
             values, sent, sequence = decode(payload, form)
         except ValueError as error:
             self.reject(str(error))
         else:
-            self.put(values, sent, sequence=sequence)
+            self.put(values, sent, sequence=sequence, kept=kept)
 
     def reject(self, reason: str) -> None:
         """Count a message that cannot be decoded, from any thread; `reason` is shown as the last one."""
         with self._lock:
             self.received += 1
             self._refuse(DECODING, f"{DECODING}: {reason}")
+
+    def fail(self, reason: str) -> None:
+        """Note that the other side has no valid sample now, from any thread; a held sample ends."""
+        with self._lock:
+            self.received += 1
+            self._refuse(STATUS, f"{STATUS}: {reason}")
+            self._fresh = False
 
     def take(self) -> Floats:
         """Return the sample for a step, with NaN for each missing element."""
@@ -255,6 +285,12 @@ class Inbox:
         self._least = delay if self._least is None else min(self._least, delay)
         self._least_at = now
         return delay - self._least
+
+
+def _age(sent: float | None) -> float:
+    """Return the age of a sample by the clock in seconds; infinity if its time stamp is missing or not of this clock."""
+    age = inf if sent is None else time.time() - sent
+    return max(age, 0.0) if -CLOCKS < age < YEAR else inf
 
 
 __all__ = ["REASONS", "Inbox", "Limits"]

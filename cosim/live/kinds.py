@@ -11,10 +11,11 @@ from types import ModuleType
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.live.bridge import Bridge
 from bayesftc.cosim.live.files import File
+from bayesftc.cosim.live.mqtt import MQTT
 from bayesftc.cosim.live.serial_line import Serial
 from bayesftc.cosim.live.udp import UDP
 
-BRIDGES: tuple[type[Bridge], ...] = (UDP, Serial, File)
+BRIDGES: tuple[type[Bridge], ...] = (UDP, MQTT, Serial, File)
 """The kinds of bridges of this package, for ``kind = ...`` in a file of wires."""
 
 

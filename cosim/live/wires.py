@@ -157,6 +157,7 @@ class Outgoing:
         self.sent = self.safes = self.clipped = self.not_finite = 0
         self._lock = threading.Lock()
         self._time = 0.0
+        wire.bridge.safe = [float(wire.safe)] * len(places) if isinstance(wire.safe, int | float) else None
 
     def send(self, outputs: Floats, time: float) -> None:
         """Send the values of a step, or the safe value if one of them is not a finite number."""
