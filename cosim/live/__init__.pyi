@@ -6,6 +6,7 @@ from .files import File as File
 from .inbox import Inbox as Inbox, Limits as Limits
 from .kinds import BRIDGES as BRIDGES
 from .mqtt import MQTT as MQTT
+from .opcua import OPCUA as OPCUA, OPCUAServer as OPCUAServer
 from .recorder import Recorder as Recorder, Recording as Recording, read_recording as read_recording
 from .run import LiveSettings as LiveSettings, LiveSummary as LiveSummary, Stop as Stop, run_live as run_live
 from .serial_line import Serial as Serial
