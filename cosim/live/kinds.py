@@ -12,8 +12,6 @@ from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.live.bridge import Bridge
 from bayesftc.cosim.live.files import File
 from bayesftc.cosim.live.mqtt import MQTT
-from bayesftc.cosim.live.files import File
-from bayesftc.cosim.live.mqtt import MQTT
 from bayesftc.cosim.live.opcua import OPCUA, OPCUAServer
 from bayesftc.cosim.live.serial_line import Serial
 from bayesftc.cosim.live.udp import UDP

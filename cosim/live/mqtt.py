@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 WINDOW = 8
 """Messages of a wire that may be under way. Further ones are lost, so that a slow broker never gets old controls."""
 
+PATH = {"path": True}
+
 LAST = 1.0
 """Seconds in which `MQTT.close` sends the last message."""
 
@@ -95,12 +97,12 @@ class MQTT(Bridge):
     will: bool = True
     user: str | None = None
     password_env: str | None = None
-    password_file: str | None = None
+    password_file: str | None = field(default=None, metadata=PATH)
     password: str | None = field(default=None, repr=False)
     tls: bool = False
-    ca_file: str | None = None
-    certificate: str | None = None
-    key: str | None = None
+    ca_file: str | None = field(default=None, metadata=PATH)
+    certificate: str | None = field(default=None, metadata=PATH)
+    key: str | None = field(default=None, metadata=PATH)
     client_id: str | None = None
     keepalive: int = 5
     receives: bool = field(default=False, init=False, repr=False)

@@ -18,6 +18,7 @@ from bayesftc.cosim.live.bridge import PATIENCE, Bridge
 from bayesftc.cosim.live.connections import opcua_server, opcua_session
 from bayesftc.cosim.live.connections.credentials import check_login, password_of, readable
 from bayesftc.cosim.live.connections.event_loop import event_loop, submit
+from bayesftc.cosim.live.connections.opcua_certificates import check_pair
 from bayesftc.cosim.live.connections.opcua_values import check_node, check_security, check_url, give
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 OPENING = 30.0
 """Longest time in seconds until the event loop knows a wire; it is busy for about a second while a server starts."""
+
+PATH = {"path": True}
 
 LAST = 1.0
 """Seconds in which `close` sends the last values."""
@@ -139,12 +142,12 @@ class OPCUA(_Node):
     period: float = 0.1
     user: str | None = None
     password_env: str | None = None
-    password_file: str | None = None
+    password_file: str | None = field(default=None, metadata=PATH)
     password: str | None = field(default=None, repr=False)
     security: str | None = None
-    certificate: str | None = None
-    key: str | None = None
-    server_certificate: str | None = None
+    certificate: str | None = field(default=None, metadata=PATH)
+    key: str | None = field(default=None, metadata=PATH)
+    server_certificate: str | None = field(default=None, metadata=PATH)
 
     def __post_init__(self) -> None:
         check_url("OPC UA", self.url)
@@ -242,11 +245,11 @@ class OPCUAServer(_Node):
     url: str = "opc.tcp://127.0.0.1:4840"
     user: str | None = None
     password_env: str | None = None
-    password_file: str | None = None
+    password_file: str | None = field(default=None, metadata=PATH)
     password: str | None = field(default=None, repr=False)
     security: str | None = None
-    certificate: str | None = None
-    key: str | None = None
+    certificate: str | None = field(default=None, metadata=PATH)
+    key: str | None = field(default=None, metadata=PATH)
 
     def __post_init__(self) -> None:
         check_url("The OPC UA server", self.url)
@@ -291,6 +294,8 @@ def _check_files(bridge: Any, *keys: str) -> None:
     for key in keys:
         if getattr(bridge, key) is not None:
             readable("OPC UA", key, getattr(bridge, key))
+    if bridge.certificate is not None and bridge.key is not None:
+        check_pair(bridge.certificate, bridge.key)
 
 
 def _check_free(host: str, port: int) -> None:

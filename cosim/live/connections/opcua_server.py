@@ -13,7 +13,8 @@ from bayesftc.cosim.base.extras import extra
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.bridge import FIRST_PAUSE, LONGEST_PAUSE, PATIENCE
 from bayesftc.cosim.live.connections.event_loop import outcome
-from bayesftc.cosim.live.connections.opcua_session import application_uri, quiet_log
+from bayesftc.cosim.live.connections.opcua_certificates import application_uri, encoding
+from bayesftc.cosim.live.connections.opcua_session import quiet_log
 from bayesftc.cosim.live.connections.opcua_values import give
 
 if TYPE_CHECKING:
@@ -124,11 +125,11 @@ class Host:
         server.set_server_name("bayesftc")
         await server.set_application_uri((offer.certificate and application_uri(offer.certificate)) or NAMESPACE)
         policy = ua.SecurityPolicyType.NoSecurity
-        if offer.security is not None:
+        if offer.security is not None and offer.certificate is not None and offer.key is not None:
             name, _, mode = offer.security.partition(",")
             policy = ua.SecurityPolicyType[f"{name}_{mode}"]
-            await server.load_certificate(offer.certificate)
-            await server.load_private_key(offer.key)
+            await server.load_certificate(offer.certificate, encoding(offer.certificate))
+            await server.load_private_key(offer.key, None, encoding(offer.key))
         server.set_security_policy([policy])
         server.set_identity_tokens([ua.AnonymousIdentityToken if offer.user is None else ua.UserNameIdentityToken])
         self._space = await server.register_namespace(NAMESPACE)

@@ -7,12 +7,12 @@ import itertools
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bayesftc.cosim.base.extras import extra
 from bayesftc.cosim.live.bridge import FIRST_PAUSE, LONGEST_PAUSE, PATIENCE
 from bayesftc.cosim.live.connections.event_loop import outcome
+from bayesftc.cosim.live.connections.opcua_certificates import application_uri, encoding
 from bayesftc.cosim.live.connections.opcua_values import NODE, converted
 
 if TYPE_CHECKING:
@@ -115,15 +115,21 @@ class Session:
         if address.user is not None:
             client.set_user(address.user)
             client.set_password(address.password or "")
-        if address.certificate is not None and address.security is not None:
+        if address.security is not None and address.certificate is not None and address.key is not None:
             policy, _, mode = address.security.partition(",")
-            policies = extra("asyncua.crypto.security_policies", "OPC UA", of="live")
+            policies, crypto = (
+                extra(f"asyncua.crypto.{n}", "OPC UA", of="live") for n in ("security_policies", "uacrypto")
+            )
+            certificate, key, server = (
+                None if file is None else crypto.CertProperties(file, encoding(file))
+                for file in (address.certificate, address.key, address.server_certificate)
+            )
             client.application_uri = application_uri(address.certificate) or client.application_uri
             await client.set_security(
                 getattr(policies, f"SecurityPolicy{policy}"),
-                address.certificate,
-                address.key,
-                server_certificate=address.server_certificate,
+                certificate,
+                key,
+                server_certificate=server,
                 mode=getattr(self._ua.MessageSecurityMode, mode),
             )
         await client.connect()
@@ -292,18 +298,6 @@ def quiet_log() -> None:
         log.setLevel(logging.CRITICAL + 1)
 
 
-def application_uri(certificate: str) -> str | None:
-    """Return the name of the application in a certificate; servers compare it with that of the client."""
-    x509 = extra("cryptography.x509", "OPC UA", of="live")
-    content = Path(certificate).read_bytes()
-    load = x509.load_pem_x509_certificate if b"-----BEGIN" in content else x509.load_der_x509_certificate
-    try:
-        names = load(content).extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return None
-    return next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), None)
-
-
 def _reason(error: BaseException) -> str:
     code = getattr(error, "code", None)
     if code is not None:
@@ -311,4 +305,4 @@ def _reason(error: BaseException) -> str:
     return str(getattr(error, "strerror", None) or error or type(error).__name__).rstrip(".")
 
 
-__all__ = ["Address", "Session", "application_uri", "join", "quiet_log"]
+__all__ = ["Address", "Session", "join", "quiet_log"]
