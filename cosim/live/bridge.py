@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from bayesftc.cosim.live.inbox import Inbox
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0

@@ -5,16 +5,14 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.bridge import Bridge
 from bayesftc.cosim.live.connections.broker import Broker, Connection, Will, join, leave
 from bayesftc.cosim.live.connections.credentials import check_login, password_of
 from bayesftc.cosim.live.formats import Format, encode
-
-if TYPE_CHECKING:
-    from bayesftc.cosim.live.inbox import Inbox
+from bayesftc.cosim.live.inbox import Inbox
 
 WINDOW = 8
 """Messages of a wire that may be under way. Further ones are lost, so that a slow broker never gets old controls."""

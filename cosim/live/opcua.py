@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bayesftc.cosim.base.extras import extra
 from bayesftc.cosim.errors import ModelError
@@ -20,9 +20,7 @@ from bayesftc.cosim.live.connections.credentials import check_login, password_of
 from bayesftc.cosim.live.connections.event_loop import event_loop, submit
 from bayesftc.cosim.live.connections.opcua_certificates import check_pair
 from bayesftc.cosim.live.connections.opcua_values import check_node, check_security, check_url, give
-
-if TYPE_CHECKING:
-    from bayesftc.cosim.live.inbox import Inbox
+from bayesftc.cosim.live.inbox import Inbox
 
 OPENING = 30.0
 """Longest time in seconds until the event loop knows a wire; it is busy for about a second while a server starts."""
