@@ -1,6 +1,6 @@
 # The one list of public names: read by type checkers and, at run time, by lazy_loader.
 
-from . import errors as errors, ops as ops, random as random, statistics as statistics
+from . import errors as errors, live as live, ops as ops, random as random, statistics as statistics
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
 from .blocks.camera import (
     arm_with_camera as arm_with_camera,

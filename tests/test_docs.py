@@ -21,11 +21,10 @@ MADE = {"project", "api"}
 """Folders that the site writes."""
 PAGES = [p for p in sorted((ROOT / "docs").rglob("*.md")) if not MADE & set(p.parts)]
 PAGES.append(ROOT / "README.md")  # last: its loops are compiled by then
-PUBLIC = {
-    f"{m.__name__}.{n}": getattr(m, n) for m in (cosim, cosim.statistics, controllers, monitoring) for n in m.__all__
-}
+MODULES = (cosim, cosim.live, cosim.statistics, controllers, monitoring)
+PUBLIC = {f"{m.__name__}.{n}": getattr(m, n) for m in MODULES for n in m.__all__}
 
-WITH_EXAMPLES = (cosim, cosim.statistics, controllers, monitoring, fmus)
+WITH_EXAMPLES = (*MODULES, fmus)
 """Modules in which every public name has an example."""
 
 RECIPES = [p for p in PAGES if p.parent.name == "how-to" and p.name != "index.md"]

@@ -51,6 +51,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.campaign.store",),
     ("cosim.campaign.executors",),
     ("cosim.campaign",),
+    ("cosim.live",),
     ("cosim.statistics",),
     ("cosim.fitting",),
     ("cosim.comparison",),

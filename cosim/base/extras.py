@@ -1,4 +1,4 @@
-"""Optional packages of some campaigns: imported when needed; if missing, the error names the command that installs them."""
+"""Optional packages: imported when needed; if missing, the error names the command that installs them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 from bayesftc.cosim.errors import BayesFTCError
 
 
-def extra(module: str, purpose: str) -> Any:
-    """Return a module of the extra ``campaign``.
+def extra(module: str, purpose: str, of: str = "campaign") -> Any:
+    """Return a module of an extra.
 
     Parameters
     ----------
@@ -18,6 +18,8 @@ def extra(module: str, purpose: str) -> Any:
         Its full name, as ``"pyarrow.parquet"``.
     purpose : str
         The feature that needs it, for the message: "A stored campaign".
+    of : str
+        The extra that brings it.
 
     Raises
     ------
@@ -27,7 +29,7 @@ def extra(module: str, purpose: str) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        raise BayesFTCError(f"{purpose} needs {_missing(module.split('.')[0])}") from None
+        raise BayesFTCError(f"{purpose} needs {_missing(module.split('.')[0], of)}") from None
 
 
 def why_missing(*packages: str, purpose: str) -> str | None:
@@ -36,8 +38,8 @@ def why_missing(*packages: str, purpose: str) -> str | None:
     return None if missing is None else f"{purpose} needs {_missing(missing)}"
 
 
-def _missing(package: str) -> str:
-    return f"the package {package}, which is not installed: pip install 'bayesftc[campaign]'."
+def _missing(package: str, of: str = "campaign") -> str:
+    return f"the package {package}, which is not installed: pip install 'bayesftc[{of}]'."
 
 
 __all__ = ["extra", "why_missing"]

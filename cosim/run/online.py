@@ -18,6 +18,7 @@ from bayesftc.cosim.run.interrupts import import_engine
 
 if TYPE_CHECKING:
     from bayesftc.cosim.block import Block
+    from bayesftc.cosim.ports import Port
     from bayesftc.cosim.types import Floats, Kernel
 
 Step = Callable[[float, int], None]
@@ -103,6 +104,21 @@ class Online:
         """Return to the state before the first step."""
         self._memory[:] = self._initial
         self._k = 0
+
+    @property
+    def step(self) -> Fraction:
+        """The sample time in seconds."""
+        return self._step
+
+    @property
+    def inputs(self) -> dict[str, Port]:
+        """The ports of the inputs, by name."""
+        return {name: port for name, (port, _) in self._inputs.items()}
+
+    @property
+    def outputs(self) -> dict[str, Port]:
+        """The ports of the outputs, by name."""
+        return {name: port for name, (port, _) in self._outputs.items()}
 
     @property
     def _title(self) -> str:

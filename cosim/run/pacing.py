@@ -48,13 +48,13 @@ class Pacer:
 
     def wait(self, k: int) -> None:
         """Wait until the time of step `k`."""
-        rest = self._due(k) - time.perf_counter()
+        rest = self.due(k) - time.perf_counter()
         if rest > 0:
             time.sleep(rest)
 
     def done(self, k: int) -> None:
         """Record that the steps up to `k` are done now."""
-        late = time.perf_counter() - self._due(k + self.pack)
+        late = time.perf_counter() - self.due(k + self.pack)
         if late > 0:
             self.overruns += 1
             self.worst = max(self.worst, late)
@@ -63,5 +63,6 @@ class Pacer:
         """Return the pace, the number of late steps (or packs of them), and the largest delay in seconds."""
         return {"pace": self.pace, "overruns": self.overruns, "worst_overrun": self.worst}
 
-    def _due(self, k: int) -> float:
+    def due(self, k: int) -> float:
+        """Return the time of step `k`, on the clock of `time.perf_counter`."""
         return self._began + (k - self._k) * self._step

@@ -26,7 +26,7 @@ from bayesftc.cosim.diagram.nodes import PortRef, label
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.isolation.spares import Spares
-from bayesftc.cosim.ports import labels
+from bayesftc.cosim.ports import Port, labels
 from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.run.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.run.pacing import Pacer
@@ -289,6 +289,16 @@ class Session:
     def time(self) -> float:
         """The time of the last complete step in seconds."""
         return max(self.k, 0) * self._schedule.step.numerator / self._schedule.step.denominator
+
+    @property
+    def step(self) -> Fraction:
+        """The base step in seconds."""
+        return self._schedule.step
+
+    @property
+    def inputs(self) -> dict[str, Port]:
+        """The unconnected inputs, which `set` can set: their ports by name, such as ``"plant.force"``."""
+        return {f"{node.name}.{port.name}": port for node, port in self._schedule.free}
 
     @property
     def engine(self) -> str:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 MODULES = (
     "bayesftc.cosim",
+    "bayesftc.cosim.live",
     "bayesftc.cosim.statistics",
     "bayesftc.controllers",
     "bayesftc.monitoring",

@@ -15,7 +15,7 @@ TEMPORARY = ".tmp"
 """Suffix of files that are being written. A killed writer may leave such a file, and the next writer overwrites it."""
 
 
-def write_whole(path: Path, data: Any) -> int:
+def write_whole(path: Path, data: Any, temporary: Path | None = None) -> int:
     """Write a file under a temporary name, flush it to the disk, and then rename it; return its size in bytes.
 
     Parameters
@@ -24,13 +24,15 @@ def write_whole(path: Path, data: Any) -> int:
         The file; an existing one is replaced. Only one process may write it at a time.
     data : buffer
         Its content.
+    temporary : pathlib.Path, optional
+        The temporary name, in the same folder.
 
     Raises
     ------
     OSError
         If it cannot be written; the temporary file is removed.
     """
-    temporary = path.with_name(path.name + TEMPORARY)
+    temporary = temporary or path.with_name(path.name + TEMPORARY)
     try:
         with open(temporary, "wb", buffering=0) as file:
             view = memoryview(data).cast("B")

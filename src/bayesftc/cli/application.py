@@ -20,6 +20,7 @@ from bayesftc.cli.options import Debug
 
 COMMANDS = {
     "run": "Run a scenario and print the figures of the run.",
+    "live": "Run a scenario's controller against a real plant: samples and controls by UDP, serial lines or files.",
     "inspect": "Show an FMU's description (variables, units, kinds, platforms, capabilities), and what works with it.",
     "export": "Write blocks of a scenario as an FMU that needs no Python, or as C.",
     "verify": "Run an FMU beside the blocks that it was exported from, with noise and faults, and print the differences.",

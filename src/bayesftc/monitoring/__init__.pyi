@@ -24,3 +24,4 @@ from .monitor import Monitor as Monitor
 from .precision import default_precision as default_precision
 from .recording import Recording as Recording, Signal as Signal, align as align
 from .run import Monitored as Monitored, monitor_recording as monitor_recording
+from .watching import AlarmWatch as AlarmWatch

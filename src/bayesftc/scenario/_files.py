@@ -13,6 +13,7 @@ from bayesftc.cosim.errors import ScenarioError, did_you_mean
 KINDS = {
     "scenario": "*/*.toml",
     "campaign": "*/campaigns/*.toml",
+    "wires": "*/wires/*.toml",
     "monitor's model": "*/data/*.toml",
     "recording": "*/data/*.csv",
     "faulty recording": "*/faulty/wheel_speed.csv",
@@ -43,33 +44,29 @@ def shipped_scenarios() -> dict[str, Path]:
     return shipped_files("scenario")
 
 
-def find_scenario(path: str | os.PathLike[str]) -> Path:
-    """Return the scenario file, given a path or the name of a shipped scenario.
+def find_scenario(path: str | os.PathLike[str], kind: str = "scenario") -> Path:
+    """Return the scenario file, or another one of `KINDS`, given a path or the name of a shipped one.
 
     Raises
     ------
     ScenarioError
         If there is neither.
     """
-    file = expanded(path)
+    file, what = expanded(path), "scenario file" if kind == "scenario" else f"file of {kind}"
     if is_file(file):
         return file
-    name, shipped = os.fspath(path), shipped_scenarios()
+    name, shipped = os.fspath(path), shipped_files(kind)
     if name in shipped:
         return shipped[name]
     if is_folder(file):
-        raise ScenarioError(f"{path} is a folder. Give the scenario file in it.")
+        raise ScenarioError(f"{path} is a folder. Give the {what} in it.")
     if file.suffix == ".toml" or file.parent != Path("."):
         folder = file.parent.absolute()
         if not is_folder(folder):
-            raise ScenarioError(
-                f"There is no scenario file {path}: the folder {folder} does not exist. Check the path."
-            )
+            raise ScenarioError(f"There is no {what} {path}: the folder {folder} does not exist. Check the path.")
         near = did_you_mean(file.name, [f.name for f in folder.glob("*.toml")])
-        raise ScenarioError(f"There is no scenario file {path}; {near}")
-    raise ScenarioError(
-        f"There is no file {name!r} and no shipped scenario of this name; {did_you_mean(name, shipped)}"
-    )
+        raise ScenarioError(f"There is no {what} {path}; {near}")
+    raise ScenarioError(f"There is no file {name!r} and no shipped {kind} of this name; {did_you_mean(name, shipped)}")
 
 
 def read_toml(file: Path) -> dict[str, Any]:

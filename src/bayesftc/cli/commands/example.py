@@ -12,6 +12,7 @@ from bayesftc.scenario._files import KINDS, shipped_files
 USES = {
     "scenario": "bayesftc run {name}",
     "campaign": "bayesftc campaign {file}",
+    "wires": "bayesftc live live_car --bridge {file}",
     "monitor's model": "bayesftc monitor . --model {file}",
     "recording": "bayesftc monitor . --model model.toml",
     "faulty recording": "bayesftc monitor {name}.csv --fit",

@@ -1,0 +1,296 @@
+"""The latest sample of a wire, and the reasons of missing ones."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import inf, isfinite, isinf
+
+import numpy as np
+
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.live.formats import Format, decode
+from bayesftc.cosim.types import Floats
+
+NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE, STATUS = REASONS = (
+    "no message",
+    "late",
+    "stale",
+    "out of order",
+    "duplicate",
+    "not a number",
+    "out of range",
+    "not decodable",
+    "wrong size",
+    "bad status",
+)
+"""Reasons of missing samples. A step without a sample counts the reason of the last message since the step before."""
+
+RESTART = 10
+"""After so many messages in a row with old stamps that increase, the sender has restarted, and the new stamps hold."""
+
+DRIFT = 2e-4
+"""Largest relative difference of the rates of two clocks, by which the least delay of a message grows with time."""
+
+CLOCKS, YEAR = 1.0, 3.2e7
+"""Largest lead of a sender's clock, and largest age of a sample that the other side has kept, in seconds."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How raw values become samples, and which samples are used.
+
+    Attributes
+    ----------
+    stale_after : float, optional
+        Seconds after which a sample is not used any more. Its age counts from its arrival. If the messages have time stamps, the
+        age also has the delay on the way, beyond the smallest delay so far; so the two clocks need not agree.
+    hold : bool
+        Whether a sample is used in each step until a newer one comes, or is stale. By default it is used in one step only.
+    scale, offset : float
+        The sample is ``scale * value + offset``.
+    low, high : float
+        Least and largest sample; others are missing.
+
+    Examples
+    --------
+    >>> from bayesftc.cosim.live import Inbox, Limits
+    >>> inbox = Inbox(1, Limits(scale=0.2778, low=0.0, high=60.0))  # from km/h to m/s
+    >>> inbox.put([72.0])
+    >>> inbox.take().round(1).tolist()
+    [20.0]
+    """
+
+    stale_after: float | None = None
+    hold: bool = False
+    scale: float = 1.0
+    offset: float = 0.0
+    low: float = -inf
+    high: float = inf
+
+    def __post_init__(self) -> None:
+        if self.stale_after is not None and not 0 < self.stale_after < inf:
+            raise ModelError(f"stale_after is {self.stale_after!r}; it must be a positive number of seconds.")
+        for name in ("scale", "offset"):
+            if not isfinite(getattr(self, name)) or self.scale == 0:
+                raise ModelError(f"{name} is {getattr(self, name)!r}; it must be a finite number, and scale not zero.")
+        if not self.low < self.high:
+            raise ModelError(f"low is {self.low!r} and high is {self.high!r}; low must be less than high.")
+
+
+class Inbox:
+    """The latest sample of a wire: bridges put samples in from any thread, the loop takes one at each step.
+
+    A sample that is late, out of order, not a number or out of range is missing (NaN), and counted by its reason.
+
+    Parameters
+    ----------
+    size : int
+        Number of values in a sample.
+    limits : Limits, optional
+        Scale, range and age of samples.
+    clock : callable
+        The clock in seconds.
+
+    Attributes
+    ----------
+    received, replaced : int
+        Number of messages, and of those that a newer one has replaced before any step used them.
+    rejected : Counter of str
+        Number of messages that were not used, by reason. A message of which only some elements are not used counts, too.
+    missing : Counter of str
+        Number of elements of samples that were missing at a step, by reason.
+
+    Examples
+    --------
+    >>> from bayesftc.cosim.live import Inbox
+    >>> inbox = Inbox(1)
+    >>> inbox.put([20.0])
+    >>> inbox.take().tolist(), inbox.take().tolist()
+    ([20.0], [nan])
+    >>> inbox.receive(b'{"value": "hot"}', "json")
+    >>> inbox.take().tolist(), dict(inbox.missing)
+    ([nan], {'no message': 1, 'not decodable': 1})
+    """
+
+    def __init__(self, size: int, limits: Limits | None = None, clock: Callable[[], float] = time.monotonic):
+        self.size, self.limits = size, limits or Limits()
+        self.received = self.replaced = 0
+        self.rejected: Counter[str] = Counter()
+        self.missing: Counter[str] = Counter()
+        self.last_reason = ""
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._values = np.full(size, np.nan)
+        self._reasons: list[str] = [NONE] * size
+        self._born = -inf
+        self._fresh, self._used = False, True
+        self._why = NONE
+        self._stamps: dict[str, float] = {}
+        self._old: list[float] = []
+        self._least: float | None = None
+        self._least_at = 0.0
+
+    def put(
+        self,
+        values: Sequence[float] | float,
+        sent: float | None = None,
+        *,
+        sequence: int | None = None,
+        kept: bool = False,
+    ) -> None:
+        """Add a sample, from any thread.
+
+        Parameters
+        ----------
+        values : float or sequence of float
+            The numbers as the sender gave them, before scale and offset; NaN for a missing one.
+        sent : float, optional
+            The sender's time in seconds, from any origin.
+        sequence : int, optional
+            The sender's sequence number.
+        kept : bool
+            Whether the other side has kept the sample for some time, as a broker does. Its age is then the time since `sent`,
+            in seconds since 1970, and counts for ``stale_after``. Without ``stale_after``, it is used if samples are held.
+        """
+        now = self._clock()
+        raw = np.atleast_1d(np.asarray(values, dtype=np.float64))
+        with self._lock:
+            self.received += 1
+            if raw.shape != (self.size,):
+                self._refuse(SIZE, f"{SIZE}: {raw.size} instead of {self.size}")
+                return
+            for kind, stamp in (("sequence", sequence), ("sent", sent)):
+                if stamp is not None and (reason := self._misplaced(kind, stamp)):
+                    self._refuse(reason)
+                    return
+            if kept:
+                delay = _age(sent)
+                if self.limits.stale_after is None and not self.limits.hold:
+                    self._refuse(LATE, f"{LATE}: kept by the other side, and no stale_after is given")
+                    return
+            else:
+                delay = 0.0 if sent is None else self._delay(now, sent)
+            if self.limits.stale_after is not None and delay > self.limits.stale_after:
+                unknown = f"{LATE}: kept by the other side, without the time in seconds since 1970"
+                self._refuse(LATE, unknown if isinf(delay) else "")
+                return
+            self._accept(raw, now - delay)
+
+    def receive(self, payload: bytes, form: Format, *, kept: bool = False) -> None:
+        """Decode a message and add its sample, or reject it, from any thread.
+
+        Parameters
+        ----------
+        payload : bytes
+            The message.
+        form : {"doubles", "stamped doubles", "json", "text"}
+            Its format.
+        kept : bool
+            Whether the other side has kept it for some time; see `put`.
+        """
+        try:
+            values, sent, sequence = decode(payload, form)
+        except ValueError as error:
+            self.reject(str(error))
+        else:
+            self.put(values, sent, sequence=sequence, kept=kept)
+
+    def reject(self, reason: str) -> None:
+        """Count a message that cannot be decoded, from any thread; `reason` is shown as the last one."""
+        with self._lock:
+            self.received += 1
+            self._refuse(DECODING, f"{DECODING}: {reason}")
+
+    def fail(self, reason: str) -> None:
+        """Note that the other side has no valid sample now, from any thread; a held sample ends."""
+        with self._lock:
+            self.received += 1
+            self._refuse(STATUS, f"{STATUS}: {reason}")
+            self._fresh = False
+
+    def take(self) -> Floats:
+        """Return the sample for a step, with NaN for each missing element."""
+        now, limits = self._clock(), self.limits
+        with self._lock:
+            if not self._fresh:
+                values, reasons = np.full(self.size, np.nan), [self._why] * self.size
+            elif limits.stale_after is not None and now - self._born > limits.stale_after:
+                values, reasons = np.full(self.size, np.nan), [STALE] * self.size
+            else:
+                values, reasons = self._values.copy(), self._reasons
+            for value, reason in zip(values, reasons, strict=True):
+                if value != value:
+                    self.missing[reason] += 1
+            self._used = True
+            self._why = NONE
+            self._fresh = self._fresh and limits.hold
+            return values
+
+    def age(self) -> float:
+        """Return the age of the last sample in seconds; infinity before the first."""
+        with self._lock:
+            return self._clock() - self._born
+
+    def _accept(self, raw: Floats, born: float) -> None:
+        limits = self.limits
+        values = limits.scale * raw + limits.offset
+        number = np.isfinite(values)
+        inside = (values >= limits.low) & (values <= limits.high)
+        for mask, reason in ((~number, NUMBER), (number & ~inside, RANGE)):
+            if mask.any():
+                self.rejected[reason] += 1
+                self.last_reason = reason
+        if not (number & inside).any():
+            self._why = RANGE if number.any() else NUMBER
+            if limits.hold or self._fresh:  # an earlier sample remains
+                return
+        self.replaced += not self._used
+        self._values = np.where(number & inside, values, np.nan)
+        self._reasons = [RANGE if n else NUMBER for n in number]
+        self._born, self._fresh, self._used = born, True, False
+
+    def _refuse(self, reason: str, text: str = "") -> None:
+        self.rejected[reason] += 1
+        self.last_reason = text or reason
+        self._why = reason
+
+    def _misplaced(self, kind: str, stamp: float) -> str:
+        """Return why a message with this stamp is not the next one, or an empty text."""
+        last = self._stamps.get(kind, -inf)
+        if stamp > last:
+            self._stamps[kind] = stamp
+            self._old.clear()
+            return ""
+        if stamp == last:
+            return TWICE
+        if self._old and stamp <= self._old[-1]:
+            self._old.clear()
+        self._old.append(stamp)
+        if len(self._old) < RESTART:
+            return ORDER
+        self._old.clear()
+        self._stamps = {kind: stamp}
+        self._least = None
+        return ""
+
+    def _delay(self, now: float, sent: float) -> float:
+        """Return the delay of a message beyond the smallest one so far, in seconds."""
+        delay = now - sent
+        if self._least is not None:
+            self._least += DRIFT * (now - self._least_at)
+        self._least = delay if self._least is None else min(self._least, delay)
+        self._least_at = now
+        return delay - self._least
+
+
+def _age(sent: float | None) -> float:
+    """Return the age of a sample by the clock in seconds; infinity if its time stamp is missing or not of this clock."""
+    age = inf if sent is None else time.time() - sent
+    return max(age, 0.0) if -CLOCKS < age < YEAR else inf
+
+
+__all__ = ["REASONS", "Inbox", "Limits"]

@@ -1,0 +1,411 @@
+"""The live run: at each period of the clock it reads the inboxes, makes a step, and sends the outputs."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.base.timebase import whole_steps
+from bayesftc.cosim.errors import BayesFTCError, ModelError
+from bayesftc.cosim.live.deadlines import Deadlines
+from bayesftc.cosim.live.recorder import Recorder, Recording
+from bayesftc.cosim.live.steppers import OnlineStepper, SessionStepper, Stepper
+from bayesftc.cosim.live.watchdog import Watchdog
+from bayesftc.cosim.live.wires import Incoming, Outgoing, Wire, incoming, outgoing
+from bayesftc.cosim.run.online import Online
+from bayesftc.cosim.run.pacing import Pacer
+from bayesftc.cosim.run.session import Session
+from bayesftc.cosim.types import Floats
+
+BREATH = 0.05
+"""Most seconds of sleep after which the loop looks whether it is to stop."""
+
+LOST_CLOCK = 1.0
+"""Seconds of delay after which the clock is set anew and steps are left out, instead of caught up."""
+
+SWITCH = 2e-4
+"""Seconds after which Python may switch to another thread."""
+
+FEWEST = 10
+"""Default number of periods without a control after which the watchdog sends the safe values."""
+
+Watcher = Callable[[float, Floats, Floats], None]
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """How a live run is paced, watched and recorded.
+
+    Parameters
+    ----------
+    duration : float, str or Fraction, optional
+        Seconds of the model; by default the run goes on until it is stopped.
+    pace : float
+        Seconds of the model for each second of the clock.
+    watchdog : float
+        Number of periods without a step after which the watchdog sends the safe values.
+    recording : Recording, optional
+        Where the run is recorded.
+    watcher : callable, optional
+        Called after each step as ``watcher(time, inputs, outputs)``, with the elements as arrays. Its time counts, and it must
+        keep copies only.
+
+    Examples
+    --------
+    >>> from bayesftc.cosim import live
+    >>> live.LiveSettings(duration=60.0, watchdog=5).pace
+    1.0
+    """
+
+    duration: float | str | Fraction | None = None
+    pace: float = 1.0
+    watchdog: float = FEWEST
+    recording: Recording | None = None
+    watcher: Watcher | None = None
+
+
+@dataclass(frozen=True)
+class LiveSummary:
+    """What happened in a live run.
+
+    Attributes
+    ----------
+    steps : int
+        Number of steps.
+    time : float
+        Time of the last step in seconds.
+    stopped : str
+        Why the run has ended, as a sentence.
+    deadlines : dict
+        See `Deadlines.report`.
+    wires_in, wires_out : dict of str to dict
+        For each wire the numbers of messages and samples, by reason, and whether it was connected at the end.
+    watchdog_trips : int
+        How often the watchdog has sent safe values.
+    recorded : str or None
+        The folder of the recording.
+    lost_rows : int
+        Number of steps that are not in the recording.
+    problem : str
+        The last error of the recording's disk, or an empty text.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> from bayesftc.cosim import live
+    >>> clock = cosim.Ramp(1.0).online(dt=0.01, compiled=False)
+    >>> live.run_live(clock, {}, live.LiveSettings(duration=0.05)).stopped
+    'The run has ended after 0.04 s, as requested.'
+    """
+
+    steps: int
+    time: float
+    stopped: str
+    deadlines: dict[str, Any]
+    wires_in: dict[str, dict[str, Any]] = field(default_factory=dict)
+    wires_out: dict[str, dict[str, Any]] = field(default_factory=dict)
+    watchdog_trips: int = 0
+    recorded: str | None = None
+    lost_rows: int = 0
+    problem: str = ""
+
+
+class Stop:
+    """A request to end a live run, which any thread or signal handler may make.
+
+    Attributes
+    ----------
+    reason : str
+        The first reason, or an empty text.
+
+    Examples
+    --------
+    >>> from bayesftc.cosim import live
+    >>> stop = live.Stop()
+    >>> stop.request("The operator has stopped the run.")
+    >>> bool(stop), stop.reason
+    (True, 'The operator has stopped the run.')
+    """
+
+    def __init__(self) -> None:
+        self.reason = ""
+
+    def request(self, reason: str) -> None:
+        """End the run before its next step."""
+        self.reason = self.reason or reason
+
+    def __bool__(self) -> bool:
+        return bool(self.reason)
+
+
+def run_live(
+    target: Session | Online | Stepper,
+    wires: Mapping[str, Wire],
+    settings: LiveSettings | None = None,
+    stop: Stop | None = None,
+) -> LiveSummary:
+    """Run a session, or a controller alone, between wires to the outside, paced by the clock.
+
+    At each period the samples are read, a step is made, and its outputs are sent. A late step is made at once; after more than a
+    second of delay the clock is set anew. The safe values are sent before all inputs have values, if the steps stop (watchdog),
+    and at the end, also after an error. SIGTERM and Ctrl-C end the run in this way, if it runs in the main thread.
+
+    Parameters
+    ----------
+    target : Session, Online or Stepper
+        What runs. Inputs without a wire keep their start values.
+    wires : mapping of str to Wire
+        By name, which messages contain.
+    settings : LiveSettings, optional
+        Duration, pace, watchdog, recording.
+    stop : Stop, optional
+        For ending the run from another thread.
+
+    Returns
+    -------
+    LiveSummary
+        Deadlines, and the samples of each wire.
+
+    Raises
+    ------
+    BayesFTCError
+        If a wire does not fit, a bridge cannot be opened, or a step fails. The safe values are sent before.
+
+    Examples
+    --------
+    >>> from bayesftc import cosim
+    >>> from bayesftc.cosim import live
+    >>> received = live.UDP(port=0)
+    >>> received.open(box := live.Inbox(1))
+    >>> ramp = cosim.Integrator(initial=3.0).online(dt=0.01, compiled=False)
+    >>> wires = {
+    ...     "rate": live.Wire(live.UDP(port=0), to="u", start=1.0),
+    ...     "level": live.Wire(live.UDP(port=received.port_number), source="y", safe=0.0),
+    ... }
+    >>> summary = live.run_live(ramp, wires, live.LiveSettings(duration=0.05))
+    >>> summary.steps, summary.wires_in["rate"]["missing"], summary.wires_out["level"]["sent"]
+    (5, {'no message': 5}, 5)
+    >>> received.close()
+    """
+    settings, stop = settings or LiveSettings(), Stop() if stop is None else stop
+    stepper = _stepper(target)
+    stepper.prepare()
+    ins, outs = _connected(stepper, wires)
+    steps = None if settings.duration is None else whole_steps(settings.duration, stepper.step, "The duration")
+    with ExitStack() as stack:
+        stack.enter_context(_signals(stop))
+        stack.enter_context(_quick_switches())
+        loop = _Loop(stepper, ins, outs, settings)
+        stack.callback(loop.end)
+        loop.begin()
+        loop.run(steps, stop)
+    return loop.summary(stop.reason or f"The run has ended after {loop.time:g} s, as requested.")
+
+
+def _stepper(target: object) -> Stepper:
+    if isinstance(target, Stepper):
+        return target
+    if isinstance(target, Session):
+        return SessionStepper(target)
+    if isinstance(target, Online):
+        return OnlineStepper(target)
+    raise ModelError(
+        f"A live run needs a session (diagram.start()) or a single block (block.online()), not {type(target).__name__}."
+    )
+
+
+def _connected(stepper: Stepper, wires: Mapping[str, Wire]) -> tuple[list[Incoming], list[Outgoing]]:
+    ins: list[Incoming] = []
+    outs: list[Outgoing] = []
+    taken: dict[int, str] = {}
+    for name, wire in wires.items():
+        try:
+            if not wire.is_input:
+                outs.append(outgoing(name, wire, stepper))
+                continue
+            ins.append(incoming(name, wire, stepper))
+            for place in ins[-1].places:
+                if place in taken:
+                    raise ModelError(
+                        f"{stepper.input_names[place]} is already set by the wire {taken[place]!r}. Remove one of them."
+                    )
+                taken[place] = name
+        except BayesFTCError as error:
+            raise type(error)(f"The wire {name!r}: {error}") from None
+    for full in stepper.inputs:
+        places = stepper.input_places(full)
+        if np.isnan(stepper.start()[places]).all() and not taken.keys() & set(places):
+            raise ModelError(f"No wire sets the input {full!r}, which has no start value. Add one with to = {full!r}.")
+    return ins, outs
+
+
+@contextmanager
+def _signals(stop: Stop) -> Iterator[None]:
+    """End the run at SIGTERM and Ctrl-C; a second Ctrl-C interrupts the program."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before: dict[int, Any] = {}
+
+    def request(number: int, frame: Any) -> None:
+        if stop and number == signal.SIGINT and callable(before[number]):
+            before[number](number, frame)
+        name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+        stop.request(f"The run was stopped by {name}.")
+
+    try:
+        for number in (int(signal.SIGTERM), int(signal.SIGINT)):
+            if signal.getsignal(number) != signal.SIG_IGN:
+                before[number] = signal.signal(number, request)
+        yield
+    finally:
+        for changed, handler in before.items():
+            signal.signal(changed, handler)
+
+
+@contextmanager
+def _quick_switches() -> Iterator[None]:
+    """Let threads wait less for each other: the loop must not wait while another thread decodes a message."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(min(before, SWITCH))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
+
+
+class _Loop:
+    """The parts of a live run, from the first bridge to the last piece of its recording."""
+
+    def __init__(self, stepper: Stepper, ins: list[Incoming], outs: list[Outgoing], settings: LiveSettings):
+        self._stepper, self._ins, self._outs, self._settings = stepper, ins, outs, settings
+        period = float(stepper.step) / settings.pace if settings.pace > 0 else 0.0
+        self._pacer = Pacer(settings.pace, stepper.step, 0)  # refuses a wrong pace
+        self.deadlines = Deadlines(period)
+        self._watchdog = Watchdog(settings.watchdog * period, outs)
+        self._recorder = None if settings.recording is None else self._recorded(settings.recording)
+        self._opened: list[Incoming | Outgoing] = []
+        self._inputs = stepper.start()
+        for each in ins:
+            if each.wire.start is not None:
+                self._inputs[each.places] = each.wire.start
+        self.time = stepper.time
+
+    def _recorded(self, recording: Recording) -> Recorder:
+        ports = {**self._stepper.inputs, **self._stepper.outputs}
+        units = {name: port.unit for name, port in ports.items() if port.unit}
+        shapes = {name: port.shape for name, port in ports.items()}
+        return Recorder(recording, shapes, self._stepper.step, {"units": units})
+
+    def begin(self) -> None:
+        """Open the bridges, send the safe values, and start the watchdog."""
+        every: list[Incoming | Outgoing] = [*self._outs, *self._ins]
+        for each in every:
+            try:
+                each.wire.bridge.open(each.inbox if isinstance(each, Incoming) else None)
+            except BayesFTCError as error:
+                raise type(error)(f"The wire {each.name!r}: {error}") from None
+            self._opened.append(each)
+        self._make_safe()
+        self._watchdog.start()
+
+    def run(self, steps: int | None, stop: Stop) -> None:
+        """Make the steps."""
+        stepper, inputs, pace = self._stepper, self._inputs, self._settings.pace
+        pacer = Pacer(pace, stepper.step, 0)
+        k = 0
+        while not stop and k != steps:
+            due = pacer.due(k)
+            while (rest := due - time.perf_counter()) > 0 and not stop:
+                time.sleep(min(rest, BREATH))
+            if stop:
+                return
+            begin = time.perf_counter()
+            if begin - due > max(LOST_CLOCK, self.deadlines.period):
+                self.deadlines.skipped += int((begin - due) / self.deadlines.period)
+                pacer, due = Pacer(pace, stepper.step, k), begin
+            waiting = False
+            for each in self._ins:
+                each.read(inputs)
+                waiting |= each.waiting
+            outputs = stepper.advance(inputs)
+            self.time = stepper.time
+            for wire in self._outs:
+                if waiting and wire.wire.safe is not None:
+                    wire.make_safe(self.time)
+                else:
+                    wire.send(outputs, self.time)
+            self._watchdog.feed()
+            self.deadlines.add(begin - due, time.perf_counter() - due)
+            if self._recorder is not None:
+                self._recorder.add(stepper.k, self.time, [*inputs, *outputs])
+            if self._settings.watcher is not None:
+                self._settings.watcher(self.time, inputs, outputs)
+            k += 1
+
+    def end(self) -> None:
+        """Send the safe values, close the bridges, and complete the recording, even if one of these fails."""
+        with ExitStack() as stack:
+            if self._recorder is not None:
+                stack.callback(self._recorder.close)
+            self.connected = {each.name: each.wire.bridge.connected for each in self._opened}
+            for each in self._opened:
+                stack.callback(each.wire.bridge.close)
+            stack.callback(self._make_safe)
+            self._watchdog.stop()
+
+    def _make_safe(self) -> None:
+        for each in self._opened:
+            if isinstance(each, Outgoing):
+                each.make_safe(self.time)
+
+    def summary(self, stopped: str) -> LiveSummary:
+        """Return what happened."""
+        recorder = self._recorder
+        return LiveSummary(
+            self.deadlines.steps,
+            self.time,
+            stopped,
+            self.deadlines.report(),
+            {each.name: self._received(each) for each in self._ins},
+            {each.name: self._sent(each) for each in self._outs},
+            self._watchdog.trips,
+            None if recorder is None else str(recorder.folder),
+            0 if recorder is None else recorder.lost,
+            "" if recorder is None else recorder.problem,
+        )
+
+    def _received(self, each: Incoming) -> dict[str, Any]:
+        box = each.inbox
+        missing = dict(box.missing.most_common())
+        return {
+            "received": box.received,
+            "replaced": box.replaced,
+            "rejected": dict(box.rejected.most_common()),
+            "missing": missing,
+            "missing_share": sum(missing.values()) / max(self.deadlines.steps * box.size, 1),
+            "last_reason": box.last_reason,
+            **self._state(each),
+        }
+
+    def _sent(self, each: Outgoing) -> dict[str, Any]:
+        return {
+            "sent": each.sent,
+            "lost": each.wire.bridge.lost,
+            "safe": each.safes,
+            "clipped": each.clipped,
+            "not_finite": each.not_finite,
+            **self._state(each),
+        }
+
+    def _state(self, each: Incoming | Outgoing) -> dict[str, Any]:
+        return {"connected": self.connected.get(each.name, False), "problem": each.wire.bridge.problem}

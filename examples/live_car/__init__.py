@@ -1,0 +1,1 @@
+"""A car in another process, whose sensors and engine are reached by UDP."""

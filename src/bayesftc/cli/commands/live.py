@@ -1,0 +1,59 @@
+"""``bayesftc live``: a scenario's controller between wires, paced by the clock."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from bayesftc.cli import output
+from bayesftc.cli.live_report import Alarms, as_numbers, print_summary
+from bayesftc.cli.options import Json, Quiet
+from bayesftc.cosim.live.run import LiveSettings, run_live
+from bayesftc.scenario import live_controller, load_wires
+
+Bridges = Annotated[
+    Path, typer.Option("--bridge", metavar="TOML", help="File of wires: where samples come from, and where outputs go.")
+]
+RecordFolder = Annotated[
+    Path | None, typer.Option("--record", metavar="DIR", help="Record all signals there, in pieces (Parquet).")
+]
+LiveDuration = Annotated[float | None, typer.Option(help="Seconds; by default until it is stopped.")]
+
+
+def live(
+    controller: Annotated[
+        str,
+        typer.Argument(
+            metavar="CONTROLLER",
+            help="A scenario file, or the name of a shipped one: its controller and reference run, its plant does not.",
+        ),
+    ],
+    bridge: Bridges,
+    duration: LiveDuration = None,
+    record: RecordFolder = None,
+    pace: Annotated[
+        float, typer.Option(metavar="FACTOR", help="Seconds of the controller for each second of the clock.")
+    ] = 1.0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Run a controller against a real plant, or one in another process, and print deadlines, missing samples and alarms.
+
+    Ctrl-C and SIGTERM end the run: the safe values are sent, and the recording is completed.
+    """
+    wires = load_wires(bridge)
+    received = [name for wire in wires.wires.values() if wire.is_input for name in wire.names]
+    loaded = live_controller(controller, received)
+    with loaded.stepper() as stepper:
+        stepper.prepare()
+        alarms = Alarms(loaded.sensors, loaded.modes, "controller.", shown=not quiet)
+        settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), alarms.watcher(stepper))
+        with wires.named():
+            summary = run_live(stepper, wires.wires, settings)
+    numbers = as_numbers(summary, alarms.close())
+    if json:
+        typer.echo(output.as_json(numbers))
+    elif not quiet:
+        print_summary(numbers)

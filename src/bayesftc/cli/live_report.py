@@ -1,0 +1,154 @@
+"""What `bayesftc live` and `bayesftc monitor --live` print: alarms while they run, and tables at the end."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import prod
+from typing import Any
+
+from bayesftc.cli import output
+from bayesftc.cosim.live.run import LiveSummary
+from bayesftc.cosim.live.steppers import Stepper
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.alarms import Alarm, FaultEvent
+from bayesftc.monitoring.watching import AlarmWatch
+
+MOST = 1000
+"""Largest number of alarms that the summary lists."""
+
+WATCHED = ("fault_probability", "mode_probability", "fault_size", "fault_onset")
+
+
+@dataclass(eq=False)
+class Alarms:
+    """The alarms of a live run, printed as they begin and end.
+
+    Parameters
+    ----------
+    sensors : sequence of str
+        Names of the sensors.
+    modes : sequence of FaultMode
+        The learner's modes.
+    prefix : str
+        Beginning of the names of the outputs: ``"controller."``.
+    alarm : Alarm, optional
+        Conditions of an alarm.
+    shown : bool
+        Whether to print them on stderr.
+    """
+
+    sensors: Sequence[str]
+    modes: Sequence[Any]
+    prefix: str = ""
+    alarm: Alarm | None = None
+    shown: bool = True
+    ended: list[FaultEvent] = field(default_factory=list)
+    count: int = 0
+
+    def watcher(self, stepper: Stepper) -> Callable[[float, Floats, Floats], None] | None:
+        """Return the watcher for a live run; None if there are no fault probabilities. The stepper is prepared by then."""
+        places: dict[str, slice] = {}
+        first = 0
+        for name, port in stepper.outputs.items():
+            size = prod(port.shape)
+            if (short := name.removeprefix(self.prefix)) in WATCHED and name == self.prefix + short:
+                places[short] = slice(first, first + size)
+            first += size
+        if "fault_probability" not in places:
+            return None
+        self._watch = AlarmWatch(self.sensors, self.modes, stepper.step, self.alarm)
+
+        def watch(time: float, inputs: Floats, outputs: Floats) -> None:
+            for event, ended in self._watch.feed(time, {name: outputs[place] for name, place in places.items()}):
+                self._note(event, ended, time)
+
+        return watch
+
+    def close(self) -> list[FaultEvent]:
+        """Return all alarms, also those that have not ended."""
+        if hasattr(self, "_watch"):
+            for event in self._watch.close():
+                self.ended.append(event)
+        return self.ended
+
+    def _note(self, event: FaultEvent, ended: bool, time: float) -> None:
+        if ended:
+            self.count += 1
+            self.ended.append(event)
+            del self.ended[:-MOST]
+        if self.shown:
+            kind = f", {event.kind}" if event.kind else ""
+            if ended:
+                text = f"{time:.2f} s: {event.sensor}: the alarm has ended (since {event.start:.2f} s{kind})"
+            else:
+                text = f"{time:.2f} s: {event.sensor}: alarm, fault probability {event.probability:.3f}{kind}"
+            sys.stderr.write(text + "\n")
+            sys.stderr.flush()
+
+
+def as_numbers(summary: LiveSummary, alarms: Sequence[FaultEvent]) -> dict[str, Any]:
+    """Return a summary as plain data."""
+    return {**asdict(summary), "alarms": [asdict(event) for event in alarms]}
+
+
+def print_summary(numbers: Mapping[str, Any]) -> None:
+    """Print the tables of a live run."""
+    console, say = output.sayer()
+    deadlines = numbers["deadlines"]
+    say(f"{numbers['stopped']} {numbers['steps']} steps of {_time(deadlines['period'])}.\n")
+    say("Deadlines", "bold")
+    table = output.empty_table("all steps")
+    for label, text in (
+        ("delay of a step, half of them", _time(deadlines["delay_0.5"])),
+        ("99 %", _time(deadlines["delay_0.99"])),
+        ("99.9 %", _time(deadlines["delay_0.999"])),
+        ("worst", _time(deadlines["worst_delay"])),
+        ("longest computation", _time(deadlines["longest_step"])),
+        ("overruns", _share(deadlines["overruns"], numbers["steps"])),
+        ("left out after a long stop", str(deadlines["skipped"])),
+        ("safe values by the watchdog", str(numbers["watchdog_trips"])),
+    ):
+        table.add_row(label, text)
+    console.print(table)
+    if numbers["wires_in"]:
+        say("\nSamples", "bold")
+        samples = output.empty_table("messages", "replaced", "missing", "why missing", "connection")
+        for name, row in numbers["wires_in"].items():
+            why = ", ".join(f"{reason} {count}" for reason, count in row["missing"].items()) or output.DASH
+            samples.add_row(
+                name, str(row["received"]), str(row["replaced"]), f"{row['missing_share']:.1%}", why, _connection(row)
+            )
+        console.print(samples)
+    if numbers["wires_out"]:
+        say("\nOutputs", "bold")
+        sent = output.empty_table("sent", "lost", "safe values", "clipped", "not a number", "connection")
+        for name, row in numbers["wires_out"].items():
+            counts = [str(row[key]) for key in ("sent", "lost", "safe", "clipped", "not_finite")]
+            sent.add_row(name, *counts, _connection(row))
+        console.print(sent)
+    if numbers["alarms"]:
+        say("\nAlarms", "bold")
+        alarms = output.empty_table("kind", "onset (s)", "alarm (s)", "probability")
+        for event in numbers["alarms"]:
+            onset = output.DASH if event["onset"] is None else f"{event['onset']:.2f}"
+            span = f"{event['start']:.2f} to {event['end']:.2f}"
+            alarms.add_row(event["sensor"], event["kind"] or output.DASH, onset, span, f"{event['probability']:.3f}")
+        console.print(alarms)
+    if numbers["recorded"]:
+        say(f"\nRecorded in {numbers['recorded']}")
+    if numbers["lost_rows"]:
+        say(f"{numbers['lost_rows']} steps are not recorded ({numbers['problem'] or 'the disk was too slow'}).")
+
+
+def _connection(row: Mapping[str, Any]) -> str:
+    return "at the end" if row["connected"] else row["problem"] or "none at the end"
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"
+
+
+def _share(count: int, of: int) -> str:
+    return f"{count} ({count / of:.2%})" if of else str(count)

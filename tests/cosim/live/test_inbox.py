@@ -1,0 +1,183 @@
+"""The inbox: which samples are used, and for which reasons others are missing. The clock is a number that the tests set."""
+
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.live import Inbox, Limits
+from bayesftc.cosim.live.inbox import REASONS, RESTART
+
+
+class Clock:
+    now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def inbox(size=1, **limits):
+    clock = Clock()
+    return Inbox(size, Limits(**limits), clock), clock
+
+
+def test_a_sample_is_used_once():
+    box, _ = inbox()
+    box.put(1.0)
+    assert box.take().tolist() == [1.0]
+    assert np.isnan(box.take()).all()
+    assert dict(box.missing) == {"no message": 1}
+
+
+def test_a_held_sample_is_used_until_it_is_stale():
+    box, clock = inbox(hold=True, stale_after=0.5)
+    box.put(1.0)
+    taken = []
+    for _ in range(4):
+        taken.append(float(box.take()[0]))
+        clock.now += 0.2
+    assert taken[:3] == [1.0] * 3
+    assert np.isnan(taken[3])
+    assert dict(box.missing) == {"stale": 1}
+
+
+def test_the_newest_of_several_samples_is_used():
+    box, _ = inbox()
+    for value in (1.0, 2.0, 3.0):
+        box.put(value)
+    assert box.take().tolist() == [3.0]
+    assert (box.received, box.replaced) == (3, 2)
+
+
+def test_scale_and_offset_come_before_the_range():
+    box, _ = inbox(scale=0.5, offset=1.0, low=0.0, high=10.0)
+    box.put(4.0)
+    assert box.take().tolist() == [3.0]
+    box.put(30.0)
+    assert np.isnan(box.take()).all()
+    assert dict(box.missing) == {"out of range": 1}
+
+
+def test_an_element_can_be_missing_alone():
+    box, _ = inbox(3, high=10.0)
+    box.put([1.0, np.nan, 11.0])
+    assert box.take().tolist()[0] == 1.0
+    assert dict(box.missing) == {"not a number": 1, "out of range": 1}
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e9])
+def test_a_held_sample_outlives_a_bad_one(bad):
+    box, _ = inbox(hold=True, high=100.0)
+    box.put(5.0)
+    box.put(bad)
+    assert box.take().tolist() == [5.0]
+    assert sum(box.rejected.values()) == 1
+
+
+def test_order_by_sequence_and_by_time():
+    for key in ("sequence", "sent"):
+        box, _ = inbox()
+        for stamp in (1, 3, 2, 3, 4):
+            box.put(float(stamp), **{key: stamp})
+        assert box.take().tolist() == [4.0]
+        assert dict(box.rejected) == {"out of order": 1, "duplicate": 1}
+
+
+def test_a_sender_that_restarts_is_heard_again():
+    box, _ = inbox()
+    for stamp in range(1000, 1005):
+        box.put(1.0, sequence=stamp)
+    for stamp in range(RESTART + 3):
+        box.put(2.0, sequence=stamp)
+    assert box.take().tolist() == [2.0]
+    assert box.rejected["out of order"] == RESTART - 1
+
+
+def test_old_messages_in_any_order_are_no_restart():
+    box, _ = inbox()
+    box.put(1.0, sequence=1000)
+    for stamp in [5, 4, 3, 2, 1] * 10:
+        box.put(2.0, sequence=stamp)
+    assert box.take().tolist() == [1.0]
+
+
+def test_a_message_that_was_long_on_its_way_is_late_though_the_clocks_differ():
+    box, clock = inbox(stale_after=0.1)
+    for k in range(5):  # the sender's clock is 7000 s behind; messages need 20 ms
+        clock.now += 0.05
+        box.put(float(k), sent=clock.now - 7000.02)
+    clock.now += 0.05
+    box.put(9.0, sent=clock.now - 7000.3)  # and this one 300 ms
+    assert box.rejected["out of order"] == 1
+    clock.now += 1.0
+    box.put(10.0, sent=clock.now - 7000.2)
+    assert box.rejected["late"] == 1
+    assert np.isnan(box.take()).all()
+
+
+def test_clocks_of_different_rates_do_not_make_messages_late():
+    box, clock = inbox(stale_after=0.05)
+    began = clock.now
+    for k in range(1000):  # an hour and a half, with a clock that is slow by 100 parts in a million
+        clock.now += 5.0
+        box.put(float(k), sent=(clock.now - began) * (1 - 1e-4))
+        assert box.take().tolist() == [float(k)]
+
+
+def test_a_message_of_another_size_is_refused():
+    box, _ = inbox(2)
+    box.put([1.0])
+    assert np.isnan(box.take()).all()
+    assert box.last_reason == "wrong size: 1 instead of 2"
+    assert dict(box.missing) == {"wrong size": 2}
+
+
+def test_what_cannot_be_decoded_is_counted():
+    box, _ = inbox()
+    box.receive(b"warm", "text")
+    assert box.last_reason == "not decodable: not a number"
+    assert dict(box.rejected) == {"not decodable": 1}
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [{"stale_after": 0.0}, {"stale_after": np.nan}, {"scale": 0.0}, {"offset": np.inf}, {"low": 1.0, "high": 1.0}],
+)
+def test_limits_without_sense_are_refused(limits):
+    with pytest.raises(ModelError, match=next(iter(limits))):
+        Limits(**limits)
+
+
+stamps = st.none() | st.floats(allow_nan=False, allow_infinity=False) | st.integers(-5, 50).map(float)
+
+
+@given(st.lists(st.tuples(st.floats(), stamps, st.floats(0, 1), st.booleans()), max_size=60), st.booleans())
+def test_every_message_and_every_step_is_counted(events, hold):
+    box, clock = inbox(hold=hold, stale_after=0.5, low=-1e6, high=1e6)
+    steps = present = 0
+    for value, stamp, pause, take in events:
+        clock.now += pause
+        box.put(value, stamp)
+        if take:
+            steps += 1
+            taken = box.take()
+            present += bool(np.isfinite(taken).all())
+            assert np.isnan(taken).all() or -1e6 <= taken[0] <= 1e6
+    assert present + sum(box.missing.values()) == steps
+    assert box.received == len(events)
+    assert {*box.missing, *box.rejected} <= set(REASONS)
+
+
+def test_many_threads_lose_no_message():
+    box, _ = inbox()
+    threads = [threading.Thread(target=lambda: [box.put(1.0) for _ in range(500)]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    taken = sum(bool(np.isfinite(box.take()).all()) for _ in range(500))
+    for thread in threads:
+        thread.join()
+    taken += bool(np.isfinite(box.take()).all())
+    assert box.received == 2000
+    assert taken + box.replaced == 2000

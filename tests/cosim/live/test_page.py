@@ -1,0 +1,48 @@
+"""The page on MQTT and OPC UA: each file of wires in it is read, with all its keys."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.scenario._wires import load_wires
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "connect-mqtt-and-opc-ua.md"
+FILES = re.findall(r"^```toml\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.S | re.M)
+
+
+def wires(tmp_path, text):
+    (tmp_path / "wires.toml").write_text(text)
+    return load_wires(tmp_path / "wires.toml").wires
+
+
+@pytest.mark.parametrize("text", FILES)
+def test_the_files_of_the_page_are_read(tmp_path, text):
+    read = wires(tmp_path, text)
+    assert len(read) == text.count("[bridge.")
+    for name, wire in read.items():
+        assert type(wire.bridge).__name__ == re.search(rf"\[bridge\.{name}\].*?kind = \"(\w+)\"", text, re.S)[1]
+        if getattr(wire.bridge, "key", None):
+            assert wire.bridge.key == str(tmp_path / "certificates" / "controller.key")
+
+
+def test_there_are_four():
+    assert len(FILES) == 4
+
+
+@pytest.mark.parametrize(
+    ("lines", "sentence"),
+    [
+        ('kind = "MQTT"\ntopic = "y"\nqos = 3', r"bridge.*y.*qos=3; it must be 0, 1 or 2"),
+        ('kind = "MQTT"\ntopic = "y"\nqso = 1', r"qso"),
+        ('kind = "MQTT"', r"topic"),
+        ('kind = "MQTT"\ntopic = "y"\nformat = "xml"', r"format"),
+        ('kind = "OPCUA"\nurl = "opc.tcp://plc"\nnode = "Speed"', r"is no node id"),
+        ('kind = "OPCUA"\nurl = "plc"\nnode = "i=1"', r"opc.tcp://host:4840"),
+        ('kind = "OPCUAA"\nurl = "opc.tcp://plc"\nnode = "i=1"', r"OPCUA"),
+    ],
+)
+def test_wrong_keys_are_named(tmp_path, lines, sentence):
+    with pytest.raises(BayesFTCError, match=sentence):
+        wires(tmp_path, f'[bridge.y]\nto = "controller.y"\n{lines}\n')
