@@ -36,10 +36,9 @@ def car(freeze: float) -> cosim.Diagram:
 
 def wires(port: int) -> dict[str, live.Wire]:
     """Return the wires: speeds in km/h to `port` and the next one, the force in N from the third one."""
-    to_controller = {"format": "stamped doubles", "address": "127.0.0.1"}
     return {
-        "speed0": live.Wire(live.UDP(port, **to_controller), source="fault.y[0]", scale=KMH),
-        "speed1": live.Wire(live.UDP(port + 1, **to_controller), source="fault.y[1]", scale=KMH),
+        "speed0": live.Wire(live.UDP(port, format="stamped doubles"), source="fault.y[0]", scale=KMH),
+        "speed1": live.Wire(live.UDP(port + 1, format="stamped doubles"), source="fault.y[1]", scale=KMH),
         "force": live.Wire(live.UDP(port + 2), to="car.force", start=HOLDS, stale_after=1.0),
     }
 
