@@ -8,7 +8,6 @@ from math import log
 
 import numpy as np
 
-from bayesftc.cosim.base.timebase import whole_steps
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.blocks.sources import TAU, Source
 from bayesftc.cosim.errors import ModelError
@@ -120,8 +119,6 @@ class PRBS(Source):
     ------
     ModelError
         If the interval is not positive, there is no such order, or another setting is not finite.
-    StepSizeError
-        On use: if the interval is no multiple of the step.
 
     References
     ----------
@@ -150,7 +147,6 @@ class PRBS(Source):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        whole_steps(self.interval, step, "The interval of PRBS")
         names = ("interval", "amplitude", "offset")
         parameters = {name: getattr(self, name) for name in names} | {"tap": float(TAPS[self.order])}
         return Definition(_prbs, state={"register": np.ones(self.order), "drawn": 0.0}, parameters=parameters)

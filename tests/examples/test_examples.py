@@ -35,7 +35,7 @@ MODULES = {
 
 def test_no_example_is_forgotten():
     assert {p.stem for p in FOLDER.glob("*.py")} - {"__init__"} == MODULES
-    assert set(shipped_scenarios()) == {"cruise_control", "position_servo", "smooth_car"}
+    assert set(shipped_scenarios()) == {"cruise_control", "live_car", "position_servo", "smooth_car"}
 
 
 def test_learned_precision_keeps_the_car_on_the_road(capsys):

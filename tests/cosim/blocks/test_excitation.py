@@ -6,7 +6,7 @@ from scipy.signal import chirp
 
 from bayesftc import cosim
 from bayesftc.cosim.blocks.excitation import TAPS
-from bayesftc.cosim.errors import ModelError, StepSizeError
+from bayesftc.cosim.errors import ModelError
 
 both = pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 
@@ -42,16 +42,6 @@ def test_a_bit_lasts_for_its_interval(engine):
     np.testing.assert_array_equal(slow[::3], fast)
     np.testing.assert_array_equal(slow[1::3], slow[2::3][: len(slow[1::3])])
     assert set(fast) == {3.0, 7.0}
-
-
-@pytest.mark.parametrize("interval", [0.15, 0.05])
-def test_an_interval_between_two_samples_is_refused(interval):
-    prbs = cosim.PRBS(1.0, interval)
-    for run in (lambda: prbs.online(dt=0.1), lambda: signal(prbs, 1.0)):
-        with pytest.raises(
-            StepSizeError, match=f"The interval of PRBS of {interval} s is no whole number of steps of 0.1 s"
-        ):
-            run()
 
 
 @both
