@@ -125,14 +125,15 @@ class ActuatorEvent:
     >>> from bayesftc import controllers, monitoring
     >>> rng, t = np.random.default_rng(0), 0.1 * np.arange(100)
     >>> flow = np.sin(t)
-    >>> level = np.cumsum(0.1 * flow * np.where(t < 4.0, 1.0, 0.3))  # from 4 s on 70 % of the flow are lost
+    >>> change = 0.1 * flow * np.where(t < 4.0, 1.0, 0.3)  # from 4 s on 70 % of the flow are lost
+    >>> level = np.cumsum(change) - change  # the flow at t acts after t
     >>> sensors = {name: monitoring.Signal(t, level + 0.01 * rng.standard_normal(100)) for name in "ab"}
     >>> recording = monitoring.align(sensors, {"flow": monitoring.Signal(t, flow)}, dt=0.1)
     >>> model = controllers.LinearModel([[1.0]], [[0.1]], [[1.0], [1.0]], 1e-5, 1e-4, dt=0.1)
     >>> learner = controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
     >>> event = monitoring.monitor_recording(recording, model, learner).actuator_events[0]
     >>> event.actuator, event.kind, round(event.start, 1), round(event.size, 1)
-    ('flow', 'LostEffect', 4.1, 0.7)
+    ('flow', 'LostEffect', 4.2, 0.7)
     """
 
     actuator: str
