@@ -271,7 +271,7 @@ class OPCUAServer(_Node):
         """
         self._open(inbox)
         _check_files(self, "certificate", "key")
-        offer = opcua_server.Offer(
+        offer = opcua_session.Address(
             self.url,
             self.user,
             password_of("The OPC UA server", self.password, self.password_env, self.password_file),

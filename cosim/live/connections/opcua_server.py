@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hmac
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -14,7 +13,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.bridge import FIRST_PAUSE, LONGEST_PAUSE, PATIENCE
 from bayesftc.cosim.live.connections.event_loop import outcome
 from bayesftc.cosim.live.connections.opcua_certificates import application_uri, encoding
-from bayesftc.cosim.live.connections.opcua_session import quiet_log
+from bayesftc.cosim.live.connections.opcua_session import Address, quiet_log
 from bayesftc.cosim.live.connections.opcua_values import give
 
 if TYPE_CHECKING:
@@ -39,22 +38,10 @@ class Hosted(Protocol):
         """Note that the values of before were shown."""
 
 
-@dataclass(frozen=True)
-class Offer:
-    """Address of the server, and who may use it."""
-
-    url: str
-    user: str | None = None
-    password: str | None = field(default=None, repr=False)
-    security: str | None = None
-    certificate: str | None = None
-    key: str | None = None
-
-
 class Host:
     """The server with the nodes of the wires."""
 
-    def __init__(self, offer: Offer):
+    def __init__(self, offer: Address):
         self._asyncua, self._ua = (extra(name, "OPC UA", of="live") for name in ("asyncua", "asyncua.ua"))
         quiet_log()
         self.offer = offer
@@ -182,7 +169,7 @@ def addresses() -> tuple[str, ...]:
     return tuple(_HOSTS)
 
 
-async def join(offer: Offer, wire: Hosted) -> Host:
+async def join(offer: Address, wire: Hosted) -> Host:
     """Return the server of an address, with one more wire.
 
     Raises
@@ -203,4 +190,4 @@ async def join(offer: Offer, wire: Hosted) -> Host:
     return host
 
 
-__all__ = ["Host", "Offer", "addresses", "join"]
+__all__ = ["Host", "addresses", "join"]

@@ -48,7 +48,7 @@ class Client(Protocol):
 
 @dataclass(frozen=True)
 class Address:
-    """Address of a server, and how to log in; wires with equal ones share a session."""
+    """Address of a server, and how to log in; wires with equal ones share a session, or a server in this process."""
 
     url: str
     user: str | None = None
