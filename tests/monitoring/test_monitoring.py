@@ -61,10 +61,23 @@ def test_inputs_are_averaged_backwards_and_hold_in_between():
     )
     for k, t in enumerate(recording.time):
         for column, window in ((0, 0.2), (1, DT)):
-            inside = (times > t + DT - window) & (times <= t + DT)
+            inside = (times >= t + 0.95 * DT - window) & (times < t + 0.95 * DT)
             assert recording.u[k, column] == pytest.approx(values[inside].mean(), abs=1e-12)
-    slow = np.where(recording.time + DT < 0.31, np.nan, np.where(recording.time + DT < 0.62, 1.0, 2.0))
+    end = recording.time + 0.95 * DT
+    slow = np.where(end < 0.31, np.nan, np.where(end < 0.62, 1.0, 2.0))
     np.testing.assert_array_equal(recording.u[:, 2], slow)
+
+
+@pytest.mark.parametrize("digits", [3, 9, 17])
+@pytest.mark.parametrize("dt", [DT, 0.1, Fraction(1, 30), Fraction(1, 60)])
+@pytest.mark.parametrize("start", [0.0, 12.7, 1.7e9])
+def test_a_control_recorded_at_a_step_acts_from_that_step_on(start, dt, digits):
+    """Whatever way a file rounds its times: one step too early, the monitor blames a late actuator."""
+    times = np.array([float(f"{t:.{digits}f}") for t in start + np.arange(600) * float(dt)])
+    y, u = np.random.default_rng(0).standard_normal((2, 600))
+    recording = align({"a": Signal(times, y)}, {"u": Signal(times, u)}, dt)
+    np.testing.assert_array_equal(recording.y[:, 0], y)
+    np.testing.assert_allclose(recording.u[:, 0], u, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,9 @@ from bayesftc.cosim.types import Floats
 MOST_STEPS = 20_000_000
 """Largest number of steps, two days at 100 samples per second: a longer recording more likely has a wrong unit of time."""
 
+EARLY = 0.05
+"""Share of a step by which an input's sample may come before a step and still belong to it: times in files are rounded."""
+
 LEAST_LOSS, MOST_LOSS = 0.01, 0.999
 """Limits of a healthy sensor's share of steps without a sample."""
 
@@ -161,7 +164,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     """Bring signals to common steps: each sample goes to the nearest step, each input is averaged up to the step's end.
 
     Nothing is interpolated: a sensor without a sample near a step has none at that step. As online, an input uses only past
-    samples; between two samples the last one stays valid.
+    samples; between two samples the last one stays valid. An input's sample at the time of a step counts from that step on.
 
     Parameters
     ----------
@@ -212,7 +215,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         y[at[inside], i] = values[inside]
         replaced.append(int(inside.sum() - np.isfinite(y[:, i]).sum()))
         loss.append(expected_loss(time, step))
-    ends: Floats = start + np.arange(1.0, steps + 1.0) * float(step)
+    ends: Floats = start + (np.arange(1.0, steps + 1.0) - EARLY) * float(step)
     u = np.zeros((steps, max(len(inputs), 1)))
     for j, signal in enumerate(inputs.values()):
         u[:, j] = _mean_before(signal, ends, max(signal.smooth, float(step)))
@@ -245,7 +248,7 @@ def _mean_before(signal: Signal, ends: Floats, window: float) -> Floats:
     """Return the mean of the samples in the window before each time, or the last sample before it if there are none."""
     time, values = signal.corrected
     total = np.concatenate([[0.0], np.cumsum(values)])
-    upto = np.searchsorted(time, ends, side="right")
-    first = np.minimum(np.searchsorted(time, ends - window, side="right"), np.maximum(upto - 1, 0))
+    upto = np.searchsorted(time, ends)
+    first = np.minimum(np.searchsorted(time, ends - window), np.maximum(upto - 1, 0))
     with np.errstate(invalid="ignore"):
         return np.asarray((total[upto] - total[first]) / (upto - first))
