@@ -28,6 +28,7 @@ from bayesftc.monitoring import (
     monitor_recording,
 )
 from bayesftc.monitoring.alarms import alarms, sensor_events
+from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.rest import at_rest, held
 
 DT = 0.05
@@ -78,6 +79,14 @@ def test_a_control_recorded_at_a_step_acts_from_that_step_on(start, dt, digits):
     recording = align({"a": Signal(times, y)}, {"u": Signal(times, u)}, dt)
     np.testing.assert_array_equal(recording.y[:, 0], y)
     np.testing.assert_allclose(recording.u[:, 0], u, atol=1e-12)
+
+
+def test_numbers_of_a_file_are_read_to_the_last_bit(tmp_path):
+    values = np.random.default_rng(0).standard_normal(1000)
+    for sign in ("", "+"):  # pandas reads a column with +.5 as text
+        cells = [f"{sign * (v > 0)}{v!r}".replace("+0.", "+.") for v in values.tolist()]
+        (tmp_path / "data.csv").write_text("v\n" + "\n".join(cells), encoding="utf-8")
+        np.testing.assert_array_equal(Tables([tmp_path]).column(tmp_path / "data.csv", "v", "it"), values)
 
 
 @pytest.mark.parametrize(
