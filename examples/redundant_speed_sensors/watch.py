@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from bayesftc.cosim.base.table_files import read_table_file
 from bayesftc.examples.redundant_speed_sensors.command import sentences
 from bayesftc.examples.redundant_speed_sensors.study import DATA, broken, noise_of
 from bayesftc.monitoring import Monitor, Monitored, Signal, align, load_monitor
@@ -52,7 +53,7 @@ def write(folder: Path, drive: Path = DATA) -> None:
     _, sensors, _ = put_in(drive)
     folder.mkdir(parents=True, exist_ok=True)
     for file, columns in COLUMNS.items():
-        table = pd.read_csv(drive / file)
+        table = read_table_file(drive / file)
         for name, column in columns.items():
             samples = pd.Series(np.asarray(sensors[name].values), index=np.asarray(sensors[name].time))
             table[column] = samples.reindex(table["t"]).to_numpy()  # missing samples have no row in a signal

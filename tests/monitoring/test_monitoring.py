@@ -28,6 +28,7 @@ from bayesftc.monitoring import (
     monitor_recording,
 )
 from bayesftc.monitoring.alarms import alarms, sensor_events
+from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.rest import at_rest, held
 
 DT = 0.05
@@ -72,6 +73,26 @@ def test_a_control_acts_from_its_time_stamp_on_at_any_rate(every, expected):
     logged = np.arange(0, 8, every)
     recording = align({"s": Signal(t, t)}, {"u": Signal(0.1 * logged, logged)}, 0.1)
     np.testing.assert_allclose(recording.u[:, 0], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("digits", [3, 9, 17])
+@pytest.mark.parametrize("dt", [DT, 0.1, Fraction(1, 30), Fraction(1, 60)])
+@pytest.mark.parametrize("start", [0.0, 12.7, 1.7e9])
+def test_a_control_recorded_at_a_step_acts_from_that_step_on(start, dt, digits):
+    """Whatever way a file rounds its times: one step too early, the monitor blames a late actuator."""
+    times = np.array([float(f"{t:.{digits}f}") for t in start + np.arange(600) * float(dt)])
+    y, u = np.random.default_rng(0).standard_normal((2, 600))
+    recording = align({"a": Signal(times, y)}, {"u": Signal(times, u)}, dt)
+    np.testing.assert_array_equal(recording.y[:, 0], y)
+    np.testing.assert_allclose(recording.u[:, 0], u, atol=1e-10)
+
+
+def test_numbers_of_a_file_are_read_to_the_last_bit(tmp_path):
+    values = np.random.default_rng(0).standard_normal(1000)
+    for sign in ("", "+"):  # pandas reads a column with +.5 as text
+        cells = [f"{sign * (v > 0)}{v!r}".replace("+0.", "+.") for v in values.tolist()]
+        (tmp_path / "data.csv").write_text("v\n" + "\n".join(cells), encoding="utf-8")
+        np.testing.assert_array_equal(Tables([tmp_path]).column(tmp_path / "data.csv", "v", "it"), values)
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,7 @@ class ClockedInstance(Instance):
         self._ticking: list[Ticks] = []
         self._sizes = sum(math.prod(v.shape) for v in beginning.inputs), sum(math.prod(v.shape) for v in outputs)
         self._inputs, self._held = np.zeros(self._sizes[0]), np.zeros(self._sizes[1])
+        self._callbacks_of_engine: list[Callback] = []  # `explain` needs them, also where the initialization fails
         super().__init__(library, name, step, timing, beginning, outputs)
         arguments = self.resize, self.step_word, RAISED
         self._callbacks_of_engine = [
@@ -211,7 +212,9 @@ class ClockedInstance(Instance):
             return super()._settle(now)
         except (CallError, StopError) as error:
             message = str(error)
-            self._reason = f"{message[0].upper()}{message[1:]}."
+            if not isinstance(error, CallError):  # which begins with the name of a function
+                message = f"{message[0].upper()}{message[1:]}"
+            self._reason = f"{message}."
             return CLOCK
         finally:
             self._note_due()

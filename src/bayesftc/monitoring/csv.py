@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
+from bayesftc.cosim.base.table_files import exact_numbers
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 
@@ -94,7 +95,10 @@ class Tables:
         cells = table[places[0]]
         if not pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_bool_dtype(cells):
             cells = cells.astype(str).where(cells.notna())  # otherwise true would become 1
-        numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64)
+        numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+        if not pd.api.types.is_numeric_dtype(cells):  # such as +.5; before pandas 3.1 the last bit can be wrong
+            right = np.isfinite(numbers)
+            numbers[right] = cells.to_numpy()[right].astype(np.float64)
         wrong = np.flatnonzero(np.isnan(numbers) & cells.notna().to_numpy())
         if len(wrong):
             line, _ = next(islice(_rows(file), int(wrong[0]) + 1, None))
@@ -115,7 +119,13 @@ class Tables:
             try:
                 header, begin = _check(file)
                 table = pd.read_csv(
-                    file, skipinitialspace=True, header=None, skiprows=begin, index_col=False, encoding=ENCODING
+                    file,
+                    skipinitialspace=True,
+                    header=None,
+                    skiprows=begin,
+                    index_col=False,
+                    encoding=ENCODING,
+                    **exact_numbers(),
                 )
             except UnicodeDecodeError:
                 raise RecordingError(f"{fspath(file)} is no text in UTF-8. Save it as CSV in UTF-8.") from None

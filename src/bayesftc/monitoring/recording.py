@@ -20,8 +20,8 @@ from bayesftc.cosim.types import Floats
 MOST_STEPS = 20_000_000
 """Largest number of steps, two days at 100 samples per second: a longer recording more likely has a wrong unit of time."""
 
-ROUNDING = 1e-6
-"""Share of a step by which the time stamps of steps and samples that belong together may differ, from rounding."""
+ROUNDING = 0.05
+"""Share of a step by which an input's time stamp may differ from the step that it belongs to: times in files are rounded."""
 
 LEAST_LOSS, MOST_LOSS = 0.01, 0.999
 """Limits of a healthy sensor's share of steps without a sample."""
@@ -171,7 +171,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     """Bring signals to common steps: each sample goes to the nearest step, each input is averaged up to the next step.
 
     Nothing is interpolated: a sensor without a sample near a step has none at that step. An input holds each sample from its
-    time stamp until the next one. Its value at a step is the mean of this course from the step to the next.
+    time stamp until the next one; a time stamp that lies closer to a step than rounding (a twentieth of a step) counts as at it.
+    Its value at a step is the mean of this course from the step to the next.
 
     Parameters
     ----------
@@ -222,10 +223,11 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         y[at[inside], i] = values[inside]
         replaced.append(int(inside.sum() - np.isfinite(y[:, i]).sum()))
         loss.append(expected_loss(time, step))
-    ends: Floats = start + np.arange(1.0, steps + 1.0) * float(step)
+    ends: Floats = np.arange(1.0, steps + 1.0) * float(step)
     u = np.zeros((steps, max(len(inputs), 1)))
     for j, signal in enumerate(inputs.values()):
-        u[:, j] = _mean_before(signal, ends, max(signal.smooth, float(step)))
+        time, values = signal.corrected
+        u[:, j] = _mean_before(_snapped(time - start, float(step)), values, ends, max(signal.smooth, float(step)))
     resolution, units = zip(
         *((float(signal.resolution or 0.0), signal.unit) for signal in sensors.values()), strict=True
     )
@@ -251,9 +253,14 @@ def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tu
     return max(spans[name][0] for name in sensors), max(spans[name][1] for name in sensors)
 
 
-def _mean_before(signal: Signal, ends: Floats, window: float) -> Floats:
+def _snapped(time: Floats, step: float) -> Floats:
+    """Return times with those that only rounding keeps from a multiple of the step set to it."""
+    multiple = np.rint(time / step)
+    return np.where(np.abs(time / step - multiple) <= ROUNDING, multiple * step, time)
+
+
+def _mean_before(time: Floats, values: Floats, ends: Floats, window: float) -> Floats:
     """Return the mean of a held signal over the window before each time; NaN before its first sample."""
-    time, values = signal.corrected
     before = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(time))])
 
     def integral(at: Floats) -> Floats:
@@ -261,7 +268,7 @@ def _mean_before(signal: Signal, ends: Floats, window: float) -> Floats:
         return np.asarray(before[last] + values[last] * (at - time[last]))
 
     begins = np.maximum(ends - window, time[0])
-    long = ends - begins > ROUNDING * window
+    later = ends > begins
     u = np.full(len(ends), np.nan)
-    u[long] = (integral(ends[long]) - integral(begins[long])) / (ends - begins)[long]
+    u[later] = (integral(ends[later]) - integral(begins[later])) / (ends - begins)[later]
     return u

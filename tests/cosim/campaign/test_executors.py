@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -140,6 +141,57 @@ def test_a_run_that_ends_its_process_fails_alone(executor, car, lying, living, s
     same_bits(result.dataset["plant.v"].values[good], alone.dataset["plant.v"].values)
     same_bits(table["size"].to_numpy()[good], alone.table["size"].to_numpy())
     assert np.isnan(result.dataset["plant.v"].values[2:6]).all()
+    assert living() <= before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", [Processes(1)], ids=str)
+def test_a_worker_out_of_memory_stops_the_campaign_which_goes_on_later(executor, tmp_path, living, same_bits):
+    """It is no property of a run: the campaign stops, and goes on from its store where there is more memory."""
+    pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
+    scarce, before = tmp_path / "scarce", living()
+    scarce.touch()
+
+    def greedy(result):
+        if result["law.y"][-1] > 50.0 and scarce.exists():
+            limits = resource.getrlimit(resource.RLIMIT_AS)
+            resource.setrlimit(resource.RLIMIT_AS, (8 * 2**30, limits[1]))
+            try:
+                np.ones(2**31)
+            finally:
+                resource.setrlimit(resource.RLIMIT_AS, limits)
+        return float(result["law.y"][-1])
+
+    diagram = cosim.Diagram(0.1)
+    diagram.connect(diagram.add(cosim.Gaussian(1.0), "noise")["y"], diagram.add(cosim.Gain(1.0), "law")["u"])
+    points = {"law.offset": [0.0, 1.0, 100.0, 2.0]}
+    campaign = cosim.Campaign(diagram, duration=0.5, grid=points, seeds=2, metrics=[greedy], piece=2)
+    with pytest.raises(MemoryError):
+        campaign.run(executor=executor, store=tmp_path / "store")
+    assert living() <= before
+    scarce.unlink()
+    again = campaign.run(executor=executor, store=tmp_path / "store").table
+    assert set(again["status"]) == {"ok"}
+    same_bits(again["greedy"].to_numpy(), campaign.run(executor=Threads(1)).table["greedy"].to_numpy())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", [case(e, slow=True) for e in EXECUTORS[1:]])
+def test_a_worker_that_the_system_kills_for_its_memory_fails_alone(executor, living):
+    """The system sends SIGKILL; of a cluster it hits the process of the runs, which is the largest one."""
+
+    def killed(result):
+        if result["law.y"][-1] > 50.0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 1.0
+
+    before = living()
+    diagram = cosim.Diagram(0.1)
+    diagram.connect(diagram.add(cosim.Gaussian(1.0), "noise")["y"], diagram.add(cosim.Gain(1.0), "law")["u"])
+    points = {"law.offset": [0.0, 100.0, 2.0]}
+    table = cosim.Campaign(diagram, duration=0.5, grid=points, metrics=[killed], piece=2).run(executor=executor).table
+    assert table["status"].tolist() == ["ok", "failed", "ok"]
+    assert table["reason"][1].endswith("was killed by the system or a user (SIGKILL).")
     assert living() <= before
 
 

@@ -323,6 +323,8 @@ def test_what_clocks_cannot_do_is_said(clocked, engine):
     alone(FMU(clocked('hasEventMode="true"', periodic)), 0.05).simulate(1, engine=engine)
     with pytest.raises(FMUError, match=r"could not be initialized as 'b': its clock 'fixed' has the interval -1.0 s"):
         alone(FMU(clocked(clocks=CLOCKS), parameters={"period": -1.0}), 0.1).simulate(1, engine=engine)
+    with pytest.raises(FMUError, match=r"could not be initialized as 'b': fmi3GetClock returned Error"):
+        alone(FMU(clocked(clocks=CLOCKS), parameters={"period": 99.0}), 0.1).simulate(1, engine=engine)
     for wrong in ("0", "-1", "x", "NaN"):
         text = CLOCKS.replace('intervalDecimal="0.25"', f'intervalDecimal="{wrong}"')
         with pytest.raises(FMUError, match="the clock 'tick' has an interval or shift that is not valid"):

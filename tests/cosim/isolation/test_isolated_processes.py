@@ -87,6 +87,26 @@ def test_threads_do_not_mix_and_may_end(nothing_left, car, cruise):
         instance.close()
 
 
+@pytest.mark.parametrize("count", [12, pytest.param(2000, marks=pytest.mark.slow)])
+def test_of_many_that_are_made_and_ended_nothing_is_left(nothing_left, car, children, count):
+    """Closed, dropped unclosed or killed: after two thousand there are no more processes and files than before."""
+    u, y, before, sizes = np.array([100.0, 0.0]), np.zeros(1), children(), []
+    for k in range(count):
+        instance = car(FMI[k % 2]).instantiate(STEP, "car")
+        assert instance.update(u, y, 0.0) == 0
+        assert instance.output(u, y, 0.02) == 0
+        assert y[0] == 0.02
+        (process,) = children() - before
+        if k % 3 == 1:
+            os.kill(process, signal.SIGKILL)
+        if k % 3 < 2:
+            instance.close()
+        del instance
+        assert children() == before
+        sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE"))
+    assert sizes[-1] - sizes[count // 4] < 30e6
+
+
 def test_a_fork_does_not_end_it(nothing_left, car):
     instance = car().instantiate(STEP, "car")
     u, y = np.array([100.0, 0.0]), np.zeros(1)

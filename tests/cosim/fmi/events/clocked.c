@@ -235,6 +235,7 @@ int fmi3SetClock(void *c, const unsigned *r, size_t n, const bool *v)
 int fmi3GetClock(void *c, const unsigned *r, size_t n, bool *v)
 {
     Plant *p = c;
+    NEED(p->period != 99.0, "fmi3GetClock");
     NEED(p->state == EVENT, "fmi3GetClock");
     for (size_t i = 0; i < n; i++) {
         v[i] = r[i] == EVEN && p->even;
