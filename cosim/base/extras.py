@@ -1,4 +1,4 @@
-"""Optional packages of some campaigns: imported when needed; if missing, the error names the command that installs them."""
+"""Optional packages: imported when needed; if missing, the error names the command that installs them."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def extra(module: str, purpose: str) -> Any:
         raise BayesFTCError(f"{purpose} needs {_missing(module.split('.')[0])}") from None
 
 
-def why_missing(*packages: str, purpose: str) -> str | None:
-    """Return the message of `extra` if one of the packages is not installed, else None; nothing is imported."""
+def why_missing(*packages: str, purpose: str, of: str = "campaign") -> str | None:
+    """Return the message of `extra` if one of the packages of an extra is not installed, else None; nothing is imported."""
     missing = next((package for package in packages if find_spec(package) is None), None)
-    return None if missing is None else f"{purpose} needs {_missing(missing)}"
+    return None if missing is None else f"{purpose} needs {_missing(missing, of)}"
 
 
-def _missing(package: str) -> str:
-    return f"the package {package}, which is not installed: pip install 'bayesftc[campaign]'."
+def _missing(package: str, of: str = "campaign") -> str:
+    return f"the package {package}, which is not installed: pip install 'bayesftc[{of}]'."
 
 
 __all__ = ["extra", "why_missing"]
