@@ -185,17 +185,14 @@ def _set_goals(content: dict[str, Any], actions: Sequence[Action], step: Fractio
     """Put a switch from the reference to a table of values between a reference and the controller."""
     if not actions:
         return
-    count = len(scenario.reference)
-    for goal in sorted({a.target for a in actions}):
+    count = goals_of(scenario)
+    for goal in {a.target for a in actions}:
         if not (goal.isdecimal() and int(goal) < count):
             raise UnknownNameError(f"There is no reference {goal!r}; the references have the numbers 0 to {count - 1}.")
-    if any(target.startswith("controller.goal") for _, target in scenario.connections):
-        raise ModelError("The scenario connects blocks to controller.goal, so the reference cannot be changed by hand.")
-    output = "ahead" if getattr(scenario.controller, "preview", 0) else "y"
-    blocks, connections = content.setdefault("blocks", {}), content.setdefault("connections", [])
-    goals = []
+    blocks = content.setdefault("blocks", {})
+    others, sources = _sources_of_goals(content.get("connections", []), count, scenario)
+    connections = content["connections"] = others
     for i in range(count):
-        source = ("reference" if count == 1 else f"reference_{i}") + f".{output}"
         changes = [a for a in actions if int(a.target) == i]
         if changes:
             name = f"{GOAL}_{i}"
@@ -205,11 +202,44 @@ def _set_goals(content: dict[str, Any], actions: Sequence[Action], step: Fractio
             connections += [
                 {"from": f"{name}_on.y", "to": f"{name}.condition"},
                 {"from": f"{name}_value.y", "to": f"{name}.above"},
-                {"from": source, "to": f"{name}.otherwise"},
+                {"from": sources[i], "to": f"{name}.otherwise"},
             ]
-            source = f"{name}.y"
-        goals.append(source)
-    connections.append({"from": goals, "to": "controller.goal"})
+            sources[i] = f"{name}.y"
+    connections.append({"from": sources, "to": "controller.goal"})
+
+
+def goals_of(scenario: Scenario) -> int:
+    """Return the number of elements of the controller's goal."""
+    return next(port.size for port in scenario.controller.inputs if port.name == "goal")
+
+
+def _sources_of_goals(
+    connections: Sequence[Mapping[str, Any]], count: int, scenario: Scenario
+) -> tuple[list[Any], list[str]]:
+    """Return the connections that are not to the goal, and the source of each element of the goal.
+
+    Raises
+    ------
+    ModelError
+        If the number of the sources is not that of the elements.
+    """
+    output = "ahead" if getattr(scenario.controller, "preview", 0) else "y"
+    names = [f"reference_{i}" for i in range(count)] if len(scenario.reference) > 1 else ["reference"]
+    sources, others = [f"{name}.{output}" for name in names], []
+    for each in connections:
+        given = [each["from"]] if isinstance(each["from"], str) else list(each["from"])
+        if each["to"] == "controller.goal":
+            sources = given
+        elif each["to"].startswith("controller.goal[") and len(given) == 1 and len(sources) == count:
+            sources[int(each["to"].removeprefix("controller.goal[").rstrip("]"))] = given[0]
+        else:
+            others.append(each)
+    if len(sources) != count:
+        raise ModelError(
+            f"The {count} elements of the goal come from {len(sources)} signals, so they cannot be changed by hand. Connect one "
+            "signal to each element."
+        )
+    return others, sources
 
 
 def _set_inputs(content: dict[str, Any], actions: Sequence[Action], step: Fraction, scenario: Scenario) -> None:
@@ -266,4 +296,13 @@ def with_absolute_paths(content: Mapping[str, Any], folder: Path) -> dict[str, A
     return plain
 
 
-__all__ = ["SENSORS", "Action", "faults_of", "free_inputs", "time_of", "with_absolute_paths", "with_actions"]
+__all__ = [
+    "SENSORS",
+    "Action",
+    "faults_of",
+    "free_inputs",
+    "goals_of",
+    "time_of",
+    "with_absolute_paths",
+    "with_actions",
+]

@@ -16,7 +16,6 @@ from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.scenario import Scenario, find_scenario
 from bayesftc.scenario._files import read_toml
-from bayesftc.scenario._scenario import scenario_of
 from bayesftc.scenario._written import toml
 
 MOST_LANES = 3
@@ -112,9 +111,16 @@ class Desk:
     def __post_init__(self) -> None:
         self.file = find_scenario(self.path)
         self.content = read_toml(self.file)
-        self.scenario: Scenario = scenario_of(self.content, self.file)
-        self.variants = _variants(self.content, self.scenario, self.beside)
-        self.branch = Branch("first", None, 0, (), self._lanes(()))
+        first = Lane("", self.content, self.file, self.memory // (1 + len(self.beside)))
+        try:
+            self.scenario: Scenario = first.scenario  # the one without actions
+            self.variants = _variants(self.content, self.scenario, self.beside)
+            first.name = next(iter(self.variants))
+            lanes = [first, *self._lanes((), list(self.variants)[1:])]
+        except BaseException:
+            first.close()
+            raise
+        self.branch = Branch("first", None, 0, (), lanes)
         self.branches["first"] = self.branch
         self.compared: Branch | None = None
         self.epoch = 1
@@ -268,14 +274,14 @@ class Desk:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _lanes(self, actions: Sequence[Action]) -> list[Lane]:
-        """Return new lanes at their beginning."""
+    def _lanes(self, actions: Sequence[Action], names: Sequence[str] | None = None) -> list[Lane]:
+        """Return new lanes at their beginning: all, or those of some variants."""
         lanes: list[Lane] = []
-        step = self.branch.lanes[0].step if self.branches else None
         try:
-            for name, content in self.variants.items():
-                if step is not None:
-                    content = with_actions(content, actions, step, self.scenario)
+            for name in self.variants if names is None else names:
+                content = self.variants[name]
+                if actions:
+                    content = with_actions(content, actions, self.step, self.scenario)
                 lanes.append(Lane(name, content, self.file, self.memory // len(self.variants)))
         except BaseException:
             _close(lanes)

@@ -10,6 +10,7 @@ from math import inf
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from bayesftc.console.desk.ahead import compile_ahead
 from bayesftc.console.desk.desk import Desk
 from bayesftc.cosim.errors import ModelError, brief
 
@@ -46,7 +47,7 @@ class Engine:
         self._clock = (0.0, 0)
         self._piece = 1
         self._published = 0
-        self._is_ending = False
+        self._stops = threading.Event()
         self._thread = threading.Thread(target=self._work, name="bayesftc-console", daemon=True)
 
     def start(self) -> None:
@@ -55,7 +56,7 @@ class Engine:
 
     def stop(self, timeout: float = 10.0) -> None:
         """End the thread and all runs; a long command ends early."""
-        self._is_ending = True
+        self._stops.set()
         self._commands.put(None)
         self._thread.join(timeout)
 
@@ -88,7 +89,7 @@ class Engine:
 
         def show(k: int) -> None:
             self.busy = what, k / max(end, 1)
-            if self._is_ending:
+            if self._stops.is_set():
                 raise ModelError("The console ends.")
 
         return show
@@ -107,6 +108,10 @@ class Engine:
         self.desk = desk
         self._publish(desk)
         self._set_clock()
+        ahead = threading.Thread(
+            target=compile_ahead, args=(desk.step, self._stops), name="bayesftc-ahead", daemon=True
+        )
+        ahead.start()
         with desk:
             wait = 0.0
             while True:
@@ -119,6 +124,7 @@ class Engine:
                     break
                 self._carry_out(desk, *command)
                 wait = 0.0
+        ahead.join(5.0)
         self._refuse_all()
 
     def _advance(self, desk: Desk) -> float:

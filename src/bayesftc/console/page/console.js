@@ -246,7 +246,7 @@ function updateCards() {
     const card = cards.get(each.id);
     if (!card) continue;
     card.element.className = `card ${each.state}`;
-    put(card.p, each.p === null ? "" : `P(fault) ${each.p >= 0.9995 && each.p < 1 ? ">.999" : each.p.toFixed(3).replace(/^0/, "")}`);
+    put(card.p, each.p === null ? "" : `P(fault) ${each.p >= 0.9995 ? ">.999" : each.p.toFixed(3).replace(/^0/, "")}`);
     card.bar.style.width = `${100 * (each.p || 0)}%`;
     put(card.words, each.words);
     const rows = [];

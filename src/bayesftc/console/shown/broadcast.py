@@ -20,7 +20,7 @@ from bayesftc.console.shown.moving import Scene
 from bayesftc.console.shown.words import cards
 from bayesftc.cosim.types import Floats
 
-MOST_NEW, MOST_OLD = 64, 3000
+MOST_NEW, MOST_OLD = 256, 3000
 """Most rows of a frame, for rows that are new and for all rows at the beginning."""
 MOST_EXTRA = 12
 """Most signals that a viewer can add to those of the strips."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.console.desk.actions import SENSORS, Action, faults_of, free_inputs, time_of
+from bayesftc.console.desk.actions import SENSORS, Action, faults_of, free_inputs, goals_of, time_of
 from bayesftc.console.desk.desk import Desk
 from bayesftc.console.desk.lane import Lane
 from bayesftc.cosim.blocks.faults.base import COMMON
@@ -153,7 +153,7 @@ def _goals(lane: Lane) -> list[dict[str, Any]]:
         {"name": names[i][0], "unit": names[i][1] or "", "column": names[i][2], "target": str(i)}
         if i in names
         else {"name": f"goal {i}", "unit": "", "column": None, "target": str(i)}
-        for i in range(len(lane.scenario.reference))
+        for i in range(goals_of(lane.scenario))
     ]
 
 

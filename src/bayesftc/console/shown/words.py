@@ -151,7 +151,7 @@ def _alarm_since(lane: Lane, device: str, number: int) -> float | None:
 
 def _chance(p: float) -> str:
     """Return a probability without a leading zero: ``.997``, never rounded to 1."""
-    return "1" if p == 1.0 else "above .999" if p >= 0.9995 else f"{p:.3f}"[1:]
+    return "above .999" if p >= 0.9995 else f"{p:.3f}"[1:]
 
 
 __all__ = ["cards"]
