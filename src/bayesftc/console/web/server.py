@@ -134,7 +134,7 @@ class Server:
 
     async def _send_frames(self, socket: WebSocket, cursor: Cursor) -> None:
         """Send what is new, up to `FRAMES` times a second; a slow viewer gets fewer and coarser frames."""
-        sent: tuple[int, bool] | None = None
+        sent: Any = None
         due = time.perf_counter()
         while not self._closing:
             view: View | None = self._engine.view
@@ -143,10 +143,9 @@ class Server:
                 await self._send(socket, text)
                 await asyncio.sleep(0.1 if self._engine.failure is None else 1.0)
                 continue
-            may = socket is self._operator
-            if sent != (view.epoch, may):
-                sent = view.epoch, may
-                free = self._operator is None
+            may, free = socket is self._operator, self._operator is None
+            if sent != (view.epoch, may, free):
+                sent = view.epoch, may, free
                 await self._send(socket, {**view.layout, "operator": may, "free": free, "viewers": len(self._viewers)})
             frame = self._broadcast.frame(view, cursor)
             if frame is not None:

@@ -84,6 +84,7 @@ async def _serve(server: Server, listener: socket.socket, page: str | None) -> N
         access_log=False,
         ws="websockets-sansio",
         ws_max_size=2 * LONGEST,
+        ws_per_message_deflate=False,  # it would cost more than it saves on most networks
         server_header=False,
         timeout_graceful_shutdown=PATIENCE,
         limit_concurrency=200,
