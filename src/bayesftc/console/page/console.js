@@ -40,6 +40,7 @@ function send(command) {
 async function act(command) {
   try {
     const answer = await send(command);
+    if (state && "running" in answer) { state.running = answer.running; put($("run"), answer.running ? "Pause" : "Run"); }
     say("");
     return answer;
   } catch (error) {
@@ -141,14 +142,14 @@ function enable(on) {
 // --- Cards and the forms of faults ------------------------------------------------------------------------------
 
 function showCards() {
-  const open = new Set([...cards.values()].filter((c) => c.form && !c.form.hidden).map((c) => c.device.id));
+  const open = new Set([...cards.values()].filter((c) => !c.form.hidden).map((c) => c.device.id));
   cards = new Map();
   $("cards").replaceChildren(...layout.devices.map((device) => card(device, open.has(device.id))));
 }
 
 function card(device, isOpen) {
   const p = make("span", { class: "p" }), bar = make("div"), words = make("p", { class: "words" });
-  const details = make("dl"), list = make("ul", { class: "faults" });
+  const details = make("dl"), list = make("ul", { class: "faults" }), ends = [];
   const toggle = make("button", { type: "button", "aria-expanded": String(isOpen) }, `Break ${device.name}`);
   const form = breakForm(device);
   form.hidden = !isOpen;
@@ -158,11 +159,12 @@ function card(device, isOpen) {
   for (const fault of layout.faults.filter((f) => f.target === device.target && (f.sensor || 0) === device.channel)) {
     const end = make("button", { type: "button", "aria-label": `End ${fault.name}` }, "end");
     end.onclick = () => act({ do: "repair", name: fault.name });
-    list.append(make("li", { "data-fault": fault.name }, make("span", {}, `${spaced(fault.kind)} ${fault.words}`), end));
+    ends.push([end, fault.stop]);
+    list.append(make("li", {}, make("span", {}, `${spaced(fault.kind)} ${fault.words}`), end));
   }
   const title = make("h3", {}, make("span", {}, device.of ? `${device.name} (${device.of})` : device.name), p);
   const element = make("article", { class: "card", "aria-label": device.name }, title, make("div", { class: "bars", "aria-hidden": "true" }, bar), words, details, list, toggle, form);
-  cards.set(device.id, { device, element, p, bar, words, details, list, form, toggle });
+  cards.set(device.id, { device, element, p, bar, words, details, ends, form });
   return element;
 }
 
@@ -249,6 +251,7 @@ function updateCards() {
     put(card.p, each.p === null ? "" : `P(fault) ${each.p >= 0.9995 ? ">.999" : each.p.toFixed(3).replace(/^0/, "")}`);
     card.bar.style.width = `${100 * (each.p || 0)}%`;
     put(card.words, each.words);
+    for (const [end, stop] of card.ends) end.hidden = stop !== null && stop <= state.t;
     const rows = [];
     if (each.kind) rows.push(["kind", each.kind]);
     if (each.size) rows.push(["size", each.size]);

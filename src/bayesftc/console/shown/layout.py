@@ -53,7 +53,7 @@ def layout(desk: Desk) -> dict[str, Any]:
         "furthest": branch.furthest,
         "faults": [
             {"target": target, "name": name, "kind": str(table.get("kind")), "sensor": table.get("sensor", 0),
-             "words": _window(table)}
+             "words": _window(table), "stop": _stop(table)}
             for target, name, table in faults_of(lane.content)
         ],
         "actions": [{"t": time_of(a.k, step), "words": _words(a)} for a in branch.actions],
@@ -186,6 +186,15 @@ def _window(table: dict[str, Any]) -> str:
     if isinstance(duration, int | float) and isfinite(duration):
         words += f", for {duration:g} s"
     return words
+
+
+def _stop(table: dict[str, Any]) -> float | None:
+    """Return the time at which a fault ends for good; None if that is not known ahead."""
+    start, stop, duration = table.get("start", 0.0), table.get("stop"), table.get("duration")
+    ends = [float(stop)] if isinstance(stop, int | float) else []
+    if isinstance(start, int | float) and isinstance(duration, int | float):
+        ends.append(start + duration)
+    return min((end for end in ends if isfinite(end)), default=None)
 
 
 def _words(action: Action) -> str:

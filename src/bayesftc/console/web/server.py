@@ -188,7 +188,8 @@ class Server:
             else:
                 began = time.perf_counter()
                 await asyncio.wrap_future(self._engine.call(carry_out(self._engine, read_command(content))))
-                return {"type": "done", "id": number, "seconds": round(time.perf_counter() - began, 3)}
+                seconds = round(time.perf_counter() - began, 3)
+                return {"type": "done", "id": number, "seconds": seconds, "running": self._engine.running}
         except BayesFTCError as error:
             return {"type": "error", "id": number, "sentence": str(error)}
         return {"type": "done", "id": number}
