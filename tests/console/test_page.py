@@ -60,7 +60,7 @@ def test_break_go_back_branch_and_download(page, downloads):
     assert float(page.text("#loop .value")) > 0
     page.click("[aria-label='sensor 1'] > button")
     page.click("#form-sensor-1 button")
-    page.until(lambda: "freeze_1" in page.text("#cards"))
+    page.until(lambda: "freeze from" in page.text("[aria-label='sensor 1'] .faults"))
     assert page.text("#message") == ""
     page.click("#run")
     page.until(lambda: page.all("[aria-label='sensor 1'].faulty"))
@@ -94,7 +94,7 @@ def test_break_go_back_branch_and_download(page, downloads):
     page.click("a[href='/download/figure.png']")
     page.until((downloads / "cruise_control_figure.png").is_file)
     page.click("[aria-label='Show first']")
-    page.until(lambda: "freeze_1" in page.text("#cards"))
+    page.until(lambda: "freeze from" in page.text("[aria-label='sensor 1'] .faults"))
     page.click("[aria-label='Remove branch 2']")
     page.until(lambda: "branch 2" not in page.text("#branch-list"))
 

@@ -172,6 +172,7 @@ const spaced = (kind) => kind.replace(/(?<=[a-z])(?=[A-Z])/g, " ").toLowerCase()
 
 function unitOf(text, unit) {
   if (!text.includes("{u}")) return text;
+  if (text === "{u}/s" && unit.endsWith("/s")) return `${unit}²`;
   return unit ? text.replace("{u}", unit) : text.replace("{u}", "").replace(/^\/s$/, "per s");
 }
 
@@ -204,14 +205,15 @@ function recent(device) {
 function breakForm(device) {
   const base = device.id.replace(":", "-"), form = make("form", { class: "break", "aria-label": `Break ${device.name}` });
   const kind = make("select", { id: `kind-${base}` }, ...device.kinds.map((k) => make("option", { value: k }, spaced(k))));
-  const text = make("p"), fields = make("div"), remembered = memory.forms.get(device.id) || {};
-  if (remembered.kind) kind.value = remembered.kind;
+  const text = make("p"), fields = make("div"), remembered = memory.forms.get(device.id);
+  if (remembered) kind.value = remembered.kind;
   const show = () => {
     const plan = layout.kinds.find((k) => k.kind === kind.value);
-    memory.forms.set(device.id, { ...memory.forms.get(device.id), kind: kind.value });
+    const before = memory.forms.get(device.id), values = before && before.kind === kind.value ? before.values : {};
+    memory.forms.set(device.id, { kind: kind.value, values });
     text.textContent = plan.words.replace(/``?([^`]*)``?/g, "$1");
     fields.replaceChildren(...plan.settings.filter((s) => s.type === "number" && s.name !== "initial").map((s) => {
-      const [range, first] = rangeOf(s, device), unit = unitOf(s.unit, device.unit);
+      const [range, usual] = rangeOf(s, device), first = values[s.name] ?? usual, unit = unitOf(s.unit, device.unit);
       return field(`${base}-${s.name}`, `${s.name.replaceAll("_", " ")}${unit ? ` in ${unit}` : ""}`, s.name, range, first);
     }));
   };
@@ -235,6 +237,7 @@ function breakForm(device) {
     if (seconds > 0) settings.duration = seconds;
     if (when.value === "time") settings.start = Number(start.value);
     if (when.value === "condition") settings.start = start.value;
+    memory.forms.set(device.id, { kind: kind.value, values: settings });
     inject.disabled = true;
     await act({ do: "fault", target: device.target, settings });
     inject.disabled = false;
