@@ -141,7 +141,7 @@ class Engine:
             taken = time.perf_counter() - now
             self._piece = max(1, min(int(self._piece * min(2.0, SLICE / max(taken, 1e-6))), 100_000))
             return 0.0
-        due = first + int((now - began) * self.pace / step)
+        due = first + int((now - began) * self.pace / step + 1e-6)
         if (due - k) * step > BEHIND * self.pace:
             self.late += 1
             due = k + max(int(BEHIND * self.pace / step), 1)
@@ -150,7 +150,8 @@ class Engine:
             desk.advance_to(due)
             k = due
         began, first = self._clock
-        return max(began + (k + 1 - first) * step / self.pace - time.perf_counter(), SHORTEST)
+        pack = max(1, int(SHORTEST * self.pace / step))
+        return max(began + (k + pack - first) * step / self.pace - time.perf_counter(), 1e-5)
 
     def _carry_out(self, desk: Desk, function: Callable[[Desk], Any], future: Future[Any]) -> None:
         if not future.set_running_or_notify_cancel():

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 PIECE = 20_000
 """Most steps in one call of the engine, so that the recording of a piece stays small."""
+BETWEEN = 1000
+"""Steps between two saved states at the beginning: to go back computes at most so many again."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Lane:
         self.place = {label: i for i, label in enumerate(self.columns)}
         self._width = sum(prod(shape) for shape in self.shapes.values())
         self._history = History(self._width, memory // 2)
-        self._states = SavedStates(round(1 / self.step), memory // 2)
+        self._states = SavedStates(BETWEEN, memory // 2)
         self._can_save = True
         self._watched = self._alarm_columns()
         self._alarmed = np.zeros(len(self._watched), dtype=bool)
@@ -116,7 +118,7 @@ class Lane:
         if state is None:
             self._session.reset()
             first = self._session.advance(0)
-            self._history.append(self._values(first), 0)
+            self._history.append(first.table, 0)
             reached = 0
         else:
             self._session.restore(state)
@@ -151,12 +153,8 @@ class Lane:
             except FMUError:  # an FMU without states: to go back is to begin again
                 self._can_save = False
 
-    def _values(self, result: Result) -> np.ndarray[Any, np.dtype[np.float64]]:
-        rows = len(result.time)
-        return np.concatenate([result[name].reshape(rows, -1) for name in self.shapes], axis=1)
-
     def _take(self, result: Result, first: int) -> None:
-        values = self._values(result)
+        values = result.table
         self._history.append(values, first)
         if self._watched and len(values):
             with np.errstate(invalid="ignore"):
