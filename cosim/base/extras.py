@@ -32,10 +32,10 @@ def extra(module: str, purpose: str, of: str = "campaign") -> Any:
         raise BayesFTCError(f"{purpose} needs {_missing(module.split('.')[0], of)}") from None
 
 
-def why_missing(*packages: str, purpose: str) -> str | None:
-    """Return the message of `extra` if one of the packages is not installed, else None; nothing is imported."""
+def why_missing(*packages: str, purpose: str, of: str = "campaign") -> str | None:
+    """Return the message of `extra` if one of the packages of an extra is not installed, else None; nothing is imported."""
     missing = next((package for package in packages if find_spec(package) is None), None)
-    return None if missing is None else f"{purpose} needs {_missing(missing)}"
+    return None if missing is None else f"{purpose} needs {_missing(missing, of)}"
 
 
 def _missing(package: str, of: str = "campaign") -> str:

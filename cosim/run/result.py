@@ -137,6 +137,11 @@ class Result(Mapping[str, Floats]):
         k = rows * (self.decimation * self.step.numerator)
         return k / self.step.denominator
 
+    @property
+    def table(self) -> Floats:
+        """All signals side by side, in their order: a column for each scalar, as in `to_pandas`. Not a copy."""
+        return self._recording
+
     def __getitem__(self, name: str) -> Floats:
         if not isinstance(name, str) or name not in self._columns:
             raise UnknownNameError(self._without(name))

@@ -31,6 +31,7 @@ BARS = {
     "isolation.isolated", "isolation.difference", "isolation.lives",
     "learners.per_sensor", "learners.growth",
     "large_diagrams.build", "large_diagrams.run", "large_diagrams.build_growth", "large_diagrams.run_growth",
+    "console.watched",
     "startup.import", "startup.help", "startup.scenario", "startup.scenario_compiled", "startup.second_engine",
     "memory.growth_over_recording",
 }  # fmt: skip

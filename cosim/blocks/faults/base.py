@@ -109,6 +109,10 @@ class Fault(Block):
                 f"{kind} refers to sensor {self.sensor}, but there are {self.channels}, numbered from 0; "
                 f"use a number up to {self.channels - 1}."
             )
+        if isinstance(self.stop, When) and self.stop.after:
+            raise ModelError(
+                f"{kind} has a stop with after={brief(self.stop.after)}; leave it out, because only a start has such a time."
+            )
         start, stop = self.times
         if not isfinite(start) or not start < stop:
             raise ModelError(
@@ -208,9 +212,9 @@ class Fault(Block):
 
     @property
     def times(self) -> tuple[float, float]:
-        """Earliest start and latest stop, in seconds; 0 and infinity for conditions. The duration does not count here."""
+        """Earliest start and latest stop, in seconds; for conditions ``after`` and infinity. The duration does not count."""
         start, stop = self.start, self.stop
-        return 0.0 if isinstance(start, When) else real(start), inf if isinstance(stop, When) else real(stop)
+        return real(start.after if isinstance(start, When) else start), inf if isinstance(stop, When) else real(stop)
 
     @property
     def signal(self) -> Port:

@@ -42,6 +42,8 @@ class When:
     delayed : bool
         Whether the signal of the step before is compared. A fault needs this if the signal depends on the fault at the same
         step, as the control depends on a sensor. At the first step a delayed condition is not fulfilled.
+    after : float
+        Seconds. Before this time the start is not fulfilled. A stop has no such time.
 
     Raises
     ------
@@ -63,6 +65,7 @@ class When:
     relation: str
     value: float = field(metadata={"unit": "{*_signal}"})
     delayed: bool = False
+    after: float = field(default=0.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
         if not isinstance(self.signal, str) or not all(self.signal.partition(".")):
@@ -80,6 +83,10 @@ class When:
         if not isinstance(self.delayed, bool):
             raise ModelError(
                 f"The condition on {self.signal} has delayed={brief(self.delayed)}; it must be True or False."
+            )
+        if not isfinite(real(self.after)):
+            raise ModelError(
+                f"The condition on {self.signal} has after={brief(self.after)}; it must be a finite number of seconds."
             )
 
     def __str__(self) -> str:

@@ -29,6 +29,7 @@ SECTIONS = (
     "export",
     "learners",
     "large_diagrams",
+    "console",
     "startup",
     "memory",
 )

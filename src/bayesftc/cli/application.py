@@ -44,6 +44,7 @@ family         Beyond the paper: every learner with faults that none models.
     "campaign": "Run a campaign: a scenario at many settings with many seeds. A stopped campaign continues.",
     "report": "Write a campaign's report: one page with its tables and figures, for any browser and for print.",
     "replay": "Repeat one run of a campaign, with everything recorded. It loads pickles: use it only for stores that you trust.",
+    "serve": "Run a scenario now, with a page to watch it, to break its sensors and actuators, and to go back.",
     "bench": "Measure speed, start-up, memory and compilation on this machine.",
 }
 """The help text of each command, in the order of the help. Lines after a backspace are not joined."""

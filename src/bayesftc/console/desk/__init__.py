@@ -1,0 +1,1 @@
+"""The headless desk: a scenario that runs now, what an operator does, branches, and the engine that advances it."""

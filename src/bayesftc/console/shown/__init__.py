@@ -1,0 +1,1 @@
+"""What the page shows: strips, cards, moving pictures, and the frames that carry them."""

@@ -1,0 +1,1 @@
+"""The server: who may connect, commands, downloads, and the process that serves."""

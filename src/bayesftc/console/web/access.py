@@ -1,0 +1,151 @@
+"""Who may see and move the console: hosts, origins, a token; and the headers of every answer."""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import secrets
+from collections.abc import Iterable
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS = (
+    (b"content-security-policy", POLICY.encode()),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cache-control", b"no-store"),
+)
+
+Names = Iterable[tuple[bytes, bytes]]
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether an address is only reachable from this machine."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def new_token() -> str:
+    """Return a token that nobody can guess."""
+    return secrets.token_urlsafe(32)
+
+
+@dataclass(frozen=True)
+class Access:
+    """The rules of one server.
+
+    Attributes
+    ----------
+    host : str
+        The address that the server listens on.
+    port : int
+        Its port.
+    token : str or None
+        What a browser must know; None on a loopback address.
+    """
+
+    host: str
+    port: int
+    token: str | None
+
+    @property
+    def cookie(self) -> str:
+        """The name of the cookie with the token. Cookies of all ports of a host are shared, so the name has the port."""
+        return f"bayesftc-{self.port}"
+
+    def knows_host(self, headers: Names) -> bool:
+        """Return whether the request names this server: a page of another name must not reach it (DNS rebinding)."""
+        host = _one(headers, b"host")
+        if host is None:
+            return False
+        if self.token is not None:  # any name of this machine is right; the token decides
+            return True
+        shown = f"[{self.host}]" if ":" in self.host else self.host
+        names = {f"{name}:{self.port}" for name in ("127.0.0.1", "localhost", "[::1]", shown)}
+        return host in names or (self.port == 80 and f"{host}:80" in names)
+
+    def knows_origin(self, headers: Names) -> bool:
+        """Return whether the request comes from a page of this server."""
+        origin, host = _one(headers, b"origin"), _one(headers, b"host")
+        return origin is not None and host is not None and origin in (f"http://{host}", f"https://{host}")
+
+    def is_token(self, given: str | None) -> bool:
+        """Return whether this is the token, in a time that does not depend on where it differs."""
+        return self.token is None or hmac.compare_digest((given or "").encode(), self.token.encode())
+
+    def has_token(self, headers: Names) -> bool:
+        """Return whether the request's cookie has the token."""
+        if self.token is None:
+            return True
+        try:
+            cookies: SimpleCookie = SimpleCookie(_one(headers, b"cookie") or "")
+        except CookieError:
+            return False
+        found = cookies.get(self.cookie)
+        return self.is_token(None if found is None else found.value)
+
+
+def _one(headers: Names, name: bytes) -> str | None:
+    """Return the value of a header that occurs once; None otherwise."""
+    values = [value for key, value in headers if key.lower() == name]
+    return values[0].decode("latin-1") if len(values) == 1 else None
+
+
+class Guard:
+    """Answers requests that may not pass, and adds the headers to all other answers."""
+
+    def __init__(self, app: Any, access: Access):
+        self._app, self._access = app, access
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """Serve one request or connection."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers, access = scope["headers"], self._access
+        # A page opens with the token in its address, and goes on with the cookie.
+        opens = scope["type"] == "http" and scope["path"] == "/" and b"token=" in scope.get("query_string", b"")
+        refused = (
+            "This server has another name."
+            if not access.knows_host(headers)
+            else "Open the address with the token that bayesftc serve has printed."
+            if not (access.has_token(headers) or opens)
+            else "Only the console's own page may connect."
+            if scope["type"] == "websocket" and not access.knows_origin(headers)
+            else "There is nothing to send here."
+            if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD")
+            else ""
+        )
+        if refused:
+            await self._refuse(scope, receive, send, refused)
+            return
+
+        async def with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", ()), *HEADERS]
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+    async def _refuse(self, scope: Any, receive: Any, send: Any, sentence: str) -> None:
+        if scope["type"] == "websocket":
+            await receive()
+            await send(
+                {"type": "websocket.close", "code": 1008, "reason": sentence}
+            )  # before it is accepted: status 403
+            return
+        headers = [(b"content-type", b"text/plain; charset=utf-8"), *HEADERS]
+        await send({"type": "http.response.start", "status": 403, "headers": headers})
+        await send({"type": "http.response.body", "body": sentence.encode()})
+
+
+__all__ = ["Access", "Guard", "is_loopback", "new_token"]

@@ -1,0 +1,214 @@
+"""The server of the console: one page, its files, downloads, and a WebSocket of frames and commands."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from bayesftc.console.desk.engine import Engine
+from bayesftc.console.shown.broadcast import MOST_EXTRA, Broadcast, Cursor, View
+from bayesftc.console.web.access import Access, Guard
+from bayesftc.console.web.commands import LONGEST, carry_out, read_command
+from bayesftc.console.web.downloads import DOWNLOADS
+from bayesftc.cosim.errors import BayesFTCError, ModelError
+
+FRAMES = 30
+"""Frames a second."""
+MOST_VIEWERS = 32
+PAGE = Path(__file__).parent.parent / "page"
+FILES = {
+    "console.js": "text/javascript",
+    "drawing.js": "text/javascript",
+    "strips.js": "text/javascript",
+    "console.css": "text/css",
+    "uPlot.iife.min.js": "text/javascript",
+    "uPlot.min.css": "text/css",
+}
+
+
+class Server:
+    """The application of one console.
+
+    Parameters
+    ----------
+    engine : Engine
+        The engine. It starts and ends with the application.
+    access : Access
+        Who may connect.
+    """
+
+    def __init__(self, engine: Engine, access: Access):
+        self._engine, self._access = engine, access
+        self._broadcast = Broadcast(engine)
+        self._viewers: dict[WebSocket, asyncio.Lock] = {}
+        self._operator: WebSocket | None = None
+        self._closing = False
+        self._downloads = asyncio.Semaphore(1)
+        routes = [
+            Route("/", self._page),
+            Route("/page/{name}", self._file),
+            Route("/download/{name}", self._download),
+            WebSocketRoute("/live", self._live),
+        ]
+        self.app = Guard(Starlette(routes=routes, lifespan=self._lifespan), access)
+
+    def close(self) -> None:
+        """Let all connections end."""
+        self._closing = True
+
+    @asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        self._engine.start()
+        try:
+            yield
+        finally:
+            self._closing = True
+            await asyncio.to_thread(self._engine.stop)
+
+    async def _page(self, request: Request) -> Response:
+        given = request.query_params.get("token")
+        if given is None:
+            return FileResponse(PAGE / "index.html", media_type="text/html")
+        if not self._access.is_token(given):
+            return PlainTextResponse("This is not the token that bayesftc serve has printed.", status_code=403)
+        answer = RedirectResponse("/", status_code=303)
+        if self._access.token is not None:
+            answer.set_cookie(self._access.cookie, self._access.token, httponly=True, samesite="strict", path="/")
+        return answer
+
+    async def _file(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in FILES:
+            return PlainTextResponse("There is no such file.", status_code=404)
+        return FileResponse(PAGE / name, media_type=FILES[name])
+
+    async def _download(self, request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in DOWNLOADS or self._engine.desk is None:
+            return PlainTextResponse("There is no such file.", status_code=404)
+        kind, make = DOWNLOADS[name]
+        async with self._downloads:
+            try:
+                future = self._engine.call(lambda desk: (desk.scenario_content(), desk.file))
+                content, file = await asyncio.wrap_future(future)
+                data = await asyncio.to_thread(make, content, file)
+            except BayesFTCError as error:
+                return PlainTextResponse(str(error), status_code=409)
+        shown = f'attachment; filename="{_safe(file.stem)}_{name}"'
+        return Response(data, media_type=kind, headers={"content-disposition": shown})
+
+    async def _live(self, socket: WebSocket) -> None:
+        await socket.accept()
+        if len(self._viewers) >= MOST_VIEWERS:
+            await socket.close(1013, f"There are already {MOST_VIEWERS} viewers.")
+            return
+        self._viewers[socket] = asyncio.Lock()
+        cursor = Cursor()
+        if self._operator is None:
+            self._operator = socket
+        sender = asyncio.create_task(self._send_frames(socket, cursor))
+        reader = asyncio.create_task(self._read(socket, cursor))
+        try:
+            await asyncio.wait({sender, reader}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            del self._viewers[socket]
+            if self._operator is socket:
+                self._operator = None
+            for task in (sender, reader):
+                task.cancel()
+            with suppress(Exception):
+                await asyncio.gather(sender, reader, return_exceptions=True)
+            with suppress(Exception):
+                await socket.close(1001 if self._closing else 1000)
+
+    async def _send_frames(self, socket: WebSocket, cursor: Cursor) -> None:
+        """Send what is new, up to `FRAMES` times a second; a slow viewer gets fewer and coarser frames."""
+        sent: Any = None
+        due = time.perf_counter()
+        while not self._closing:
+            view: View | None = self._engine.view
+            if view is None:
+                text = {"type": "loading", "failure": self._engine.failure}
+                await self._send(socket, text)
+                await asyncio.sleep(0.1 if self._engine.failure is None else 1.0)
+                continue
+            may, free = socket is self._operator, self._operator is None
+            if sent != (view.epoch, may, free):
+                sent = view.epoch, may, free
+                await self._send(socket, {**view.layout, "operator": may, "free": free, "viewers": len(self._viewers)})
+            frame = self._broadcast.frame(view, cursor)
+            if frame is not None:
+                async with self._viewers[socket]:
+                    await socket.send_bytes(frame)
+            due = max(due + 1.0 / FRAMES, time.perf_counter())
+            await asyncio.sleep(max(due - time.perf_counter(), 0.001))
+
+    async def _read(self, socket: WebSocket, cursor: Cursor) -> None:
+        """Carry out the commands of one viewer, one after the other."""
+        with suppress(WebSocketDisconnect):
+            while True:
+                message = await socket.receive()
+                if message["type"] != "websocket.receive":
+                    return
+                text = message.get("text")
+                await self._send(socket, await self._answer(socket, cursor, text))
+
+    async def _answer(self, socket: WebSocket, cursor: Cursor, text: str | None) -> dict[str, Any]:
+        number: Any = None
+        try:
+            if text is None or len(text) > LONGEST:
+                raise ModelError(f"A command is a text of at most {LONGEST} bytes.")
+            try:
+                content = json.loads(text)
+            except (ValueError, RecursionError):
+                raise ModelError("A command must be JSON.") from None
+            if not isinstance(content, dict):
+                raise ModelError("A command must be an object.")
+            number = content.pop("id", None)
+            number = number if isinstance(number, int) else None
+            if content.get("do") == "claim":
+                if self._operator not in (None, socket):
+                    raise ModelError("Another page has the controls. Close it first.")
+                self._operator = socket
+            elif content.get("do") == "show":
+                self._show(cursor, content.get("columns"))
+            elif socket is not self._operator:
+                raise ModelError("This page only watches: another one has the controls.")
+            else:
+                began = time.perf_counter()
+                await asyncio.wrap_future(self._engine.call(carry_out(self._engine, read_command(content))))
+                seconds = round(time.perf_counter() - began, 3)
+                return {"type": "done", "id": number, "seconds": seconds, "running": self._engine.running}
+        except BayesFTCError as error:
+            return {"type": "error", "id": number, "sentence": str(error)}
+        return {"type": "done", "id": number}
+
+    def _show(self, cursor: Cursor, columns: Any) -> None:
+        view: View | None = self._engine.view
+        if not isinstance(columns, list) or len(columns) > MOST_EXTRA or view is None:
+            raise ModelError(f"Choose at most {MOST_EXTRA} further signals.")
+        known = {name for lane in view.lanes for name in lane.columns}
+        cursor.extra = tuple(dict.fromkeys(name for name in columns if isinstance(name, str) and name in known))
+        cursor.epoch = -1
+
+    async def _send(self, socket: WebSocket, content: dict[str, Any]) -> None:
+        async with self._viewers[socket]:
+            await socket.send_text(json.dumps(content, separators=(",", ":")))
+
+
+def _safe(name: str) -> str:
+    return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in name)[:80]
+
+
+__all__ = ["MOST_VIEWERS", "Server"]

@@ -1,0 +1,130 @@
+"""Serve a scenario until Ctrl-C: the socket, the token, and the signals that end the server."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import webbrowser
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import uvicorn
+
+from bayesftc.console.desk.desk import Desk
+from bayesftc.console.desk.engine import Engine
+from bayesftc.console.shown.broadcast import view_of
+from bayesftc.console.web.access import Access, is_loopback, new_token
+from bayesftc.console.web.commands import LONGEST
+from bayesftc.console.web.server import Server
+from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.scenario import find_scenario
+
+PATIENCE = 2
+"""Seconds that open connections have to end."""
+
+
+class _Uvicorn(uvicorn.Server):
+    """A server that leaves signals to `serve_scenario`."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none."""
+        yield
+
+
+def serve_scenario(
+    scenario: str | os.PathLike[str],
+    host: str,
+    port: int,
+    beside: Sequence[str],
+    *,
+    say: Callable[[str], None],
+    open_page: bool = False,
+) -> None:
+    """Serve the page of a scenario until the process gets SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    scenario : str or path
+        The scenario file, or the name of a shipped one.
+    host, port : str, int
+        Where to listen.
+    beside : sequence of str
+        Precision learners to compare with; see `Desk`.
+    say : callable
+        Called with sentences for the user.
+    open_page : bool
+        Whether to open the page in a browser.
+
+    Raises
+    ------
+    BayesFTCError
+        If there is no such scenario, or the address cannot be used.
+    """
+    find_scenario(scenario)
+    with _listening(host, port) as listener:
+        port = listener.getsockname()[1]
+        access = Access(host, port, None if is_loopback(host) else new_token())
+        engine = Engine(lambda: Desk(str(scenario), tuple(beside)), view_of)
+        shown = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+        if access.token is not None:
+            shown += f"?token={access.token}"
+            say("Only who has this address can see and move the run. It is not encrypted.")
+        say(f"The console is at {shown} (Ctrl-C ends it)")
+        asyncio.run(_serve(Server(engine, access), listener, shown if open_page else None))
+    say("The console has ended.")
+
+
+async def _serve(server: Server, listener: socket.socket, page: str | None) -> None:
+    config = uvicorn.Config(
+        server.app,
+        log_level="warning",
+        access_log=False,
+        ws="websockets-sansio",
+        ws_max_size=2 * LONGEST,
+        ws_per_message_deflate=False,  # it would cost more than it saves on most networks
+        server_header=False,
+        timeout_graceful_shutdown=PATIENCE,
+        limit_concurrency=200,
+    )
+    running = _Uvicorn(config)
+
+    def end() -> None:
+        running.should_exit = True
+        server.close()
+
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end)
+    if page is not None:
+        loop.call_later(0.3, webbrowser.open, page)
+    await running.serve(sockets=[listener])
+
+
+@contextmanager
+def _listening(host: str, port: int) -> Iterator[socket.socket]:
+    """Return a socket that listens.
+
+    Raises
+    ------
+    BayesFTCError
+        If the address cannot be used.
+    """
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(128)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise BayesFTCError(
+            f"The address {host}:{port} cannot be used ({why}). Choose another with --port, or --port 0 for a free one."
+        ) from None
+    with listener:
+        yield listener
+
+
+__all__ = ["serve_scenario"]

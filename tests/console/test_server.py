@@ -1,0 +1,290 @@
+"""The server: frames and commands, who may connect, bounds, and viewers that do not read."""
+
+import http.client
+import re
+import socket
+import time
+
+import numpy as np
+import pytest
+from served import Viewer, served
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from bayesftc.console.desk.history import Rows
+from bayesftc.console.shown.frames import thinned
+from bayesftc.console.web.access import Access, is_loopback
+from bayesftc.console.web.server import MOST_VIEWERS
+from bayesftc.scenario import load_scenario
+
+
+def get(address, path, **headers):
+    host = re.search(r"http://([^/]+)", address)[1]
+    connection = http.client.HTTPConnection(host, timeout=60)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer.status, dict(answer.getheaders()), body
+
+
+def test_run_break_go_back_and_download(address, tmp_path):
+    with Viewer(address) as viewer:
+        viewer.ready()
+        viewer.claim()
+        viewer.do(do="back", k=0)
+        viewer.do(do="step", steps=200)
+        viewer.until(lambda: viewer.header["k"] == 200)
+        assert viewer.steps.tolist() == list(range(201))
+        viewer.do(do="fault", target="sensors", settings={"kind": "Freeze", "sensor": 1})
+        viewer.do(do="step", steps=50)
+        viewer.until(lambda: viewer.header["k"] == 250 and viewer.header["epoch"] == viewer.layout["epoch"])
+        card = viewer.header["cards"][1]
+        assert card["p"] > 0.9
+        assert card["kind"] == "frozen"
+        assert card["present"] == ["freeze_1"]
+        assert re.fullmatch(r"ignoring sensor 1 since 4.* s: frozen, probability \S+( \S+)?", card["words"])
+        assert viewer.column("controller.fault_probability[1]")[-1] > 0.9
+        status, headers, body = get(address, "/download/scenario.toml")
+        assert status == 200
+        assert "attachment" in headers["content-disposition"]
+        (tmp_path / "by_hand.toml").write_bytes(body)
+        result = load_scenario(tmp_path / "by_hand.toml").simulate()
+        assert len(result.time) == 251
+        assert np.array_equal(result["plant.v"].astype(np.float32), viewer.column("plant.v"))
+        status, _, body = get(address, "/download/signals.csv")
+        assert status == 200
+        assert body.count(b"\n") == 252
+        assert get(address, "/download/figure.png")[2].startswith(b"\x89PNG")
+        viewer.do(do="back", k=100)
+        viewer.until(lambda: viewer.header["k"] == 100)
+        viewer.do(do="fault", target="force", settings={"kind": "GainFault", "factor": 0.5, "duration": 1.0})
+        viewer.until(lambda: len(viewer.layout["branches"]) == 2)
+        viewer.do(do="compare", name="first")
+        viewer.until(lambda: len(viewer.layout["lanes"]) == 3)
+        viewer.do(do="choose", name="first")
+        viewer.do(do="remove", name="branch 2")
+        viewer.until(lambda: len(viewer.layout["branches"]) == 1)
+
+
+def test_run_by_the_clock(address):
+    with Viewer(address) as viewer:
+        viewer.ready()
+        viewer.claim()
+        viewer.do(do="pace", pace=10)
+        viewer.do(do="run", on=True)
+        first, began = viewer.header["t"], time.monotonic()
+        viewer.until(lambda: viewer.header["t"] >= first + 10.0)
+        assert 0.7 < time.monotonic() - began < 30.0
+        viewer.do(do="pace", pace=None)
+        first = viewer.header["t"]
+        viewer.until(lambda: viewer.header["t"] > first + 100.0)
+        viewer.do(do="run", on=False)
+        viewer.do(do="pace", pace=1)
+        viewer.do(do="back", k=200)
+        assert viewer.ask(do="pace", pace=1000)["sentence"].startswith("The pace is 1000")
+
+
+def test_frames_lose_no_spike():
+    values = np.random.default_rng(0).normal(size=(1003, 3))
+    values[517, 1], values[600, 2], values[700:720, 0] = 50.0, np.nan, np.nan
+    steps, thin = thinned(Rows(values, 100), 100)
+    assert len(thin) <= 100
+    assert (np.diff(steps) > 0).all()
+    assert 100 <= steps[0] <= steps[-1] <= 1102
+    assert np.array_equal(np.nanmax(thin, axis=0), np.nanmax(values, axis=0))
+    assert np.array_equal(np.nanmin(thin, axis=0), np.nanmin(values, axis=0))
+    assert thinned(Rows(values, 0), 2000)[1] is values
+    assert len(thinned(Rows(values[:5], 0), 2)[1]) == 2
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "", "no json", "[]", "{}", '{"do": 1}', '{"do": "explode"}', '{"do": "run"}', '{"do": "run", "on": "yes"}',
+        '{"do": "pace", "pace": NaN}', '{"do": "pace", "pace": 1e999}', '{"do": "step", "steps": 1e9}',
+        '{"do": "fault", "target": "sensors", "settings": {"kind": "Freeze", "sensor": 99}}',
+        '{"do": "fault", "target": "sensors", "settings": {"kind": ["Freeze"]}}',
+        '{"do": "fault", "target": "sensors", "settings": {"kind": "Stuck", "at": NaN}}',
+        '{"do": "goal", "target": "-1", "value": 1}', '{"do": "back", "k": -1}', '{"do": "back", "k": 1e99}',
+        '{"do": "show", "columns": "all"}', '{"do": "rename", "name": "first", "new": " "}', "[" * 8000, '{"a":' * 1500,
+    ],
+)  # fmt: skip
+def test_wrong_commands_are_answered(address, message):
+    with Viewer(address) as viewer:
+        viewer.ready()
+        k = viewer.header["k"]
+        viewer.socket.send(message)
+        sentence = None
+        while sentence is None:
+            sentence = viewer.receive().get("sentence")
+        assert sentence.endswith(".")
+        assert viewer.header["k"] == k
+
+
+def test_long_messages_end_the_connection(address):
+    with Viewer(address) as viewer:
+        viewer.ready()
+        viewer.socket.send("x" * 100_000)
+        with pytest.raises(ConnectionClosed):
+            viewer.until(lambda: False)
+    with Viewer(address) as viewer:
+        viewer.ready()
+
+
+def test_one_operator_and_many_viewers(address):
+    with Viewer(address) as first, Viewer(address) as second:
+        first.ready()
+        first.claim()
+        second.ready()
+        assert not second.layout["operator"]
+        assert "controls" in second.ask(do="step")["sentence"]
+        assert "controls" in second.ask(do="claim")["sentence"]
+        first.socket.close()
+        second.claim()
+        assert second.ask(do="step")["type"] == "done"
+
+
+def test_number_of_viewers_is_bounded(address):
+    viewers = [Viewer(address) for _ in range(MOST_VIEWERS)]
+    try:
+        viewers[-1].ready()
+        with Viewer(address) as more, pytest.raises(ConnectionClosed) as caught:
+            more.ready()
+        assert caught.value.rcvd.code == 1013
+    finally:
+        for viewer in viewers:
+            viewer.socket.close()
+
+
+def test_a_viewer_that_does_not_read_delays_nobody(address):
+    host, port = re.search(r"http://([^/]+):(\d+)", address).groups()
+    stuck = socket.socket()
+    stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    stuck.connect((host, int(port)))
+    stuck.sendall(
+        f"GET /live HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: http://{host}:{port}\r\nUpgrade: websocket\r\n"
+        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    with Viewer(address) as viewer:
+        viewer.ready()
+        time.sleep(0.5)
+        if not viewer.layout["operator"]:
+            stuck.close()
+            viewer.claim()
+        viewer.do(do="pace", pace=10)
+        viewer.do(do="run", on=True)
+        first, frames, began = viewer.header["t"], 0, time.monotonic()
+        while viewer.header["t"] < first + 20.0:
+            viewer.receive()
+            frames += 1
+        assert frames > 5
+        assert time.monotonic() - began < 30.0
+        viewer.do(do="run", on=False)
+        viewer.do(do="pace", pace=1)
+    stuck.close()
+
+
+def test_other_origins_and_hosts_are_refused(address):
+    host = re.search(r"http://([^/]+)", address)[1]
+    for options in ({"origin": "http://evil.example"}, {"origin": None}, {"origin": f"http://{host}.evil.example"}):
+        with pytest.raises(InvalidStatus) as caught:
+            Viewer(address, **options)
+        assert caught.value.response.status_code == 403
+    assert get(address, "/", Host="evil.example")[0] == 403  # a name that was bound to this address
+    assert get(address, "/download/scenario.toml", Host="evil.example:80")[0] == 403
+    connection = http.client.HTTPConnection(host, timeout=60)
+    connection.request("POST", "/", body=b"do=run")
+    assert connection.getresponse().status == 403
+
+
+def test_page_has_a_policy_and_nothing_from_elsewhere(address):
+    status, headers, body = get(address, "/")
+    assert status == 200
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "unsafe" not in headers["content-security-policy"]
+    assert headers["x-content-type-options"] == "nosniff"
+    text = body.decode()
+    for name in re.findall(r'(?:src|href)="(/page/[^"]+)"', text):
+        status, headers, body = get(address, name)
+        assert status == 200
+        assert headers["content-security-policy"]
+        text += body.decode()
+    assert not re.findall(r"https?://(?!www\.w3\.org/)", text.replace("https://github.com/leeoniya/uPlot", ""))
+    assert "innerHTML" not in re.sub(r"(?s)/\*! https://github.com/leeoniya.*", "", text)
+    for path in ("/page/../server.py", "/page/%2e%2e/server.py", "/etc/passwd", "/page/x", "/download/x"):
+        assert get(address, path)[0] == 404
+
+
+def test_other_addresses_need_the_token():
+    with served("cruise_control", "--alone", "--host", "0.0.0.0") as (_, shown):
+        token = re.search(r"token=(\S+)", shown)[1]
+        address = shown.replace("0.0.0.0", "127.0.0.1")
+        assert len(token) > 30
+        for path in ("/", "/page/console.js", "/download/scenario.toml", "/?token=", "/?token=wrong"):
+            assert get(address, path)[0] == 403
+        for cookie in ("", "token=x", f"other={token}", f"bayesftc-1={token}", ";;==", "a" * 5000):
+            assert get(address, "/", Cookie=cookie)[0] in (400, 403)
+            with pytest.raises(InvalidStatus):
+                Viewer(address, additional_headers={"Cookie": cookie})
+        status, headers, _ = get(address, f"/?token={token}")
+        assert status == 303
+        assert headers["location"] == "/"
+        cookie = headers["set-cookie"]
+        assert "HttpOnly" in cookie
+        assert "SameSite=strict" in cookie
+        cookie = cookie.split(";")[0]
+        assert get(address, "/", Cookie=cookie)[0] == 200
+        with pytest.raises(InvalidStatus):
+            Viewer(address, origin="http://evil.example", additional_headers={"Cookie": cookie})
+        with Viewer(address, additional_headers={"Cookie": cookie}) as viewer:
+            viewer.ready()
+            assert [lane["name"] for lane in viewer.layout["lanes"]] == ["SwitchingPrecision"]
+
+
+def test_addresses_of_this_machine():
+    assert all(map(is_loopback, ("127.0.0.1", "127.9.9.9", "::1", "localhost")))
+    assert not any(map(is_loopback, ("0.0.0.0", "192.168.0.2", "::", "example.org")))
+    access = Access("127.0.0.1", 80, None)
+    assert access.knows_host([(b"host", b"localhost")])
+    assert not access.knows_host([(b"host", b"localhost"), (b"host", b"evil.example")])
+    assert not access.knows_host([])
+
+
+def test_wrong_command_lines_end_with_a_sentence(tmp_path):
+    from typer.testing import CliRunner
+
+    from bayesftc.cli.application import app
+
+    runner = CliRunner()
+    assert "no shipped scenario" in runner.invoke(app, ["serve", "cruise_contrl"]).output
+    assert "--beside" in runner.invoke(app, ["serve", "cruise_control", "--alone", "--beside", "EFFDI"]).output
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        answer = runner.invoke(app, ["serve", "cruise_control", "--port", port])
+    assert answer.exit_code != 0
+    assert "cannot be used" in answer.output
+
+
+def test_a_wrong_scenario_is_shown(tmp_path):
+    file = tmp_path / "wrong.toml"
+    file.write_text("[simulation]\nduration = 1.0\n")
+    with served(str(file)) as (_, address), Viewer(address) as viewer:
+        message = viewer.receive()
+        while not message["failure"]:
+            message = viewer.receive()
+        assert "lacks the section [plant]" in message["failure"]
+        assert get(address, "/download/scenario.toml")[0] == 404
+
+
+def test_names_are_data(tmp_path):
+    """A name with HTML in it goes to the page as text; the page makes no HTML of texts."""
+    file = tmp_path / "<b>car.toml"
+    file.write_text(load_scenario("cruise_control").path.read_text())
+    with served(str(file), "--alone") as (_, address), Viewer(address) as viewer:
+        viewer.ready()
+        viewer.do(do="rename", name="first", new="<img src=x onerror=alert(1)>")
+        assert viewer.layout["scenario"] == "<b>car"
+        disposition = get(address, "/download/scenario.toml")[1]["content-disposition"]
+        assert disposition == 'attachment; filename="_b_car_scenario.toml"'
