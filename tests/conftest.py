@@ -254,12 +254,14 @@ import sys
 from contextlib import contextmanager
 from importlib import import_module
 from bayesftc.__main__ import main
+from bayesftc.cli.application import COMMANDS
 
 @contextmanager
 def tell(*names, shown):
     yield lambda *progress: print(*progress, flush=True)
 
-import_module(f"bayesftc.cli.commands.{sys.argv[1]}")._progress = tell
+folder, _ = COMMANDS[sys.argv[1]]
+import_module(f"bayesftc.cli.commands.{folder}.{sys.argv[1]}")._progress = tell
 main()
 """
 

@@ -27,7 +27,9 @@ def misspelt(paths):
 def test_spelling():
     pytest.importorskip("codespell_lib")
     files = [p for folder in FOLDERS for p in (ROOT / folder).rglob("*") if p.suffix in KINDS]
-    files = [p for p in files if not MADE & set(p.relative_to(ROOT).parts) and ".min." not in p.name] + sorted(ROOT.glob("*.md"))
+    files = [p for p in files if not MADE & set(p.relative_to(ROOT).parts) and ".min." not in p.name] + sorted(
+        ROOT.glob("*.md")
+    )
     assert len(files) > 500
     found = misspelt(files)
     assert not found, found

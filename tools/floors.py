@@ -71,7 +71,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("controllers.diagnosis",),
     ("controllers.design",),
     ("controllers",),
-    ("scenario",),
+    ("scenario", "scenario.live"),
     ("monitoring.fit", "monitoring"),
     ("console", "console.desk"),
     ("console.shown",),
@@ -83,7 +83,12 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("reproduce.registry", "reproduce"),
     ("report",),
     ("examples",),
-    ("cli", "cli.commands", "cli.inspection"),
+    (
+        "cli",
+        "cli.commands",
+        "cli.inspection",
+        *(f"cli.commands.{name}" for name in ("loops", "recordings", "fmus", "campaigns", "studies")),
+    ),
     ("__main__", "__init__"),
 )
 """Folders, and modules on another floor than their folder, from the lowest floor up."""

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bayesftc.cli import app
-from bayesftc.cli.commands.monitor import monitor as monitor_command
+from bayesftc.cli.commands.recordings.monitor import monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.monitoring import Monitor, Monitored
 

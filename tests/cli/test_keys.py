@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesftc.cli.commands.keys import FILES, classes
+from bayesftc.cli.commands.loops.keys import FILES, classes
 from bayesftc.scenario._keys import described, keys_of, thing
 
 PAGES = Path(__file__).resolve().parents[2] / "docs" / "reference"

@@ -18,18 +18,66 @@ from typer.core import TyperGroup
 from bayesftc.cli.guard import guarded
 from bayesftc.cli.options import Debug
 
+PANELS = {
+    "loops": "Closed loops",
+    "recordings": "Recorded samples",
+    "fmus": "FMUs",
+    "campaigns": "Campaigns",
+    "studies": "The paper, and speed",
+}
+"""The folder of each panel of the help, and its heading."""
+
 COMMANDS = {
-    "run": "Run a scenario and print the figures of the run.",
-    "live": "Run a scenario's controller against a real plant: samples and controls by UDP, serial lines or files.",
-    "inspect": "Show an FMU's description (variables, units, kinds, platforms, capabilities), and what works with it.",
-    "export": "Write blocks of a scenario as an FMU that needs no Python, or as C.",
-    "verify": "Run an FMU beside the blocks that it was exported from, with noise and faults, and print the differences.",
-    "example": "Print a shipped file (scenario, campaign, monitor) to start from: bayesftc example cruise_control > car.toml.",
-    "keys": "Print the keys of scenario, campaign and monitor files: bayesftc keys scenario faults.",
-    "calibrate": "Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file.",
-    "monitor": "Find faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large.",
-    "fit": "Fit parameters of an FMU to a recording with gaps and faults: values, standard errors, what it cannot determine.",
-    "reproduce": """Run the paper's experiments and print our numbers beside the paper's. Further experiments go beyond the paper.
+    "run": ("loops", "Run a scenario and print the figures of the run."),
+    "serve": (
+        "loops",
+        "Run a scenario now, with a page to watch it, to break its sensors and actuators, and to go back.",
+    ),
+    "live": (
+        "loops",
+        "Run a scenario's controller against a real plant: samples and controls by UDP, serial lines or files.",
+    ),
+    "example": (
+        "loops",
+        "Print a shipped file (scenario, campaign, monitor) to start from: bayesftc example cruise_control > car.toml.",
+    ),
+    "keys": ("loops", "Print the keys of scenario, campaign and monitor files: bayesftc keys scenario faults."),
+    "calibrate": (
+        "loops",
+        "Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file.",
+    ),
+    "monitor": (
+        "recordings",
+        "Find faults in recorded samples of redundant sensors: which sensor, what kind, since when, how large.",
+    ),
+    "fit": (
+        "recordings",
+        "Fit parameters of an FMU to a recording with gaps and faults: values, standard errors, what it cannot determine.",
+    ),
+    "inspect": (
+        "fmus",
+        "Show an FMU's description (variables, units, kinds, platforms, capabilities), and what works with it.",
+    ),
+    "export": ("fmus", "Write blocks of a scenario as an FMU that needs no Python, or as C."),
+    "verify": (
+        "fmus",
+        "Run an FMU beside the blocks that it was exported from, with noise and faults, and print the differences.",
+    ),
+    "campaign": (
+        "campaigns",
+        "Run a campaign: a scenario at many settings with many seeds. A stopped campaign continues.",
+    ),
+    "report": (
+        "campaigns",
+        "Write a campaign's report: one page with its tables and figures, for any browser and for print.",
+    ),
+    "replay": (
+        "campaigns",
+        "Repeat one run of a campaign, with everything recorded. It loads pickles: use it only for stores that you trust.",
+    ),
+    "reproduce": (
+        "studies",
+        """Run the paper's experiments and print our numbers beside the paper's. Further experiments go beyond the paper.
 
 \b
 arm            A robot arm with a frozen encoder (the paper's table 1).
@@ -41,18 +89,16 @@ beliefs        Beyond the paper: fault modes with wrong settings.
 probabilities  Beyond the paper: are fault probabilities correct?
 family         Beyond the paper: every learner with faults that none models.
 """,
-    "campaign": "Run a campaign: a scenario at many settings with many seeds. A stopped campaign continues.",
-    "report": "Write a campaign's report: one page with its tables and figures, for any browser and for print.",
-    "replay": "Repeat one run of a campaign, with everything recorded. It loads pickles: use it only for stores that you trust.",
-    "serve": "Run a scenario now, with a page to watch it, to break its sensors and actuators, and to go back.",
-    "bench": "Measure speed, start-up, memory and compilation on this machine.",
+    ),
+    "bench": ("studies", "Measure speed, start-up, memory and compilation on this machine."),
 }
-"""The help text of each command, in the order of the help. Lines after a backspace are not joined."""
+"""The folder and the help text of each command, in the order of the help. Lines after a backspace are not joined."""
 
 
 def load(name: str) -> Any:
     """Return a command: the function of its name, with ``--debug`` added."""
-    function = getattr(import_module(f"bayesftc.cli.commands.{name}"), name)
+    folder, text = COMMANDS[name]
+    function = getattr(import_module(f"bayesftc.cli.commands.{folder}.{name}"), name)
     shown = signature(function, eval_str=True)
     debug = Parameter("debug", Parameter.KEYWORD_ONLY, default=False, annotation=Debug)
 
@@ -71,7 +117,7 @@ def load(name: str) -> Any:
     run.__signature__ = shown.replace(parameters=[*shown.parameters.values(), debug])  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in (*shown.parameters.values(), debug)}
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    single.command(name, help=COMMANDS[name])(run)
+    single.command(name, help=text)(run)
     return typer.main.get_command(single)
 
 
@@ -92,8 +138,8 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for command, text in COMMANDS.items():
-    app.command(command, help=text)(lambda: None)
+for command, (panel, text) in COMMANDS.items():
+    app.command(command, help=text, rich_help_panel=PANELS[panel])(lambda: None)
 
 
 def _version(requested: bool) -> None:

@@ -360,7 +360,7 @@ WRONG_SIGN = ("B = [[2e-4]]", "B = [[-2e-4]]")
 
 
 def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys):
-    from bayesftc.cli.commands.run import run as run_command
+    from bayesftc.cli.commands.loops.run import run as run_command
     from bayesftc.scenario._files import find_scenario
 
     text = find_scenario("cruise_control").read_text(encoding="utf-8")
@@ -373,7 +373,7 @@ def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys
 
 
 def test_bayesftc_run_says_nothing_of_a_right_model(capsys):
-    from bayesftc.cli.commands.run import run as run_command
+    from bayesftc.cli.commands.loops.run import run as run_command
 
     with warnings.catch_warnings():
         warnings.simplefilter("error", controllers.ModelMismatchWarning)

@@ -292,7 +292,7 @@ def seen_in_part_by_functions():
 def test_what_is_measured_by_a_function_has_no_belief_and_what_the_goal_is_for_has_tracking():
     from types import SimpleNamespace
 
-    from bayesftc.cli.commands.run import _notes
+    from bayesftc.cli.commands.loops.run import _notes
 
     loop = seen_in_part_by_functions()
     result = loop.simulate(2.0, engine="interpreted")

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bayesftc.cosim.errors import BayesFTCError
-from bayesftc.scenario._wires import load_wires
+from bayesftc.scenario.live import load_wires
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "connect-mqtt-and-opc-ua.md"
 FILES = re.findall(r"^```toml\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.S | re.M)

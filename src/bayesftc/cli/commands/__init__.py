@@ -1,1 +1,1 @@
-"""The commands of ``bayesftc``: a module for each, of its name."""
+"""The commands of ``bayesftc``: a folder for each panel of the help, in it a module for each command, of its name."""

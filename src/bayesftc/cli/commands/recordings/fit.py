@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.commands.inspect import find_fmu
+from bayesftc.cli.commands.fmus.inspect import find_fmu
 from bayesftc.cli.options import Json, Quiet
 from bayesftc.cosim.judging.metrics import without_nan
 

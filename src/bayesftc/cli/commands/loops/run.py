@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.compare import compare_scenarios
+from bayesftc.cli.commands.loops._compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError

@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.live_report import Alarms, as_numbers, print_summary
+from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, print_summary
 from bayesftc.cli.options import Json, Quiet
 from bayesftc.cosim.live.run import LiveSettings, run_live
-from bayesftc.scenario import live_controller, load_wires
+from bayesftc.scenario.live import live_controller, load_wires
 
 Bridges = Annotated[
     Path, typer.Option("--bridge", metavar="TOML", help="File of wires: where samples come from, and where outputs go.")

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
+from bayesftc.cli.commands.recordings._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
 from bayesftc.cli.options import Json, Quiet
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.cosim.judging.metrics import without_nan
