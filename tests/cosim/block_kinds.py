@@ -5,7 +5,7 @@ Controllers are in `BLOCKS` of the exports' conftest.py, beside these.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 
 import control
 import numpy as np
@@ -29,7 +29,16 @@ SIZES = {
     "Lag": {"time_constant": 0.5},
     "Delay": {"delay": 0.3},
 }
-"""What the kinds of fault need beside a window."""
+"""What the kinds of fault need beside a window: a new kind with required settings needs a line here."""
+
+
+def fault_of(kind, **settings):
+    """Return a fault of this kind with its settings in `SIZES`, unless others are given."""
+    needed = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    settings = {**SIZES.get(kind.__name__, {}), **settings}
+    missing = [name for name in needed if name not in settings]
+    assert not missing, f"{kind.__name__} needs {', '.join(missing)}; add them to SIZES in tests/cosim/block_kinds.py"
+    return kind(**settings)
 
 
 def _subsystem():
@@ -88,7 +97,7 @@ BLOCKS = {
     "chirp": cosim.Chirp(1.0, 0.5, 2.0, 3.0),
     "exponential chirp": cosim.Chirp(1.0, 0.5, 2.0, 3.0, sweep="exponential"),
     "transfer function": cosim.TransferFunction([1.0, 2.0], [1.0, 0.6, 1.0]),
-    **{kind.__name__: kind(sensor=1, **SIZES.get(kind.__name__, {}), **WINDOW) for kind in cosim.FAULTS[:-1]},
+    **{kind.__name__: fault_of(kind, sensor=1, **WINDOW) for kind in cosim.FAULTS[:-1]},
     "RandomFaults": cosim.RandomFaults(channels=2, mean_time_to_fault=3.0, mean_time_to_recovery=2.0),
     "faults that remember": cosim.RandomFaults(
         kinds=(cosim.Lag(time_constant=0.5), cosim.Freeze(), cosim.Delay(delay=0.3)),

@@ -2,10 +2,11 @@
 
 import re
 import tomllib
-from dataclasses import MISSING, fields
+from dataclasses import fields
 
 import numpy as np
 import pytest
+from block_kinds import SIZES
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import ACTUATOR_MODES, LAWS, LEARNERS
@@ -66,8 +67,7 @@ def test_without_a_learner_it_is_the_default(write):
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
 def test_every_fault_can_be_said(write, fault):
-    needed = [f.name for f in fields(fault) if f.default is MISSING and f.default_factory is MISSING]
-    extra = "".join(f"\n{name} = 2" for name in needed)
+    extra = "".join(f"\n{name} = {value}" for name, value in SIZES.get(fault.__name__, {}).items())
     scenario = load_scenario(write(('kind = "Freeze"', f'kind = "{fault.__name__}"{extra}')))
     assert type(scenario.faults[0]) is fault
 

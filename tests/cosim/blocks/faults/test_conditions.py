@@ -1,11 +1,12 @@
 """Faults on a condition: against a state machine in Python, and against the same faults at times that are known."""
 
 import pickle
-from dataclasses import MISSING, fields, replace
+from dataclasses import replace
 from math import inf, nan
 
 import numpy as np
 import pytest
+from block_kinds import fault_of
 from hypothesis import example, given, settings, strategies as st
 from numpy.testing import assert_array_equal
 
@@ -27,9 +28,8 @@ OPERATORS = {
 def of_each_kind(**common):
     """Return a fault of each kind with the same window."""
     for kind in FAULTS:
-        required = {field.name: 0.5 for field in fields(kind) if field.default is MISSING}
-        yield kind(
-            **required,
+        yield fault_of(
+            kind,
             **({"mean_time_to_fault": 0.1, "mean_time_to_recovery": 0.1} if kind is FAULTS[-1] else {}),
             **common,
         )

@@ -1,9 +1,8 @@
 """Faults of actuators and of the process: they stand before the plant, and the controller knows nothing of them."""
 
-from dataclasses import MISSING, fields
-
 import numpy as np
 import pytest
+from block_kinds import fault_of
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bayesftc import controllers, cosim, fmus
@@ -57,9 +56,8 @@ def short(loop, **options):
 def examples():
     """Every kind of fault that can befall an input, by its name."""
     for kind in FAULTS:
-        required = {field.name: 0.5 for field in fields(kind) if field.default is MISSING}
         if kind is not cosim.Dropout:
-            yield kind(**required, **WINDOW)
+            yield fault_of(kind, **WINDOW)
 
 
 EXAMPLES = list(examples())
