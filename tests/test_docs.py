@@ -167,11 +167,14 @@ def test_whatever_is_listed_is_public():
 
     listed = [(cosim, cls) for cls in (*cosim.FAULTS, *cosim.BLOCKS)]
     listed += [(cosim, cls) for cls in METRICS]
-    for classes in (controllers.LEARNERS, controllers.LAWS, controllers.CONTROLLERS):
+    for classes in (
+        controllers.LEARNERS, controllers.LAWS, controllers.CONTROLLERS, controllers.FAULT_MODES, controllers.ACTUATOR_MODES,
+    ):  # fmt: skip
         listed += [(controllers, cls) for cls in classes]
     listed += [(monitoring, cls) for cls in monitoring.PLANT_MODELS]
     for home, cls in listed:
-        assert getattr(home, cls.__name__) is cls
+        stub = f"{home.__name__.removeprefix('bayesftc.')}/__init__.pyi"
+        assert getattr(home, cls.__name__, None) is cls, f"{stub} lacks {cls.__name__} as {cls.__name__}"
 
 
 def test_every_learner_has_a_row_in_the_page_of_learners():

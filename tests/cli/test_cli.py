@@ -43,7 +43,7 @@ def test_version_and_help(bayesftc_):
     page = (Path(__file__).parents[2] / "docs" / "reference" / "command-line.md").read_text(encoding="utf-8")
     for command in COMMANDS:
         assert re.search(rf"\b{command}\b", text)
-        assert f"`bayesftc {command}" in page
+        assert f"`bayesftc {command}" in page, f"docs/reference/command-line.md lacks a row for bayesftc {command}"
     assert "cruise_control" in text
 
 

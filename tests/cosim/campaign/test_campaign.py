@@ -78,6 +78,10 @@ def test_metrics_are_what_numpy_says(same_bits):
         last,
         cosim.LoopFigures(only=["tracking.*", "sensors.0.auc"]),
     ]
+    lacking = set(cosim.METRICS) - {type(metric) for metric in metrics}
+    assert not lacking, (
+        f"add {', '.join(cls.__name__ for cls in lacking)} to metrics above, and a formula to expected below"
+    )
     campaign = cosim.Campaign(loop(), duration=4.0, seeds=4, metrics=metrics, record=["plant.v"], decimation=4)
     table = campaign.run().table
     for run in range(4):
