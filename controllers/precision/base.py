@@ -19,7 +19,9 @@ To write a precision learner you must:
    ``without_covariance()`` the learner that does not. A learner that wraps another passes both on. If it infers actuator faults,
    list them in the field or property ``actuator_modes``; they become signals and a table of a run;
 9. if it calls Python code that cannot be compiled, set ``compiled=False``; its controller then runs interpreted;
-10. add it to `LEARNERS`, which the tests use, to ``__init__.pyi``, and to the table of ``docs/explanation/precision.md``.
+10. add it to `LEARNERS` and to ``controllers/__init__.pyi``; to the table of ``docs/explanation/precision.md`` and to
+    ``docs/gallery_examples/4_learners/plot_every_learner.py``; and to `EXAMPLES` of
+    ``tests/controllers/precision/test_precision.py``.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ To write one you must:
    ``settings(model, sensor)`` its settings for one sensor.
 
 This suffices in Python: ``SwitchingPrecision([Glitching(), Offset()])``; ``docs/reference/extend.md`` has an example. Scenario
-files and tests use `FAULT_MODES`; add the mode to it for them.
+files and tests use `FAULT_MODES`; add the mode to it for them, to ``controllers/__init__.pyi``, and to the table of
+``docs/explanation/precision.md`` with the default of each setting.
 
 In the joint form a subclass of `Offset` is estimated together with the state, from its ``jump``, ``slope`` and ``walk``. Its
 ``evidence`` is then used only where another sensor already has an offset, or an actuator has failed. A mode with

@@ -1,4 +1,7 @@
-"""The kinds of blocks that scenario files choose from."""
+"""The kinds of blocks that scenario files choose from.
+
+``docs/reference/extend.md`` states where else a new block is listed.
+"""
 
 from __future__ import annotations
 

@@ -17,8 +17,9 @@ To add a kind of fault you must:
 4. if the value depends on earlier samples, set ``remembers = True``, return from ``memory(step)`` how many numbers it keeps,
    and give the function a seventh argument ``memory``. Override ``numbers`` if the function needs settings in steps;
 5. override ``check`` if settings must be more than finite numbers;
-6. put it into `FAULTS`, before `RandomFaults`, and into ``cosim/__init__.pyi``; with its formula in NumPy into the list of
-   ``tests/cosim/blocks/faults/test_faults.py``, and into `KINDS` of ``reproduce/experiments/family/unseen.py``.
+6. put it into `FAULTS`, before `RandomFaults`, into ``cosim/__init__.pyi``, and into
+   ``docs/gallery_examples/3_faults/plot_every_fault.py``; with its formula in NumPy into `KINDS` of
+   ``tests/cosim/blocks/faults/test_faults.py``; and its required settings into `SIZES` of ``tests/cosim/block_kinds.py``.
 
 It is then available in random, scheduled and mixed faults, both engines and scenario files.
 """

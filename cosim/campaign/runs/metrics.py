@@ -8,7 +8,8 @@ To write a metric you must:
    are called for the first point of a campaign, before anything runs;
 4. return from ``evaluate(runs)`` an array for each of these names, with a number for each run; NaN if it is not defined. It
    gets only complete runs, and may be called in several threads at once;
-5. list it in `METRICS`.
+5. list it in `METRICS` and in ``cosim/__init__.pyi``, and add it with its formula in NumPy to
+   ``tests/cosim/campaign/test_campaign.py``. Campaign files can then name it.
 
 Any function from a `Result` to a number is a metric as well, named after the function. It is called run by run.
 """

@@ -1,6 +1,7 @@
 """The commands of ``bayesftc``. Each has a module, which is loaded only when it is called, so that ``--help`` is instant.
 
-To add a command, write a function and a module of its name, with options like those of the others, and add it to `COMMANDS`.
+To add a command, write a function and a module of its name, with options like those of the others, and add it to `COMMANDS`
+with its help, and to the table of ``docs/reference/command-line.md``.
 Every command also gets ``--debug``, and ends as `guard` describes.
 """
 
