@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from inspect import getdoc
+from itertools import accumulate
 from types import FunctionType
 from typing import Any
 
@@ -216,9 +217,15 @@ def _without_unread(lines: Sequence[str], variables: Collection[str], functions:
         for line, match in zip(before, assigned, strict=True):
             if match is None or match[2] in read or not (match[2] in variables or match[2].startswith("t_")):
                 result.append(line)
-            elif match[3].partition("(")[0] in functions:
+            elif match[3].partition("(")[0] in functions and _is_one_call(match[3].removesuffix(";")):
                 result.append(f"{match[1]}{match[3]}")
     return result
+
+
+def _is_one_call(text: str) -> bool:
+    """Return whether some C that begins with a call is nothing but this call: an expression around it has no effects."""
+    depths = list(accumulate((c == "(") - (c == ")") for c in text))
+    return text.endswith(")") and 0 not in depths[text.index("(") : -1]
 
 
 def _variables(t: Translator, read: Collection[str]) -> list[str]:

@@ -160,6 +160,7 @@ def call_order(u, y, x):
     touched(x, 0)
     y[1], y[2], y[3] = x[1], (1.0 if flag else 0.0) + double * double_, minimum(x[0], b=0.5)
     unread = touched(x, 0)  # noqa: F841
+    product = minimum(0.25, u[0]) * u[1]  # noqa: F841
 
 
 def returned_first(a, b):

@@ -181,7 +181,8 @@ class Writer:
         if kind == 7:
             return f"({self.whole(depth - 1)}) // {self.of('(-3 if k % 2 else 4)', '(2 if flag else -5)', '-7')}"
         if kind == 8 and depth > 1:
-            return f"ending({self.number(1)}, ({self.whole(1)}) % 5)"
+            # A whole number that is chosen while translating would make `a` one, and `ending` makes it a fraction.
+            return f"ending(({self.number(1)}) * 1.0, ({self.whole(1)}) % 5)"
         return f"({self.whole(depth - 1)}) {self.of('+', '-', '*')} ({self.whole(depth - 1)}) % 7"
 
     def test(self, depth):
