@@ -85,7 +85,8 @@ def repetition(change, nominal, memory, at, settings, row):
     """Return the factor of a repeated sample's density relative to that by the sensor's resolution; 1 for other samples.
 
     The probability of a repetition is its share while the sensor was healthy. The width over which that share has the typical
-    density of the noise replaces the resolution, if it is larger.
+    density of the noise replaces the resolution, if it is larger. The log density of the samples is divided by the factor again:
+    that is always by the resolution, so that the densities of two learners, or of two moments, can be compared.
     """
     share = (memory[at + REPEATS] + settings[row + REPEATS0]) / (memory[at + SAMPLES] + settings[row + SAMPLES0])
     share = minimum(share, settings[row + MOST_REPEATS])

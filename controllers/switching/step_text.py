@@ -64,7 +64,7 @@ for i in range(sample.y.shape[0]):
     repeats = repetition(change, sample.nominal[i, i], memory, at, settings, row)
     doubt = 0.5 / memory[at + NOISE_SHAPE]
     logp = logp + weigh(error, sample.present[i], variance, noise, doubt, change, repeats, memory, at, settings, row)
-    logp = logp + log(memory[at + DENSITY])
+    logp = logp + log(memory[at + DENSITY] / repeats)
     part = noise / variance
     squared = part * (part * error * error + sample.spread[i, i])
     counts = sample.present[i] * memory[at + HEALTHY]

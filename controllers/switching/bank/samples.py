@@ -110,7 +110,10 @@ def make_weigh(
             total = total + memory[none + h * stride]
         for h in range(H):
             memory[none + h * stride] = maximum(memory[none + h * stride] / total, LEAST)
-        memory[m * sensor + 1] = most + log(total)
+        factors = memory[repeated]
+        for i in range(1, m):
+            factors = factors * memory[repeated + i]
+        memory[m * sensor + 1] = most + log(total / factors)
 
     return weigh
 

@@ -154,7 +154,8 @@ def test_times_and_sizes_are_found_from_a_start_that_is_wrong_by_a_factor_of_fiv
     runs, kinds = zip(*(broken(seed, modes, 6000) for seed in (7, 8)), strict=True)
     times = list(realised(modes, np.vstack(kinds)))
     for factor in (0.2, 1.0, 5.0):
-        start = SwitchingPrecision(wrong(modes, factor), joint=False)
+        # Noise that is learned at the same time also changes the likelihood.
+        start = SwitchingPrecision(wrong(modes, factor), joint=False, noise_factor=1.0)
         learned = learn_modes([RecordedRun(y, **KNOWN) for y in runs], still(1.0, 1.0), start, compiled=True)
         assert learned.settled
         for now, (onsets, *true) in zip(learned.precision.modes, times, strict=True):
@@ -296,7 +297,7 @@ def test_all_modes_are_learned_within_the_sampling_error():
     """A table of ``docs/explanation/precision.md``: three sensors for 4000 s, a state that moves, right and wrong beginnings."""
     modes = (
         Frozen(200.0, 5.0),
-        Offset(100.0, 10.0, walk=0.0),
+        Offset(100.0, 10.0, jump=5.0, walk=0.0),
         Drifting(200.0, 10.0),
         Noisier(200.0, 10.0, shape=5.0),
         DroppedOut(300.0, 5.0),

@@ -19,7 +19,7 @@ from bayesftc.controllers.linalg.special import squared_gamma_half_step
 from bayesftc.controllers.precision.base import Sample, Trust
 from bayesftc.controllers.switching import fault_modes
 from bayesftc.controllers.switching.default_time import time_at
-from bayesftc.controllers.switching.fault_modes import ENTERED, FACTOR, OWN, SIZE
+from bayesftc.controllers.switching.fault_modes import ENTERED, FACTOR, OWN, REPEATS_STRENGTH, SIZE
 from bayesftc.controllers.switching.mode_kernels import drops, scatters, shifts
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import argument_names
@@ -132,6 +132,26 @@ def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
         weight = enter if first or second else 1 - 2 * enter
         together += weight * stats.multivariate_normal.pdf(e, cov=S)
     assert out.log_density == pytest.approx(np.log(0.81 * together), rel=1e-9)
+
+
+@pytest.mark.parametrize("joint", [True, False])
+@pytest.mark.parametrize("share", [0.001, 0.02, 0.3])
+def test_the_density_of_a_repeated_sample_is_its_probability_over_the_resolution(joint, share):
+    """Whatever share of its samples a healthy sensor repeats: it does so where its noise is probable."""
+    frozen = Frozen(time_to_fault=1.0, time_to_recovery=0.5, resolution=1e-6, healthy_repeats=share)
+    precision = SwitchingPrecision(modes=(frozen,), joint=joint, loss=0.1, process_modes=(), noise_factor=1.0)
+    model = LinearModel([[1.0]], [[1.0]], [[1.0], [1.0]], 1e-15, [1.0, 4.0], STEP)
+    online = controllers.StateEstimator(model, precision, initial_mean=20.0, initial_covariance=1e-15).online(
+        compiled=False
+    )
+    for _ in range(2):
+        out = online(y=[20.7, np.nan], u=0.0)
+    enter, leave = STEP / 1.0, STEP / 0.5
+    failed = enter * (1 - leave) + (1 - enter) * enter
+    repeats = share * REPEATS_STRENGTH / (REPEATS_STRENGTH + 1 - enter)
+    healthy = repeats * stats.norm.pdf(0.7) * np.sqrt(2 * np.pi * np.e)
+    mass = 0.9 * (failed * frozen.repeats + (1 - failed) * healthy) * 0.1
+    assert out.log_density == pytest.approx(np.log(mass / 1e-6), rel=1e-7)
 
 
 @pytest.mark.parametrize("begins", [0.0, 0.3, 1.0])
