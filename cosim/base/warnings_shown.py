@@ -16,10 +16,15 @@ def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
     """Warn at the innermost line outside this package, or at the outermost line if there is none."""
     level = 1
     frame: FrameType | None = sys._getframe()
-    while frame is not None and (frame.f_code.co_filename.startswith(_PACKAGE) or _imports(frame)):
+    while frame is not None and (frame.f_code.co_filename.startswith(_PACKAGE) or _made(frame) or _imports(frame)):
         level += not _imports(frame)
         frame = frame.f_back
     warnings.warn(text, category, stacklevel=level)
+
+
+def _made(frame: FrameType) -> bool:
+    """Return whether a frame belongs to the constructor that Python makes for a dataclass."""
+    return frame.f_code.co_filename == "<string>" and frame.f_code.co_name == "__init__"
 
 
 def _imports(frame: FrameType) -> bool:
