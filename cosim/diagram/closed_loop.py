@@ -16,9 +16,11 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
+from bayesftc.cosim.blocks.linear_system import is_system
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
+from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.subsystem import outermost, port_named
@@ -39,7 +41,7 @@ Connection = tuple[Names, str]
 
 
 def closed_loop(
-    plant: Block,
+    plant: Any,
     controller: Block,
     *,
     control: Names,
@@ -65,8 +67,8 @@ def closed_loop(
 
     Parameters
     ----------
-    plant : Block
-        An `FMU`, a `StateSpace`, or any block.
+    plant : Block, or system of python-control
+        An `FMU`, a `StateSpace`, or any block. A system of python-control becomes a `StateSpace`.
     controller : Block
         A block with inputs ``y`` and ``goal`` and the output ``u``.
     control : str or sequence of str
@@ -128,13 +130,15 @@ def closed_loop(
     >>> round(float(run["plant.y"][50:].mean()), 1), float(run["freeze_0.active"].mean().round(2))
     (1.0, 0.5)
     """
+    plant = StateSpace(plant) if is_system(plant) else plant
     _check_kinds(plant, controller, sensors, noise)
     diagram = Diagram(base_step(controller, dt))
     goals = [diagram.add(block, name)[output] for name, block, output in _references(reference, controller)]
     chains = [faults, *(input_faults.values() if isinstance(input_faults, Mapping) else ())]
     plant = plant.watching([*_names(measured, "measured"), *_compared("plant", chains), *_taken("plant", connections)])
     node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
-    outputs = [node[name] for name in _names(measured, "measured")]
+    outputs = [_port(node, name, "measured") for name in _names(measured, "measured")]
+    inputs = {name: _port(node, name, "control") for name in _names(control, "control")}
     sensors = _fitted(sensors, sum(map(len, outputs)))
     controller = with_invalid(controller, sensors)
     sensor_node = diagram.add(sensors, "sensors")
@@ -150,7 +154,6 @@ def closed_loop(
     if sum(map(len, goals)) != len(controller_node["goal"]):
         raise ConnectionError(_wrong_goals(sum(map(len, goals)), controller))
     diagram.connect(goals, controller_node["goal"])
-    inputs = {name: node[name] for name in _names(control, "control")}
     if len(controller_node["u"]) != sum(map(len, inputs.values())):
         raise ConnectionError(
             f"The controller has {len(controller_node['u'])} controls, but control= names {sum(map(len, inputs.values()))} "
@@ -400,6 +403,24 @@ def _every(block: Block, name: str, step: Fraction) -> int:
     return int(ratio)
 
 
+def _port(node: Node, name: str, role: Literal["measured", "control"]) -> PortRef:
+    """Return an output of the plant that is measured, or an input that is a control."""
+    ports = {port.name: port for port in (node.outputs if role == "measured" else node.inputs)}
+    try:
+        found = node[name]
+    except UnknownNameError:
+        raise UnknownNameError(
+            f"closed_loop() has {role}={name!r}. Block {node.name!r} has no port {name!r}; {did_you_mean(name, ports)}"
+        ) from None
+    if found.port.name not in ports:
+        kinds = ("an input", "source", "an output") if role == "measured" else ("an output", "target", "an input")
+        raise ConnectionError(
+            f"closed_loop() has {role}={name!r}. {found.name} is {kinds[0]}, but the {kinds[1]} must be {kinds[2]}; "
+            f"{did_you_mean(name, ports)}"
+        )
+    return found
+
+
 def _names(given: Names, what: str) -> list[str]:
     names = [given] if isinstance(given, str) else list(given)
     if not names:
@@ -433,10 +454,15 @@ def _wrong_goals(given: int, controller: Block) -> str:
 
 
 def _goal_names(controller: Block) -> list[str]:
-    """Return the names of the states that are the elements of the goal; none if an element is no single state."""
-    names, rows = getattr(getattr(controller, "model", None), "state_names", ()), getattr(controller, "goal_matrix", ())
-    places = [np.flatnonzero(row) for row in rows]
-    return [names[place[0]] for place in places] if names and all(len(place) == 1 for place in places) else []
+    """Return the names of the sensors or states that are the elements of the goal; none if an element is neither."""
+    model, goals = getattr(controller, "model", None), getattr(controller, "goal_matrix", ())
+    named: list[tuple[str, Any]] = []
+    if signals := getattr(model, "names", None):
+        named += zip(signals.sensors, model.quantities, strict=True)  # type: ignore[union-attr]
+    states = getattr(model, "state_names", ())
+    named += zip(states, np.eye(len(states)), strict=True)
+    found = [next((name for name, row in named if np.allclose(row, goal)), "") for goal in goals]
+    return found if all(found) else []
 
 
 def with_invalid(controller: Block, sensors: Sensors) -> Block:

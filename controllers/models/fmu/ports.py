@@ -50,7 +50,6 @@ def fmu_ports(
         If it has no variable of a name.
     """
     _refuse_without_ports(fmu, outputs)
-    step = _fmu_step(fmu, dt)
     fmu = replace(fmu, inputs=_variables(fmu, [*inputs, *at]), outputs=_variables(fmu, outputs))
     into, out = (
         [name for port in side or () for name in labels(port.name, port.shape)]  # type: ignore[union-attr]
@@ -58,7 +57,8 @@ def fmu_ports(
     )
     start = [np.broadcast_to(port.default or 0.0, port.shape).ravel() for port in fmu.inputs or ()]  # type: ignore[union-attr, arg-type]
     u = operating(into, np.concatenate(start), at)
-    return FMUPorts(fmu, step, u, chosen(inputs, into, "input"), chosen(outputs, out, "output"), into)
+    driven, seen = chosen(inputs, into, "input"), chosen(outputs, out, "output")
+    return FMUPorts(fmu, _fmu_step(fmu, dt), u, driven, seen, into)
 
 
 def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:

@@ -154,12 +154,25 @@ def test_references(reference):
 @pytest.mark.parametrize(
     ("changes", "error", "sentence"),
     [
-        ({"measured": "sped"}, cosim.UnknownNameError, r"Block 'plant' has no port 'sped'; did you mean 'speed'"),
-        ({"control": "froce"}, cosim.UnknownNameError, r"did you mean 'force'"),
+        (
+            {"measured": "sped"},
+            cosim.UnknownNameError,
+            r"='sped'. Block 'plant' has no port 'sped'; did you mean 'speed'",
+        ),
+        ({"control": "froce", "sensors": 2}, cosim.ModelError, r"must be a Sensors"),
+        (
+            {"control": "froce", "reference": [1.0, 2.0]},
+            cosim.UnknownNameError,
+            r"has control='froce'. .* did you mean 'force'",
+        ),
         ({"noise": {"gsut": cosim.Gaussian(1.0)}}, cosim.UnknownNameError, r"did you mean 'gust'"),
         ({"measured": []}, cosim.ModelError, r"measured= is empty"),
         ({"control": ()}, cosim.ModelError, r"control= is empty"),
-        ({"measured": "force"}, cosim.ConnectionError, r"plant\.force is an input, but the source must be an output"),
+        (
+            {"measured": "force"},
+            cosim.ConnectionError,
+            r"plant\.force is an input, but the source must be an output; known names: both, p",
+        ),
         ({"control": "speed"}, cosim.ConnectionError, r"plant\.speed is an output, but the target must be an input"),
         (
             {"control": ["force", "gust"]},
@@ -199,11 +212,7 @@ def test_references(reference):
             r"controller, of the kind Gain, has no input 'y'.*whether plant and controller are exchanged",
         ),
         ({"plant": "car.fmu"}, cosim.ModelError, r"plant must be a block, not 'car.fmu'; use cosim.FMU\(path\)"),
-        (
-            {"plant": ss([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], 0)},
-            cosim.ModelError,
-            r"not StateSpace\( array.*use cosim",
-        ),
+        ({"plant": np.eye(2)}, cosim.ModelError, r"not array\(\[\[1.*use cosim"),
         ({"controller": control}, cosim.ModelError, r"controller must be a block, not <function control"),
         ({"sensors": 2}, cosim.ModelError, r"sensors is 2; it must be a Sensors block, such as cosim.Sensors\(count=2"),
         ({"noise": cosim.Gaussian(1.0)}, cosim.ModelError, r"it must be a mapping from inputs of the plant to sources"),
@@ -227,6 +236,13 @@ def test_references(reference):
 def test_what_does_not_fit(changes, error, sentence):
     with pytest.raises(error, match=sentence):
         loop(**changes)
+
+
+def test_a_system_of_python_control_is_a_plant():
+    system = ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["force"], outputs=["speed"])
+    runs = [loop(plant=plant).simulate(1)["plant.speed"] for plant in (system, cosim.StateSpace(system))]
+    np.testing.assert_array_equal(*runs)
+    assert runs[0].any()
 
 
 def test_one_fault_needs_no_list():
