@@ -126,7 +126,8 @@ def times_of(table: pd.DataFrame, time: str) -> Floats:
     """
     if time not in table.columns:
         raise StepSizeError(
-            f"The recording has no column {time!r}; give the name of the column of times (time=...), or dt= in seconds."
+            f"The recording has no column {time!r}; give the name of the column of times (time=...), or dt= in seconds. Its "
+            f"columns: {', '.join(map(str, table.columns[:12]))}{', ...' * (len(table.columns) > 12)}."
         )
     if list(table.columns).count(time) > 1 or table[time].dtype.kind not in "fiu":
         raise StepSizeError(
