@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
 import warnings
@@ -23,8 +24,9 @@ def warn_user(text: str, category: type[Warning] = UserWarning) -> None:
 
 
 def _made(frame: FrameType) -> bool:
-    """Return whether a frame belongs to the constructor that Python makes for a dataclass."""
-    return frame.f_code.co_filename == "<string>" and frame.f_code.co_name == "__init__"
+    """Return whether a frame belongs to the constructor that Python makes for a dataclass, or to `dataclasses.replace`."""
+    code = frame.f_code
+    return code.co_filename == dataclasses.__file__ or (code.co_filename, code.co_name) == ("<string>", "__init__")
 
 
 def _imports(frame: FrameType) -> bool:
