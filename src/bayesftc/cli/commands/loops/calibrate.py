@@ -44,7 +44,7 @@ def calibrate(
     hazards, path = controllers.Hazards(time_to_fault, time_to_recovery), scenario
     magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
     if out is not None:
-        output.check_folder(out, (DIAGRAM, NUMBERS))
+        output.check_folder(out, (DIAGRAM, NUMBERS), silent=json)
     loaded = load_scenario(path)
     controller = loaded.controller
     if not isinstance(controller, controllers.BayesianController):

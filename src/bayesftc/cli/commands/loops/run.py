@@ -94,7 +94,7 @@ def run(
         _refuse_kalman(loaded)
         options = {**options, "record": _with_kalmans(loaded, loop)}
     if out is not None:
-        output.check_folder(out)
+        output.check_folder(out, silent=quiet or json)
     notes = unused(loaded, duration)
     if not json and not quiet:
         output.say_notes(notes)

@@ -61,7 +61,7 @@ def fit(
     from bayesftc import cosim
 
     if out is not None:
-        output.check_folder(out, (FITTED, FIGURE))
+        output.check_folder(out, (FITTED, FIGURE), silent=quiet or json)
     with by_options(**OPTIONS):
         fitted = cosim.fit(
             find_fmu(fmu),
