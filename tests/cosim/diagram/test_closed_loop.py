@@ -1,5 +1,7 @@
 """closed_loop wires reference, controller, plant, sensors and faults as it says."""
 
+import re
+import warnings
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 from control import ss
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.cosim import Port
 
 
@@ -199,7 +201,19 @@ def test_references(reference):
             cosim.ConnectionError,
             r"The goal has 3 elements, but the reference has 1\. .* one \[\[reference\]\] for each in a scenario file",
         ),
-        ({"reference": "up"}, cosim.ModelError, r"Only blocks can be added"),
+        ({"reference": "up"}, cosim.ModelError, r"reference is 'up'\. Only blocks can be added"),
+        ({"reference": None}, cosim.ModelError, r"reference is None\. .* cosim\.Table\(times, values\) for a course"),
+        (
+            {"reference": np.ones(50)},
+            cosim.ConnectionError,
+            r"the reference has 50\. .* A course over time is one source",
+        ),
+        (
+            {"noise": {"gust": 0.1}},
+            cosim.ModelError,
+            r"noise\['gust'\] is 0\.1\. Only blocks .* cosim\.Gaussian\(std=0\.1\)",
+        ),
+        ({"faults": "freeze"}, cosim.ModelError, r"only faults, such as Freeze\(.* not 'freeze'"),
         ({"plant": cosim.Constant(1.0)}, cosim.UnknownNameError, r"Block 'plant' has no port 'speed'"),
         (
             {"controller": Hasty()},
@@ -243,6 +257,37 @@ def test_a_system_of_python_control_is_a_plant():
     runs = [loop(plant=plant).simulate(1)["plant.speed"] for plant in (system, cosim.StateSpace(system))]
     np.testing.assert_array_equal(*runs)
     assert runs[0].any()
+
+
+ROOMS = ss(
+    [[-0.3, 0.1], [0.1, -0.2]], [[1.0, 0.0], [0.0, 1.0]], np.eye(2), 0,
+    inputs=["heat", "vent"], outputs=["T1", "T2"], states=["T1", "T2"],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, ""),
+        (
+            {"measured": ["T2", "T1"]},
+            r"T1, T2, T1, T2, but the loop has T2, T1, T2, T1 .* measured=\['T1', 'T2'\]",
+        ),
+        ({"measured": "T1"}, r"sensors T1, T2, T1, T2, but the loop has T1, T1, T1, T1"),
+        (
+            {"control": ["vent", "heat"]},
+            r"the controls heat, vent, but the loop has vent, heat .* control=\['heat', 'vent'\]",
+        ),
+    ],
+)
+def test_signals_in_another_order_than_those_of_the_model_are_warned_of(changes, words):
+    controller = controllers.design(ROOMS, measured=["T1", "T2"], actuated=["heat", "vent"], dt=0.1, sensors=4)
+    given = {"control": ["heat", "vent"], "measured": ["T1", "T2"], "sensors": cosim.Sensors(4, 0.1), **changes}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        cosim.closed_loop(ROOMS, controller, reference=[1.0, 2.0], **given)
+    assert len(caught) == bool(words)
+    assert all(re.search(words, str(each.message)) and each.filename == __file__ for each in caught)
 
 
 def test_one_fault_needs_no_list():
