@@ -87,6 +87,9 @@ def _fmu_step(fmu: FMU, dt: float | str | Fraction | None) -> Fraction:
     if dt is None:
         default_step = fmu.description.default_experiment.get("stepSize")
         if default_step is None:
-            raise StepSizeError("The FMU has no default step size; give the controller's sample time dt= in seconds.")
+            raise StepSizeError(
+                "The FMU has no default step size. Give the controller's sample time in seconds: dt=..., or dt = ... in "
+                "[simulation] of a scenario file."
+            )
         dt = default_step
     return rational_step(dt)
