@@ -94,8 +94,13 @@ def test_matrices_of_continuous_time_are_warned_of_at_the_line_of_the_user(poles
     with pytest.warns(
         UserWarning, match=r"of one step.*LinearModel\.from_control\(control\.ss\(A, B, C, 0\)"
     ) as warned:
-        LinearModel(A, B, C, 1e-3, 0.1, dt=0.02)
+        model = LinearModel(A, B, C, 1e-3, 0.1, dt=0.02)
     assert warned[0].filename == __file__
+    with warnings.catch_warnings():  # once
+        warnings.simplefilter("error")
+        replace(model, sensor_covariance=0.2)
+        model.with_disturbance()
+        model.with_delays(1)
     for dt in (0.001, 0.02, 0.5):  # sampled, the same plant has a right model
         with warnings.catch_warnings():
             warnings.simplefilter("error")
