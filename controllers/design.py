@@ -154,6 +154,9 @@ def design(
         H[:, : len(mean)] = linear.C[rows]
         if model.constant:
             H[:, -1] = linear.y[rows] - linear.C[rows] @ linear.x
+    if goal is None and len(H) > model.controls:
+        named = list(range(len(H))) if isinstance(plant, LinearModel) else [linear.outputs[i] for i in rows]
+        raise ModelError(_too_many_goals(named, model.controls))
     refuse_unstabilisable(model)
     refuse_undetectable(model)
     p = model.controls
@@ -187,6 +190,15 @@ def design(
         initial_mean=mean,  # type: ignore[arg-type]
         initial_covariance=start,
         preview=preview,
+    )
+
+
+def _too_many_goals(goals: Sequence[str | int], controls: int) -> str:
+    """Return the message about a design without goal= where more outputs are measured than there are controls."""
+    example = ", ".join(f'"{goal}"' if isinstance(goal, str) else str(goal) for goal in goals[:controls])
+    return (
+        f"There are {len(goals)} goals but only {controls} controls. Without goal= each measured output has a goal, and each "
+        f"goal needs a control. Name the outputs that have a goal, such as goal=[{example}], or actuate further inputs."
     )
 
 

@@ -171,7 +171,9 @@ LAX = "try it all the same with validate=False (bayesftc inspect: --no-validate)
 def did_you_mean(name: object, names: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: similar names if there are any, else all names."""
     names = sorted(names)
-    near = [n for n in names if n.lower() == str(name).lower()] or get_close_matches(str(name), names, n=3, cutoff=0.6)
+    wrong = str(name).lower()
+    near = [n for n in names if n.lower() == wrong] or [n for n in names if n.lower().endswith(f".{wrong}")][:3]
+    near = near or get_close_matches(str(name), names, n=3, cutoff=0.6)
     if near:
         return f"did you mean {' or '.join(repr(n) for n in near)}?"
     if not names:

@@ -20,7 +20,7 @@ from bayesftc.controllers.signals import port
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -79,7 +79,9 @@ class StateEstimator(Block):
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
-            raise ModelError(f"StateEstimator needs a LinearModel, not {self.model!r}; see LinearModel.from_control.")
+            raise ModelError(
+                f"StateEstimator needs a LinearModel, not {brief(self.model)}; see LinearModel.from_control."
+            )
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
                 f"precision is {self.precision!r}; it must be a precision learner such as SwitchingPrecision()."

@@ -22,7 +22,7 @@ from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, 
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
 from bayesftc.cosim.block import Definition
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.stepping.records import named_alike
 from bayesftc.cosim.types import Floats
 
@@ -194,7 +194,7 @@ class BayesianController(BayesianBlock):
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
             raise ModelError(
-                f"BayesianController needs a LinearModel, not {self.model!r}; see LinearModel.from_control."
+                f"BayesianController needs a LinearModel, not {brief(self.model)}; see LinearModel.from_control."
             )
         self._check_settings()
         self._check_reach(self.model.matrix("B"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.baselines import SERFDI
 from bayesftc.controllers.precision.filterpy import reference_filter, update_by_ser
 from bayesftc.cosim.base.numbers import short
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 INTERPRETED = 10_000
 """Recordings of up to this many steps run interpreted, because compiling takes seconds."""
+
+AGREEMENT = 1e-9
+"""Largest relative difference that counts as rounding."""
 
 READER = "The Kalman check"
 
@@ -42,6 +45,8 @@ class KalmanCheck:
         The same in the state's units.
     steps : int
         Number of samples compared.
+    explanation : str
+        Why a difference beyond rounding is expected of this controller; empty if there is none, or it is not expected.
 
     Examples
     --------
@@ -62,9 +67,10 @@ class KalmanCheck:
     mean_absolute: float
     covariance_absolute: float
     steps: int
+    explanation: str = field(default="", repr=False)
 
     def __repr__(self) -> str:
-        return short(self)
+        return f"{short(self)} {self.explanation}".rstrip()
 
 
 class Estimates(NamedTuple):
@@ -175,7 +181,8 @@ def check_kalman(
     Returns
     -------
     KalmanCheck
-        The largest differences. With ``belief="filtered"`` they are rounding errors; with ``"joint"`` they may be larger.
+        The largest differences. They are rounding errors, except with ``belief="joint"``, and with learners that infer state and
+        faults together, as `SwitchingPrecision` does by default; `KalmanCheck.explanation` says so.
 
     Examples
     --------
@@ -190,6 +197,11 @@ def check_kalman(
     >>> check.mean_difference < 1e-12
     True
     """
+    if not hasattr(controller, "precision"):
+        raise ModelError(
+            f"check_kalman() has the controller {brief(controller)}; give the result of the run first, then the controller: "
+            "check_kalman(result, controller)."
+        )
     samples = samples_of(signals, y, name, READER)
     check_recorded(signals, READER, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R")))
     if getattr(signals, "decimation", 1) != 1:
@@ -207,7 +219,21 @@ def check_kalman(
         initial_mean=controller.initial_mean,
         initial_covariance=controller.initial_covariance,
     )
-    return compare(signals[f"{name}.x_hat"][:most], signals[f"{name}.P"][:most], reference)
+    check = compare(signals[f"{name}.x_hat"][:most], signals[f"{name}.P"][:most], reference)
+    differs = max(check.mean_difference, check.covariance_difference) > AGREEMENT
+    return replace(check, explanation=expected_to_differ(controller)) if differs else check
+
+
+def expected_to_differ(controller: BayesianController) -> str:
+    """Return a sentence on why the belief of a controller is not that of a Kalman filter; empty if it is."""
+    if controller.belief == "joint":
+        return 'This is expected of belief = "joint", which depends on the goal; belief = "filtered" agrees.'
+    if controller.precision.learner(controller.model).infer is not None:
+        return (
+            f"This is expected of this {type(controller.precision).__name__}, which infers state and faults together; a Kalman "
+            "filter with its R does not. With joint = false the two agree."
+        )
+    return ""
 
 
 def sensor_by_sensor(

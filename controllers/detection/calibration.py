@@ -130,7 +130,7 @@ def calibrate(
     seed : int
         Seed of noise and faults.
     **controller
-        Further settings of `BayesianController`.
+        Further settings of `BayesianController`, or of the class ``kind=`` (such as `LQGController`).
 
     Returns
     -------
@@ -288,7 +288,8 @@ def _loop(
     with warnings.catch_warnings():
         warnings.simplefilter("error", UnstableLoopWarning)
         try:
-            controller = BayesianController(model, precision=learner, **settings)
+            kind = settings.get("kind", BayesianController)
+            controller = kind(model, precision=learner, **{k: v for k, v in settings.items() if k != "kind"})
         except UnstableLoopWarning as warning:
             raise ModelError(f"calibrate cannot simulate this loop. {warning}") from None
     names = [f"u{i}" for i in range(p)], [f"x{i}" for i in range(n)]

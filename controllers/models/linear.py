@@ -14,7 +14,9 @@ from bayesftc.controllers.models.checks import ROWS, Matrix, as_covariance, as_m
 from bayesftc.controllers.models.delays import Delays, with_delays
 from bayesftc.controllers.models.sensor_errors import with_sensor_errors
 from bayesftc.cosim.base.html import settings
-from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.base.warnings_shown import warn_user
+from bayesftc.cosim.blocks.linear_system import is_system
 from bayesftc.cosim.errors import ModelError, StepSizeError
 from bayesftc.cosim.types import Floats
 
@@ -62,9 +64,9 @@ class LinearModel:
     Parameters
     ----------
     A : matrix, n x n
-        Transition of the state in one step.
+        Transition of the state in one step. `from_control` converts matrices of continuous time, ``dx/dt = A x + B u``.
     B : matrix, n x p
-        Effect of the controls.
+        Effect of the controls in one step.
     C : matrix, m x n
         Maps the state to the sensors; redundant sensors have equal rows.
     process_covariance : number, vector or matrix
@@ -105,6 +107,12 @@ class LinearModel:
     delays: Delays | None = field(default=None, kw_only=True, metadata={"derived": True})
 
     def __post_init__(self) -> None:
+        if is_system(self.A):
+            raise ModelError(
+                "LinearModel takes matrices. For a system of python-control use LinearModel.from_control(system, "
+                "process_covariance=..., sensor_covariance=..., dt=...), which also samples a continuous one."
+            )
+        changed = isinstance(self.A, np.ndarray) and not self.A.flags.writeable  # the matrix of another model
         A = as_matrix("The model's A", self.A)
         n = A.shape[0]
         if A.shape != (n, n):
@@ -139,6 +147,12 @@ class LinearModel:
                     raise ModelError(
                         f"The model has names for {len(given)} {kind}, but it has {size} {kind}; give each a name."
                     )
+
+        made = (
+            changed or self.names is not None or self.disturbances or self.delays is not None
+        )  # not given as matrices
+        if not made:
+            _warn_of_continuous_time(A, self.step)
 
     @property
     def states(self) -> int:
@@ -287,8 +301,8 @@ class LinearModel:
         cls,
         system: Any,
         *,
-        process_covariance: Matrix,
-        sensor_covariance: Matrix,
+        process_covariance: Matrix | None = None,
+        sensor_covariance: Matrix | None = None,
         dt: float | str | Fraction | None = None,
         sensors: int | None = None,
     ) -> LinearModel:
@@ -300,9 +314,9 @@ class LinearModel:
             A continuous system (discretised by zero-order hold at `dt`) or a discrete one. Its outputs must not depend on its
             inputs at the same instant (D = 0).
         process_covariance : number, vector or matrix
-            Covariance of the process noise per step.
+            Covariance of the process noise per step; required.
         sensor_covariance : number, vector or matrix
-            Covariance of the sensors' noise.
+            Covariance of the sensors' noise; required.
         dt : float, str or Fraction, optional
             Sample time in seconds; required for a continuous system.
         sensors : int, optional
@@ -316,6 +330,12 @@ class LinearModel:
         """
         import control
 
+        if process_covariance is None or sensor_covariance is None:
+            raise ModelError(
+                "from_control() needs process_covariance= and sensor_covariance=, the squares of the standard deviations of the "
+                "process noise per step and of the sensors' noise, such as LinearModel.from_control(system, "
+                "process_covariance=1e-4, sensor_covariance=0.01, dt=0.1)."
+            )
         linear = control.ss(system)
         states = linear.state_labels  # lost when the system is sampled
         if linear.isctime(strict=True) or linear.dt is None or linear.dt == 0:
@@ -656,6 +676,24 @@ class LinearModel:
             disturbances=self.disturbances + 1,
             constant=True,
             operating_control=tuple(u.tolist()),
+        )
+
+
+def _warn_of_continuous_time(A: Floats, step: Fraction) -> None:
+    """Warn of a transition matrix with eigenvalues that no sampled plant has, but plants in continuous time have.
+
+    Sampling makes exp(a h) of an eigenvalue a, which is no negative number. Slow modes have eigenvalues near 1, also where a fast
+    one has a negative real part.
+    """
+    values = np.linalg.eigvals(A)
+    least = values[np.argmin(values.real)]
+    alone = abs(least.imag) < 1e-9 and np.sum(np.abs(values - least) < 1e-6) == 1
+    if (alone and least.real < -1.0 - 1e-9) or (least.real < -1e-9 and values.real.max() <= 1e-9):
+        value = f"{least if least.imag else least.real:.3g}"
+        warn_user(
+            f"The model's A has the eigenvalue {value}, so that a mode changes its sign within two steps of {show(step)} s. "
+            "LinearModel takes the matrices of one step, x_t+1 = A x_t + B u_t. If yours are of dx/dt = A x + B u, use "
+            "LinearModel.from_control(control.ss(A, B, C, 0), process_covariance=..., sensor_covariance=..., dt=...)."
         )
 
 

@@ -1,15 +1,70 @@
-"""Recordings in files: CSV with a header, or Parquet."""
+"""Recordings in files: CSV with a header, or Parquet; and the unit of their times, from the header: ``t_ms``, ``time [ms]``."""
 
 from __future__ import annotations
 
+import re
+from fractions import Fraction
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bayesftc.cosim.errors import RecordingError
+from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_ALONE = {
+    Fraction(1, 10**9): ("ns", "nsec", "nanos", "nanoseconds"),
+    Fraction(1, 10**6): ("us", "µs", "μs", "usec", "micros", "microseconds"),
+    Fraction(1, 10**3): ("ms", "msec", "millis", "milliseconds"),
+    Fraction(1): ("sec", "secs", "second", "seconds"),
+    Fraction(60): ("minutes",),
+    Fraction(3600): ("hours",),
+    Fraction(86400): ("days",),
+}
+"""Seconds in each unit of time, with its names that may be the whole name of a column."""
+
+UNITS_OF_TIME = {name: unit for unit, names in _ALONE.items() for name in names} | {
+    "s": Fraction(1),
+    "min": Fraction(60),
+    "h": Fraction(3600),
+}
+"""Seconds in each unit of time, by its names."""
+
+_IN_BRACKETS = re.compile(r".*[\[(]\s*([^\W\d_][^\])]*?)\s*[\])]\s*")
+_AT_THE_END = re.compile(r".*(?:[\W_]|[a-z](?=[A-Z]))([^\W\d_]+)\s*")
+
+
+def time_unit(name: object) -> Fraction:
+    """Return the seconds in the unit of a column of times; 1 if its name has no unit.
+
+    Raises
+    ------
+    RecordingError
+        If the name has something in brackets that is no unit of time.
+    """
+    text = str(name)
+    if any(text.lower() in names for names in _ALONE.values()):
+        return UNITS_OF_TIME[text.lower()]
+    bracket, end = _IN_BRACKETS.fullmatch(text), _AT_THE_END.fullmatch(text)
+    word = bracket[1].split()[0] if bracket else end[1] if end else ""
+    unit = UNITS_OF_TIME.get(word.lower())
+    if bracket and unit is None:
+        raise RecordingError(
+            f"The column of times {text!r} is in {bracket[1]!r}, which is no known unit of time. Call it 't [s]', 't [ms]' or "
+            "'t [min]', or convert the times to seconds and call it 't'."
+        )
+    return unit or Fraction(1)
+
+
+def in_seconds(name: object, times: Any) -> Floats:
+    """Return the times of a column in seconds, by the unit in its name; see `time_unit`."""
+    unit = time_unit(name)
+    # 35 / 1000 is the nearest number to 0.035; 35 * 0.001 is not.
+    return np.asarray(times, dtype=np.float64) * unit.numerator / unit.denominator
 
 
 def exact_numbers() -> dict[str, Any]:
@@ -42,4 +97,4 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
         ) from None
 
 
-__all__ = ["exact_numbers", "read_table_file"]
+__all__ = ["UNITS_OF_TIME", "exact_numbers", "in_seconds", "read_table_file", "time_unit"]

@@ -48,6 +48,11 @@ class LinearSystem:
         return a, b, c, d
 
 
+def is_system(value: Any) -> bool:
+    """Return whether a value is a system of python-control, without importing that package for other values."""
+    return any(kind.__module__.partition(".")[0] == "control" for kind in type(value).__mro__)
+
+
 def normalised(system: Any) -> Any:
     """Return a `LinearSystem` for a linear system of python-control, and a nonlinear system as it is.
 

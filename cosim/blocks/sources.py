@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real, reals
-from bayesftc.cosim.base.table_files import read_table_file
+from bayesftc.cosim.base.table_files import in_seconds, read_table_file
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.tables import place
 from bayesftc.cosim.errors import ModelError, RecordingError, brief, did_you_mean
@@ -303,7 +303,7 @@ class Table(Source):
         column : str
             Name of the column.
         time : str
-            Name of the column with the times in seconds.
+            Name of the column with the times, in seconds or in the unit that ends its name, as in ``t_ms`` or ``t [min]``.
         interpolate, unit
             As of the class.
 
@@ -322,7 +322,7 @@ class Table(Source):
             rows = table[[time, column]].astype(float).dropna()
         except (TypeError, ValueError) as error:
             raise RecordingError(f"{file} has text in {time!r} or {column!r}: {error}.") from None
-        return cls(rows[time].tolist(), rows[column].tolist(), interpolate, unit)
+        return cls(in_seconds(time, rows[time]).tolist(), rows[column].tolist(), interpolate, unit)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -21,7 +21,7 @@ from bayesftc.cosim.diagram.wiring import dead_time, element_name, find_controll
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmi.equations import ModelEquations
 from bayesftc.cosim.fmi.fmu import FMU
-from bayesftc.cosim.ports import Port
+from bayesftc.cosim.ports import Port, labels
 from bayesftc.cosim.types import Floats
 
 Engine = Literal["auto", "compiled", "interpreted"]
@@ -197,10 +197,7 @@ def _of_block(
     else:
         system = _system(diagram, node, [port.name for port in ports], [port.name for port in block.outputs])
         if system._machine.opaque:
-            raise ModelError(
-                f"The plant {node.name!r} has hidden states, so that it cannot be linearized at its start values. Give a linear "
-                "model of it: loop.linear(plant=LinearModel.from_fmu(...).to_control())."
-            )
+            raise ModelError(_hidden(node, driven, measured, step))
         x = system.initial_state
         linear, y = system.linearize(x, u), system.output(0.0, x, u)
         a, b, c, d = linear.A, linear.B, linear.C, linear.D
@@ -212,6 +209,23 @@ def _of_block(
         )
     a, b = _repeated(a, b, int(ratio))
     return Matrices(a, b[:, columns], c[lines], d[np.ix_(lines, columns)]), np.asarray(y)[lines]
+
+
+def _hidden(node: Node, driven: Sequence[Element], measured: Sequence[Element], step: Fraction) -> str:
+    """Return the message about a plant with hidden states, with a line to copy if it is an FMU."""
+    text = f"The plant {node.name!r} has hidden states, so that it cannot be linearized at its start values. Give a linear model"
+    if not isinstance(node.block, FMU):
+        return f"{text} of it, a system of python-control: loop.linear(plant=system)."
+    names = {
+        role: [labels(port.name, port.shape)[i] for port, i in elements]
+        for role, elements in (("measured", measured), ("actuated", driven))
+    }
+    given = ", ".join(f"{role}={ports!r}" for role, ports in names.items())
+    return (
+        f"{text} of it, from its responses to pulses:\n"
+        f"model = bayesftc.controllers.LinearModel.from_fmu(loop[{node.name!r}].block, {given}, dt={show(step)!r})\n"
+        "linear = loop.linear(plant=model.to_control())  # then linear.bode(), linear.margins() and so on"
+    )
 
 
 def _late(system: Matrices, samples: Sequence[int]) -> Matrices:

@@ -16,13 +16,15 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
+from bayesftc.cosim.blocks.linear_system import is_system
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
+from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.subsystem import outermost, port_named
-from bayesftc.cosim.diagram.wiring import check_goals_ahead, preview_time
+from bayesftc.cosim.diagram.wiring import check_goals_ahead, preview_time, warn_of_other_signals, wrong_goals
 from bayesftc.cosim.errors import (
     ConnectionError,
     ModelError,
@@ -39,7 +41,7 @@ Connection = tuple[Names, str]
 
 
 def closed_loop(
-    plant: Block,
+    plant: Any,
     controller: Block,
     *,
     control: Names,
@@ -65,8 +67,8 @@ def closed_loop(
 
     Parameters
     ----------
-    plant : Block
-        An `FMU`, a `StateSpace`, or any block.
+    plant : Block, or system of python-control
+        An `FMU`, a `StateSpace`, or any block. A system of python-control becomes a `StateSpace`.
     controller : Block
         A block with inputs ``y`` and ``goal`` and the output ``u``.
     control : str or sequence of str
@@ -128,13 +130,15 @@ def closed_loop(
     >>> round(float(run["plant.y"][50:].mean()), 1), float(run["freeze_0.active"].mean().round(2))
     (1.0, 0.5)
     """
+    plant = StateSpace(plant) if is_system(plant) else plant
     _check_kinds(plant, controller, sensors, noise)
     diagram = Diagram(base_step(controller, dt))
     goals = [diagram.add(block, name)[output] for name, block, output in _references(reference, controller)]
     chains = [faults, *(input_faults.values() if isinstance(input_faults, Mapping) else ())]
     plant = plant.watching([*_names(measured, "measured"), *_compared("plant", chains), *_taken("plant", connections)])
     node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
-    outputs = [node[name] for name in _names(measured, "measured")]
+    outputs = [_port(node, name, "measured") for name in _names(measured, "measured")]
+    inputs = {name: _port(node, name, "control") for name in _names(control, "control")}
     sensors = _fitted(sensors, sum(map(len, outputs)))
     controller = with_invalid(controller, sensors)
     sensor_node = diagram.add(sensors, "sensors")
@@ -143,14 +147,14 @@ def closed_loop(
     controller_node = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
     if len(controller_node["y"]) != sensors.count:
         raise ConnectionError(
-            f"The controller has {len(controller_node['y'])} sensors, but the loop has {sensors.count}; give its model's C a "
-            "row, or its modalities a sample, for each sensor, and Sensors the same count."
+            f"The controller has {len(controller_node['y'])} sensors, but the loop has {sensors.count}. Give the loop "
+            f"sensors=cosim.Sensors(count={len(controller_node['y'])}, std=...), or the controller's model a row of C, or a "
+            "modality, for each sensor of the loop."
         )
     diagram.connect(samples, controller_node["y"])
     if sum(map(len, goals)) != len(controller_node["goal"]):
-        raise ConnectionError(_wrong_goals(sum(map(len, goals)), controller))
+        raise ConnectionError(wrong_goals(sum(map(len, goals)), controller))
     diagram.connect(goals, controller_node["goal"])
-    inputs = {name: node[name] for name in _names(control, "control")}
     if len(controller_node["u"]) != sum(map(len, inputs.values())):
         raise ConnectionError(
             f"The controller has {len(controller_node['u'])} controls, but control= names {sum(map(len, inputs.values()))} "
@@ -169,9 +173,11 @@ def closed_loop(
     for name, monitor in (monitors or {}).items():
         _watch(diagram, controller_node, diagram.add(monitor, name, controller_node.every), controller_inputs)
     for name, source in (noise or {}).items():
+        _check_source(f"noise[{name!r}]", source)
         _feed(diagram, diagram.add(source, noise_block(name))["y"], node[name], remaining.pop(name, ()), name)
     for name, chain in remaining.items():
         _feed(diagram, _start_value(diagram, node[name], name), node[name], chain, name)
+    warn_of_other_signals(diagram, node, controller_node)
     _extend(diagram, blocks or {}, connections)
     check_goals_ahead(diagram, controller_node)
     return diagram.build()
@@ -216,6 +222,14 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
         raise ModelError(
             f"noise is {noise!r}; it must be a mapping from inputs of the plant to sources: "
             "noise={'load': cosim.Gaussian(std=0.1)}."
+        )
+
+
+def _check_source(what: str, given: object) -> None:
+    if not isinstance(given, Block):
+        raise ModelError(
+            f"{what} is {brief(given)}. Only blocks can be added to a diagram: give a source, such as cosim.Constant(1.0), "
+            "cosim.Gaussian(std=0.1), or cosim.Table(times, values) for a course over time."
         )
 
 
@@ -273,7 +287,7 @@ def _taken(block: str, connections: Sequence[Connection]) -> list[str]:
 
 def _chain(faults: Fault | Sequence[Fault]) -> Sequence[Fault]:
     """Return the faults of one signal as a sequence, after a check that they are faults and not too many."""
-    chain = [faults] if isinstance(faults, Fault) else faults
+    chain = [faults] if isinstance(faults, Fault | str) else faults
     wrong = [each for each in chain if not isinstance(each, Fault)] if isinstance(chain, Sequence) else [chain]
     if wrong:
         raise ModelError(f"faults must contain only faults, such as Freeze(sensor=0, start=6.0), not {wrong[0]!r}.")
@@ -400,6 +414,24 @@ def _every(block: Block, name: str, step: Fraction) -> int:
     return int(ratio)
 
 
+def _port(node: Node, name: str, role: Literal["measured", "control"]) -> PortRef:
+    """Return an output of the plant that is measured, or an input that is a control."""
+    ports = {port.name: port for port in (node.outputs if role == "measured" else node.inputs)}
+    try:
+        found = node[name]
+    except UnknownNameError:
+        raise UnknownNameError(
+            f"closed_loop() has {role}={name!r}. Block {node.name!r} has no port {name!r}; {did_you_mean(name, ports)}"
+        ) from None
+    if found.port.name not in ports:
+        kinds = ("an input", "source", "an output") if role == "measured" else ("an output", "target", "an input")
+        raise ConnectionError(
+            f"closed_loop() has {role}={name!r}. {found.name} is {kinds[0]}, but the {kinds[1]} must be {kinds[2]}; "
+            f"{did_you_mean(name, ports)}"
+        )
+    return found
+
+
 def _names(given: Names, what: str) -> list[str]:
     names = [given] if isinstance(given, str) else list(given)
     if not names:
@@ -411,32 +443,14 @@ def _references(
     given: Block | float | Sequence[Block | float], controller: Block
 ) -> list[tuple[str, Block, Literal["y", "ahead"]]]:
     """Return the names and blocks of the references, and the output that is the goal."""
-    several = list(given) if isinstance(given, Sequence | np.ndarray) else [given]
+    several = list(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else [given]
     blocks: list[Any] = [Constant(real(r)) if isinstance(r, Real) else r for r in several]
+    for block in blocks:
+        _check_source("reference", block)
     names = ["reference" if len(blocks) == 1 else f"reference_{i}" for i in range(len(blocks))]
     if time := preview_time(controller):
         return [(name, Preview(block, time), "ahead") for name, block in zip(names, blocks, strict=True)]
     return [(name, block, "y") for name, block in zip(names, blocks, strict=True)]
-
-
-def _wrong_goals(given: int, controller: Block) -> str:
-    """Return the message about a reference of another size than the goal."""
-    size = next(port.size for port in controller.inputs if port.name == "goal")
-    several = f"{size} elements" if size > 1 else "one element"
-    names = f" ({', '.join(known)})" if (known := _goal_names(controller)) else ""
-    advice = (
-        "Give a source for each: reference=[...], or one [[reference]] for each in a scenario file."
-        if size > 1
-        else "Give one source: reference=..., or [reference] in a scenario file."
-    )
-    return f"The goal has {several}{names}, but the reference has {given}. {advice}"
-
-
-def _goal_names(controller: Block) -> list[str]:
-    """Return the names of the states that are the elements of the goal; none if an element is no single state."""
-    names, rows = getattr(getattr(controller, "model", None), "state_names", ()), getattr(controller, "goal_matrix", ())
-    places = [np.flatnonzero(row) for row in rows]
-    return [names[place[0]] for place in places] if names and all(len(place) == 1 for place in places) else []
 
 
 def with_invalid(controller: Block, sensors: Sensors) -> Block:

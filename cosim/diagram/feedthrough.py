@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Container
 from itertools import pairwise
 
+from bayesftc.cosim.blocks.linear_system import LinearSystem
+from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.groups import components
 from bayesftc.cosim.errors import AlgebraicLoopError
@@ -98,11 +100,22 @@ class Feedthrough:
             for a, b in pairwise(loop)
             if self._edges[a][b][1].rpartition(".")[2] in self._nodes[b].block.named_sources
         ]
+        systems = [
+            node.name
+            for node in (self._nodes[i] for i in sorted(set(loop)))
+            if isinstance(node.block, StateSpace) and not isinstance(node.block.system, LinearSystem)
+        ]
         return (
             "The diagram has an algebraic loop, in which each value at t_k depends on itself:\n"
             + "\n".join(lines)
             + "\nPut a UnitDelay into one of these connections, declare an input feedthrough=False if that is true, or solve "
             "the loop at each step with build(coupling='iterated')."
             + (f" A condition of {named[0]!r} can read the step before: {DELAYED}." if named else "")
+            + (
+                f" If the outputs of {systems[0]!r} do not depend on its inputs at the same instant, make it "
+                "cosim.StateSpace(system, feedthrough=False)."
+                if systems
+                else ""
+            )
             + (f" {direct[0]!r} with timing='plant' has outputs for the inputs of the step before." if direct else "")
         )

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 from fractions import Fraction
+from typing import Any
+
+import numpy as np
 
 from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
 from bayesftc.cosim.blocks.preview import Preview
@@ -15,7 +19,7 @@ from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef, label
 from bayesftc.cosim.diagram.subsystem import INSIDE, Boundary
 from bayesftc.cosim.errors import ConnectionError, ModelError
-from bayesftc.cosim.ports import Port
+from bayesftc.cosim.ports import Port, labels
 
 _Visited = dict[tuple[str, str, int], list[str] | None]
 
@@ -174,6 +178,61 @@ def label_of(diagram: Diagram, sensors: Node, row: tuple[float, ...], sensor: in
         return f"sensor {sensor}", None
     port = source[0].port
     return element_name(port, source[1]), port.unit or sensors.port("y").unit
+
+
+def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> None:
+    """Warn if the controller's model has other signals of the plant, or another order of them, than the loop connects."""
+    names = getattr(getattr(controller.block, "model", None), "names", None)
+    sensors = find_sensors(diagram)
+    rows = sensors.block.rows  # type: ignore[attr-defined]
+    if names is None or rows is None:
+        return
+    measured = [label_of(diagram, sensors, tuple(row), i)[0] for i, row in enumerate(rows)]
+    driven: dict[int, str] = {}
+    for port in plant.inputs:
+        for i, name in enumerate(labels(port.name, port.shape)):
+            origin = healthy_source(diagram, plant, port, i)
+            if origin is not None and origin[0] is controller and origin[1].name == "u":
+                driven[origin[2]] = name
+    known = {name for port in (*plant.inputs, *plant.outputs) for name in labels(port.name, port.shape)}
+    for role, kind, of_model, of_loop in (
+        ("measured", "sensors", names.sensors, measured),
+        ("control", "controls", names.controls, [driven[j] for j in sorted(driven)]),
+    ):
+        if list(of_model) != of_loop and len(of_model) == len(of_loop) and known.issuperset((*of_model, *of_loop)):
+            warn_user(
+                f"The controller's model has the {kind} {', '.join(of_model)}, but the loop has {', '.join(of_loop)} in their "
+                f"places. Give {role}={list(dict.fromkeys(of_model))}, or design the controller for the signals of the loop."
+            )
+
+
+# --- Goals --------------------------------------------------------------------------------------------------------
+
+
+def wrong_goals(given: int, controller: Block) -> str:
+    """Return the message about a reference of another size than the goal."""
+    size = next(port.size for port in controller.inputs if port.name == "goal")
+    several = f"{size} elements" if size > 1 else "one element"
+    names = f" ({', '.join(known)})" if (known := goal_names(controller)) else ""
+    advice = (
+        "Give a source for each: reference=[...], or one [[reference]] for each in a scenario file."
+        if size > 1
+        else "Give one source: reference=..., or [reference] in a scenario file."
+    )
+    course = " A course over time is one source, cosim.Table(times, values)." if given > size else ""
+    return f"The goal has {several}{names}, but the reference has {given}. {advice}{course}"
+
+
+def goal_names(controller: Block) -> list[str]:
+    """Return the names of the sensors or states that are the elements of the goal; none if an element is neither."""
+    model, goals = getattr(controller, "model", None), getattr(controller, "goal_matrix", ())
+    named: list[tuple[str, Any]] = []
+    if signals := getattr(model, "names", None):
+        named += zip(signals.sensors, model.quantities, strict=True)  # type: ignore[union-attr]
+    states = getattr(model, "state_names", ())
+    named += zip(states, np.eye(len(states)), strict=True)
+    found = [next((name for name, row in named if np.allclose(row, goal)), "") for goal in goals]
+    return found if all(found) else []
 
 
 # --- Goals that lie ahead -------------------------------------------------------------------------------------------

@@ -310,7 +310,7 @@ def _refuse_few(samples: Samples, weights: Floats, parameters: int) -> None:
     if weights.sum() <= parameters:
         raise ModelError(
             "Nearly all samples are probably faulty, so that none are left for the fit. Check columns and units, or count all "
-            "samples with weigh=None."
+            "samples: weigh=None, or --all-samples on the command line."
         )
 
 

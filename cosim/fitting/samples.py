@@ -116,8 +116,8 @@ def _nearest(t: Floats, step: Fraction) -> np.ndarray[Any, np.dtype[np.int64]]:
     span = float(t[-1] - t[0])
     if span / float(step) > MOST_STEPS:
         raise RecordingError(
-            f"The recording of {span:g} s has more than {MOST_STEPS:,} steps of {float(step):g} s. Check that its times are in "
-            "seconds."
+            f"The recording of {span:g} s has more than {MOST_STEPS:,} steps of {float(step):g} s. Check the unit of its "
+            "times: without one in the name of their column, such as t_ms, they are in seconds."
         )
     if span < float(step):
         raise RecordingError(

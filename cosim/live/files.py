@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import IO, Any
 
+from bayesftc.cosim.base.table_files import time_unit
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.bridge import Reconnecting
 from bayesftc.cosim.live.formats import LONGEST, encode
@@ -31,7 +32,7 @@ class File(Reconnecting):
         The columns with the numbers of a message, by their names in the first row. By default all but `time`; the file then needs
         no names.
     time : str, optional
-        The column with the sender's time in seconds.
+        The column with the sender's time, in seconds or in the unit that ends its name, as in ``t_ms`` or ``t [min]``.
     from_start : bool
         Whether to use the rows that are already there; by default only new ones.
     poll : float
@@ -67,6 +68,7 @@ class File(Reconnecting):
         if not 0 < self.poll <= 1:
             raise ModelError(f"File has poll={self.poll!r}; it must be above 0 and at most 1 s.")
         self._again = False
+        self._unit = float(time_unit(self.time))
 
     def connect(self) -> IO[bytes]:
         """Open the file."""
@@ -106,7 +108,7 @@ class File(Reconnecting):
         if not connection.tell() and not os.fstat(connection.fileno()).st_size:
             names = self.columns or [f"value{i}" for i in range(len(values))]
             connection.write((",".join([self.time or "t", *names]) + "\n").encode())
-        connection.write(encode([time, *values], time, "text") + b"\n")
+        connection.write(encode([time / self._unit, *values], time, "text") + b"\n")
 
     def _check(self, connection: IO[bytes]) -> None:
         """Raise an OSError if the file is another one by now."""
@@ -137,7 +139,9 @@ class File(Reconnecting):
         if None in numbers or (self.time is not None and (sent is None or not isfinite(sent))):
             self.inbox.reject("not a number")
         else:
-            self.inbox.put([value for value in numbers if value is not None], sent)
+            self.inbox.put(
+                [value for value in numbers if value is not None], None if sent is None else sent * self._unit
+            )
 
 
 def _words(line: bytes) -> list[str]:

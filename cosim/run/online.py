@@ -82,8 +82,13 @@ class Online:
         self._calls = [made(k, self._slots, self._memory) for k in kernels]
         self._k = 0
 
-    def __call__(self, **inputs: Any) -> Outputs:
-        """Make one step; every input without a start value must be given."""
+    def __call__(self, *unnamed: Any, **inputs: Any) -> Outputs:
+        """Make one step; every input without a start value must be given, all of them by name."""
+        if unnamed:
+            named = ", ".join(f"{name}=..." for name in self._inputs)
+            raise ModelError(
+                f"{self._title} takes its inputs by name: step({named}), if step is what online() returned."
+            )
         for name in inputs:
             if name not in self._inputs:
                 raise UnknownNameError(f"{self._title} has no input {name!r}; {did_you_mean(name, self._inputs)}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.table_files import read_table_file
+from bayesftc.cosim.base.table_files import in_seconds, read_table_file
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.run.result import Result
@@ -117,7 +117,7 @@ def sample_time(table: pd.DataFrame, time: str, dt: float | str | Fraction | Non
 
 
 def times_of(table: pd.DataFrame, time: str) -> Floats:
-    """Return the times of the rows in seconds.
+    """Return the times of the rows in seconds; the name of the column may have another unit (``t_ms``).
 
     Raises
     ------
@@ -126,13 +126,14 @@ def times_of(table: pd.DataFrame, time: str) -> Floats:
     """
     if time not in table.columns:
         raise StepSizeError(
-            f"The recording has no column {time!r}; give the name of the column of times (time=...), or dt= in seconds."
+            f"The recording has no column {time!r}; give the name of the column of times (time=...), or dt= in seconds. Its "
+            f"columns: {', '.join(map(str, table.columns[:12]))}{', ...' * (len(table.columns) > 12)}."
         )
     if list(table.columns).count(time) > 1 or table[time].dtype.kind not in "fiu":
         raise StepSizeError(
             f"The column {time!r} does not contain numbers. Convert the times to seconds, or give dt= in seconds."
         )
-    t = table[time].to_numpy(dtype=np.float64)
+    t = in_seconds(time, table[time])
     steps = np.diff(t)
     if len(steps) == 0 or not np.isfinite(steps).all() or steps.min() <= 0:
         raise StepSizeError(

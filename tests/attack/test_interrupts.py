@@ -69,7 +69,7 @@ def interrupted(folder, command, seconds):
     if process.returncode == -signal.SIGINT and errors.count("File ") == errors.count('File "<string>"') == 1:
         return ""  # on a busy machine: between the print and the command, which had not begun
     kept = re.fullmatch(
-        r"Stopped by Ctrl-C\. \d+ of \d+ runs are kept in out\. Repeat the command to go on\.\n", errors
+        r"Stopped by Ctrl-C\. \d+ of \d+ runs are kept in out\. To go on: bayesftc campaign .* -o out\n", errors
     )
     said = errors == SENTENCE + "\n" or (command[0] == "campaign" and kept is not None)
     if (process.returncode, out, said) != (EXIT_CODE, "", True):

@@ -179,6 +179,15 @@ def test_quiet_prints_nothing_and_twice_gives_the_same_files(bayesftc_, tmp_path
     assert contents[0] == contents[1]
 
 
+def test_files_that_are_replaced_are_noted(bayesftc_, tmp_path):
+    assert "exist" not in run_car(bayesftc_, "--duration", "1", "--out", "out").stderr
+    (tmp_path / "out" / "figure.png").unlink()
+    again = run_car(bayesftc_, "--duration", "1", "--out", "out")
+    assert "Note: out/result.npz, out/figures.json exist already, and will be replaced." in again.stderr
+    assert (tmp_path / "out" / "figure.png").exists()
+    assert run_car(bayesftc_, "--duration", "1", "--out", "out", "--quiet").stderr == ""
+
+
 def test_check_kalman(bayesftc_):
     done = run_car(bayesftc_, "--check-kalman", "--json", "--duration", "2")
     check = json.loads(done.output)["kalman"]

@@ -65,6 +65,13 @@ def test_of_a_learner_that_gives_a_probability_it_is_said_how_good_it_is():
     assert "SwitchingPrecision gives a fault probability itself, so there is no map to fit" in said
 
 
+def test_the_controller_of_the_scenario_is_that_of_the_simulation():
+    """A controller by `design` has settings and a law of its own."""
+    done = RUNNER.invoke(app, ["calibrate", "position_servo", "--steps", "6000", "--json"])
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.output)["auc"] > 0.8
+
+
 def test_the_diagram_and_the_numbers_are_written(tmp_path):
     folder = tmp_path / "out"
     done = RUNNER.invoke(app, ["calibrate", "cruise_control", "--steps", "6000", "--seed", "3", "--out", str(folder)])

@@ -73,6 +73,13 @@ def test_an_undetermined_parameter_has_no_standard_error(bayesftc_, drive):
         (("CruiseControl", "drive.csv", *OPTIONS, "--input", "push=u"), 5, "no input 'push'"),
         (("CruiseControl", "drive.csv", *OPTIONS, "--output", "w=v1"), 9, "twice"),
         (("CruiseControl", "drive.csv", *OPTIONS, "--time", "t"), 8, "no column 't'"),
+        (
+            ("CruiseControl", "drive.csv", *OPTIONS, "--time", "t"),
+            8,
+            "(--time ...), or --dt in seconds. Its columns: time, u,",
+        ),
+        (("CruiseControl", "drive.csv", *OPTIONS, "--held-out", 2), 9, "has --held-out 2.0"),
+        (("CruiseControl", "drive.csv", *OPTIONS, "--parameter", "force=1:2"), 4, "it among --input with"),
         (("CruiseControl", "drive.csv", *OPTIONS, "--out", "drive.csv"), 12, "is a file"),
     ],
 )

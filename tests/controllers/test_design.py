@@ -357,7 +357,7 @@ def test_of_a_linear_model_the_sensors_have_numbers():
     np.testing.assert_array_equal(controller.goal_matrix, [[1, 0]])
     np.testing.assert_array_equal(design(model, goal=[[1, 0]]).goal_matrix, [[1, 0]])
     assert isinstance(controller.precision, controllers.SwitchingPrecision)
-    with pytest.raises(ModelError, match="2 goals but only 1 controls"):
+    with pytest.raises(ModelError, match=r"2 goals but only 1 controls.* such as goal=\[0\]"):
         design(model)
     with pytest.raises(ModelError, match="numbers of sensors, from 0 to 2"):
         design(model, goal=[3])
@@ -397,6 +397,7 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
         ({"measured": None, "plant": cosim.FMU(fmus.path("PositionServo"))}, ModelError, r"s \(angle, speed, current\) and inp"),
         ({"actuated": None, "plant": control.tf([1], [1, 1])}, ModelError, r"outputs \(y\[0\]\) and inputs \(u\[0\]\) of"),
         ({"measured": "angel"}, UnknownNameError, "did you mean 'angle'"),
+        ({"measured": "angel", "dt": "soon"}, UnknownNameError, "did you mean 'angle'"),
         ({"actuated": []}, ModelError, "actuated=.*at least one variable"),
         ({"measured": ["angle", "angle"]}, ModelError, "each once"),
         ({"measured": None}, ModelError, "needs measured= and actuated=, names of outputs and inputs of"),
@@ -405,6 +406,7 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
         ({"at": {"volts": 1.0}}, UnknownNameError, "volts"),
         ({"acceptable_error": 0.0}, ModelError, "must be positive"),
         ({"goal": ["angle", "speed"]}, ModelError, "2 goals but only 1 controls"),
+        ({"measured": ["speed", "angle"]}, ModelError, r'2 goals but only 1 controls.* such as goal=\["speed"\]'),
         ({"dt": "soon"}, StepSizeError, "soon"),
         ({"sensor_std": -0.01}, ModelError, "must not be negative"),
         ({"noise": 0.1}, ModelError, r"a number for each input by name, as noise=\{'load'"),

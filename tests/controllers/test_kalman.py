@@ -2,6 +2,7 @@
 
 import warnings
 
+import control
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
@@ -200,6 +201,8 @@ def test_what_computes_by_filterpy_says_where_it_cannot(tmp_path):
     assert controllers.check_kalman(result, controller, y="sensors.y").steps == 51
     assert controllers.check_kalman(result, controller, y="sensors.y", most=10).steps == 10
     assert controllers.check_kalman(result, controller) == controllers.check_kalman(result, controller, y="sensors.y")
+    with pytest.raises(ModelError, match=r"give the result of the run first.* check_kalman\(result, controller\)"):
+        controllers.check_kalman(controller, result)
     del result._columns["sensors.y"]
     with pytest.raises(
         UnknownNameError, match=r"'controller\.y', which is not recorded; add it to record=\['\*', 'contr"
@@ -211,3 +214,27 @@ def test_what_computes_by_filterpy_says_where_it_cannot(tmp_path):
         controllers.ExplicitDetection(learner).learner(model)
     with pytest.raises(ModelError, match="filter='scipy'; it must be 'own' or 'filterpy'"):
         controllers.SERFDI(filter="scipy")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"precision": controllers.SwitchingPrecision()}, "SwitchingPrecision, which infers state and faults together"),
+        ({"precision": controllers.SwitchingPrecision(joint=False)}, ""),
+        ({"belief": "joint", "control_covariance": 1e4, "goal_covariance": 1e-3}, "depends on the goal"),
+        ({"precision": controllers.GammaPrecision()}, ""),
+    ],
+)
+def test_a_belief_that_is_no_kalman_filters_is_explained(settings, words):
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    controller = controllers.BayesianController(model, **settings)
+    plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+    loop = cosim.closed_loop(
+        plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), reference=1.0,
+        faults=cosim.Injection(sensor=0, start=1.0, magnitude=2.0),
+    )  # fmt: skip
+    check = controllers.check_kalman(loop.simulate(3.0, seed=1, engine="interpreted"), controller)
+    assert (max(check.mean_difference, check.covariance_difference) > 1e-9) is bool(words)
+    assert words in check.explanation
+    assert bool(check.explanation) is bool(words)
+    assert repr(check).endswith(check.explanation or "steps=31)")

@@ -20,7 +20,9 @@ from bayesftc.cosim.errors import (
     StepSizeError,
     UnknownNameError,
 )
+from bayesftc.monitoring import load_monitor
 from bayesftc.scenario import find_scenario, load_scenario, shipped_scenarios
+from bayesftc.scenario.live.wires import load_wires
 
 CAR = shipped_scenarios()["cruise_control"].read_text()
 
@@ -339,6 +341,28 @@ def test_files_of_other_kinds_are_named(tmp_path, name, words):
     (tmp_path / name).write_bytes(b"PK\xff")
     with pytest.raises(ScenarioError, match=words):
         load_scenario(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "command"),
+    [
+        ("position_servo", "scenario", "run"),
+        ("tracking", "campaign", "campaign"),
+        ("car_by_udp", "wires", "live SCENARIO --bridge"),
+        ("model", "monitor's model", "monitor RECORDING --model"),
+    ],
+)
+def test_a_toml_file_of_another_kind_is_named_with_its_command(name, kind, command):
+    file = find_scenario(name, kind)
+    readers = {"scenario": load_scenario, "monitor's model": load_monitor, "wires": load_wires}
+    for read in (reader for reads, reader in readers.items() if reads != kind):
+        with pytest.raises(ScenarioError, match=re.escape(f": bayesftc {command} {file}.") + "$"):
+            read(file)
+
+
+def test_a_wrong_section_of_a_right_file_has_no_such_hint(write):
+    with pytest.raises(ScenarioError, match=r"unknown section 'dt'; known names: [^.]*\.$"):
+        load_scenario(write(text=f"dt = 0.1\n{CAR}"))
 
 
 @pytest.mark.filterwarnings("ignore::bayesftc.controllers.bayesian.linear.UnstableLoopWarning")

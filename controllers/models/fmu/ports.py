@@ -50,7 +50,6 @@ def fmu_ports(
         If it has no variable of a name.
     """
     _refuse_without_ports(fmu, outputs)
-    step = _fmu_step(fmu, dt)
     fmu = replace(fmu, inputs=_variables(fmu, [*inputs, *at]), outputs=_variables(fmu, outputs))
     into, out = (
         [name for port in side or () for name in labels(port.name, port.shape)]  # type: ignore[union-attr]
@@ -58,7 +57,8 @@ def fmu_ports(
     )
     start = [np.broadcast_to(port.default or 0.0, port.shape).ravel() for port in fmu.inputs or ()]  # type: ignore[union-attr, arg-type]
     u = operating(into, np.concatenate(start), at)
-    return FMUPorts(fmu, step, u, chosen(inputs, into, "input"), chosen(outputs, out, "output"), into)
+    driven, seen = chosen(inputs, into, "input"), chosen(outputs, out, "output")
+    return FMUPorts(fmu, _fmu_step(fmu, dt), u, driven, seen, into)
 
 
 def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:
@@ -87,6 +87,9 @@ def _fmu_step(fmu: FMU, dt: float | str | Fraction | None) -> Fraction:
     if dt is None:
         default_step = fmu.description.default_experiment.get("stepSize")
         if default_step is None:
-            raise StepSizeError("The FMU has no default step size; give the controller's sample time dt= in seconds.")
+            raise StepSizeError(
+                "The FMU has no default step size. Give the controller's sample time in seconds: dt=..., or dt = ... in "
+                "[simulation] of a scenario file."
+            )
         dt = default_step
     return rational_step(dt)

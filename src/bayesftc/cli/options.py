@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from bayesftc.cosim.errors import BayesFTCError
 
 Timing = StrEnum("Timing", ["plant", "sampled"])
 """The instant that the outputs of an FMU belong to."""
@@ -21,3 +26,22 @@ RunFolder = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Write result.npz, figure.png and figures.json there.")
 ]
 Store = Annotated[Path, typer.Argument(help="The folder of a campaign's results.")]
+
+
+@contextmanager
+def by_options(**options: str) -> Iterator[None]:
+    """Give errors of a Python function inside the names of options in place of those of arguments.
+
+    Parameters
+    ----------
+    **options : str
+        Name of an argument -> its option: ``time="--time"`` makes ``--time ...`` of ``time=...``.
+    """
+    try:
+        yield
+    except BayesFTCError as error:
+        text = str(error)
+        for name, option in options.items():
+            text = re.sub(rf"\b{name}= ?", f"{option} ", text)
+        error.args = (text, *error.args[1:])
+        raise

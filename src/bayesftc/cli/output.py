@@ -69,9 +69,10 @@ MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
 PHASES = (("overall", "whole run"), ("before", "before faults"), ("during", "during"), ("after", "after"))
 
 
-def check_folder(folder: Path, names: Iterable[str] = (RESULT, FIGURE, NUMBERS)) -> None:
+def check_folder(folder: Path, names: Collection[str] = (RESULT, FIGURE, NUMBERS), *, silent: bool = False) -> None:
     """Check before a run that files (by default those of a run) can be written to a folder.
 
+    Files that exist already are noted, unless `silent`; they will be replaced.
     The folder need not exist. The check creates nothing, so no empty folder stays behind if the run fails.
 
     Raises
@@ -93,6 +94,15 @@ def check_folder(folder: Path, names: Iterable[str] = (RESULT, FIGURE, NUMBERS))
         raise _unwritable(folder, error) from None
     if taken:
         raise ResultFileError(f"{folder / taken[0]} cannot be written: it is a folder. Choose another name.")
+    if not silent:
+        note_replaced(folder / name for name in names)
+
+
+def note_replaced(files: Iterable[Path]) -> None:
+    """Note files that exist already."""
+    there = [str(file) for file in files if file.exists()]
+    if there:
+        say_notes([f"{', '.join(there)} exist{'s' * (len(there) == 1)} already, and will be replaced."])
 
 
 def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signals: LoopSignals) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
-from bayesftc.cosim.base.table_files import exact_numbers
+from bayesftc.cosim.base.table_files import exact_numbers, in_seconds
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 
@@ -78,6 +78,10 @@ class Tables:
             names += [f.name for folder in self._files if is_folder(folder) for f in folder.glob("*.csv")]
             raise RecordingError(f"{signal} is in {name!r}, which is not among the files; {did_you_mean(name, names)}")
         return matches[0]
+
+    def times(self, file: Path, name: str, whose: str = "") -> Floats:
+        """Return a column of times in seconds; its name may have another unit (``t_ms``)."""
+        return in_seconds(name, self.column(file, name, f"the times{whose}"))
 
     def column(self, file: Path, name: str, signal: str) -> Floats:
         """Return a column as numbers, NaN where a cell is empty."""

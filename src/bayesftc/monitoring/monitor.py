@@ -62,7 +62,7 @@ class Monitor:
     alarm : Alarm
         Conditions of an alarm.
     time : str
-        The column of the time stamps, in seconds.
+        The column of the time stamps, in seconds or in the unit that ends its name, as in ``t_ms`` or ``t [min]``.
     initial_mean, initial_std : optional
         Belief about the plant's states before the first sample; by default from the first samples.
     invalid : sequence of float
@@ -155,7 +155,7 @@ class Monitor:
 
         def signal(name: str, given: Column, what: str, **more: Any) -> Signal:
             file = tables.find(given.file, f"The {what} {name!r}")
-            time = tables.column(file, given.time or self.time, f"the times of the {what} {name!r}")
+            time = tables.times(file, given.time or self.time, f" of the {what} {name!r}")
             values = tables.column(file, given.column or name, f"the {what} {name!r}")
             try:
                 invalid = (*self.invalid, *given.invalid)

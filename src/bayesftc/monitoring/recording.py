@@ -206,8 +206,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     start, end = _overlap({**sensors, **inputs}, sensors)
     if (end - start) / float(step) > MOST_STEPS:
         raise RecordingError(
-            f"The recording of {end - start:g} s has more than {MOST_STEPS:,} steps of {show(step)} s. Check that its times are "
-            "in seconds."
+            f"The recording of {end - start:g} s has more than {MOST_STEPS:,} steps of {show(step)} s. Check the unit of its "
+            "times: without one in the name of their column, such as t_ms, they are in seconds."
         )
     if end - start < float(step) and any(len(signal.corrected[0]) > 1 for signal in sensors.values()):
         raise RecordingError(

@@ -8,6 +8,14 @@ from dataclasses import dataclass
 
 from bayesftc.cosim.errors import BayesFTCError, ScenarioError, SimulationError, did_you_mean
 
+KINDS_OF_FILES = {
+    "scenario": "looks like a campaign file: bayesftc campaign {file}",
+    "bridge": "looks like a file of wires: bayesftc live SCENARIO --bridge {file}",
+    "plant": "looks like a scenario: bayesftc run {file}",
+    "dt": "looks like the model of a monitor: bayesftc monitor RECORDING --model {file}",
+}
+"""A key that each file of a kind has, and the command that reads the file."""
+
 
 @dataclass(frozen=True)
 class Place:
@@ -29,10 +37,11 @@ class Place:
 
     def refuse_unknown(self, keys: Iterable[str], known: Iterable[str], what: str = "key") -> None:
         """Raise a ScenarioError for the first of `keys` that is not in `known`."""
-        known = list(known)
+        keys, known = list(keys), list(known)
         for key in keys:
             if key not in known:
-                raise self.error(f"has the unknown {what} {key!r}; {did_you_mean(key, known)}")
+                hint = "" if self.key else _hint(self.file, keys, known)
+                raise self.error(f"has the unknown {what} {key!r}; {did_you_mean(key, known)}{hint}")
 
     @contextmanager
     def named(self) -> Iterator[None]:
@@ -43,3 +52,9 @@ class Place:
             raise
         except BayesFTCError as error:
             raise type(error)(f"{self}: {error}") from error
+
+
+def _hint(file: str, keys: list[str], known: list[str]) -> str:
+    """Return what a file of another kind looks like; nothing if it has the key of the known kind."""
+    typical = [key for key in KINDS_OF_FILES if key in keys]
+    return f" The file {KINDS_OF_FILES[typical[0]].format(file=file)}." if typical and not {*typical} & {*known} else ""

@@ -1,5 +1,6 @@
 """Names of signals that go with a linear model to python-control and back."""
 
+import warnings
 from dataclasses import replace
 
 import control
@@ -75,3 +76,40 @@ def test_a_model_may_stand_for_the_plant_of_a_loop():
         reference=1.0,
     )
     np.testing.assert_allclose(loop.linear(plant=model.to_control()).poles(), loop.poles(), atol=1e-12)
+
+
+def test_from_control_names_what_it_needs():
+    for given in ({}, {"process_covariance": 1e-3}, {"sensor_covariance": 0.1}):
+        with pytest.raises(ModelError, match=r"needs process_covariance= and sensor_covariance="):
+            LinearModel.from_control(SYSTEM, **given)
+    with pytest.raises(ModelError, match=r"LinearModel\.from_control\(system, process"):
+        LinearModel(SYSTEM, [[1.0]], [[1.0]], 1e-3, 0.1, dt=0.1)
+
+
+@pytest.mark.parametrize("poles", [[-2.0], [-0.5], [-0.5, -0.1], [0.0, -0.2], [-0.1 + 2j, -0.1 - 2j], [3.0, -3.1, 0.0]])
+def test_matrices_of_continuous_time_are_warned_of_at_the_line_of_the_user(poles):
+    n = len(poles)
+    A = np.vstack([np.eye(n)[1:], -np.poly(poles)[:0:-1].real])
+    B, C = np.eye(n)[:, -1:], np.eye(n)[:1]
+    with pytest.warns(
+        UserWarning, match=r"of one step.*LinearModel\.from_control\(control\.ss\(A, B, C, 0\)"
+    ) as warned:
+        model = LinearModel(A, B, C, 1e-3, 0.1, dt=0.02)
+    assert warned[0].filename == __file__
+    with warnings.catch_warnings():  # once
+        warnings.simplefilter("error")
+        replace(model, sensor_covariance=0.2)
+        model.with_disturbance()
+        model.with_delays(1)
+    for dt in (0.001, 0.02, 0.5):  # sampled, the same plant has a right model
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            right = LinearModel.from_control(control.ss(A, B, C, 0), dt=dt, **NOISE)
+            LinearModel(right.A, right.B, right.C, 1e-3, 0.1, dt=dt)
+
+
+@pytest.mark.parametrize("A", [[[0.0, 1.0], [0.0, 0.0]], [[0.0]], [[0.9, 0.0], [0.0, -0.2]], [[0.0, -0.9], [0.9, 0.0]]])
+def test_discrete_models_with_dead_times_and_ringing_are_not_warned_of(A):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        LinearModel(A, np.eye(len(A))[:, -1:], np.eye(len(A))[:1], 1e-3, 0.1, dt=0.02)

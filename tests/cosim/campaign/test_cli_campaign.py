@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -234,9 +235,15 @@ def test_a_stop_says_what_is_kept(bayesftc_, file, monkeypatch):
         usual(store, outcome)
 
     monkeypatch.setattr(CampaignStore, "write", write)
-    done = bayesftc_("campaign", file, "--jobs", 1, "--quiet")
+    done = bayesftc_("campaign", file, "--jobs", 1, "--quiet", "-o", "my runs")
     assert done.exit_code == 130
-    assert done.stderr.endswith("10 of 12 runs are kept in tracking. Repeat the command to go on.\n")
+    said, _, again = done.stderr.rstrip("\n").partition(" To go on: ")
+    assert said.endswith("10 of 12 runs are kept in my runs.")
+    assert shlex.split(again) == ["bayesftc", "campaign", str(file), "-o", "my runs"]
+    monkeypatch.setattr(CampaignStore, "write", usual)
+    done = bayesftc_(*shlex.split(again)[1:])
+    assert done.exit_code == 0
+    assert "bayesftc report 'my runs' draws them" in done.stdout
 
 
 @pytest.mark.slow
@@ -261,7 +268,7 @@ def test_ctrl_c_keeps_what_is_done_and_goes_on(file, tmp_path, bayesftc_):
     assert "Traceback" not in errors
     kept = len(list(parts.glob("part-*.parquet")))
     assert 0 < kept < 320
-    assert errors.endswith(f"{5 * kept} of 1600 runs are kept in tracking. Repeat the command to go on.\n")
+    assert errors.endswith(f"{5 * kept} of 1600 runs are kept in tracking. To go on: bayesftc campaign {file}\n")
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL)
     while len(list(parts.glob("part-*.parquet"))) <= kept and time.monotonic() < deadline + 60:
         time.sleep(0.02)

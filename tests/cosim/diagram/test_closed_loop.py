@@ -1,5 +1,7 @@
 """closed_loop wires reference, controller, plant, sensors and faults as it says."""
 
+import re
+import warnings
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -7,7 +9,7 @@ import numpy as np
 import pytest
 from control import ss
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.cosim import Port
 
 
@@ -154,12 +156,25 @@ def test_references(reference):
 @pytest.mark.parametrize(
     ("changes", "error", "sentence"),
     [
-        ({"measured": "sped"}, cosim.UnknownNameError, r"Block 'plant' has no port 'sped'; did you mean 'speed'"),
-        ({"control": "froce"}, cosim.UnknownNameError, r"did you mean 'force'"),
+        (
+            {"measured": "sped"},
+            cosim.UnknownNameError,
+            r"='sped'. Block 'plant' has no port 'sped'; did you mean 'speed'",
+        ),
+        ({"control": "froce", "sensors": 2}, cosim.ModelError, r"must be a Sensors"),
+        (
+            {"control": "froce", "reference": [1.0, 2.0]},
+            cosim.UnknownNameError,
+            r"has control='froce'. .* did you mean 'force'",
+        ),
         ({"noise": {"gsut": cosim.Gaussian(1.0)}}, cosim.UnknownNameError, r"did you mean 'gust'"),
         ({"measured": []}, cosim.ModelError, r"measured= is empty"),
         ({"control": ()}, cosim.ModelError, r"control= is empty"),
-        ({"measured": "force"}, cosim.ConnectionError, r"plant\.force is an input, but the source must be an output"),
+        (
+            {"measured": "force"},
+            cosim.ConnectionError,
+            r"plant\.force is an input, but the source must be an output; known names: both, p",
+        ),
         ({"control": "speed"}, cosim.ConnectionError, r"plant\.speed is an output, but the target must be an input"),
         (
             {"control": ["force", "gust"]},
@@ -186,7 +201,19 @@ def test_references(reference):
             cosim.ConnectionError,
             r"The goal has 3 elements, but the reference has 1\. .* one \[\[reference\]\] for each in a scenario file",
         ),
-        ({"reference": "up"}, cosim.ModelError, r"Only blocks can be added"),
+        ({"reference": "up"}, cosim.ModelError, r"reference is 'up'\. Only blocks can be added"),
+        ({"reference": None}, cosim.ModelError, r"reference is None\. .* cosim\.Table\(times, values\) for a course"),
+        (
+            {"reference": np.ones(50)},
+            cosim.ConnectionError,
+            r"the reference has 50\. .* A course over time is one source",
+        ),
+        (
+            {"noise": {"gust": 0.1}},
+            cosim.ModelError,
+            r"noise\['gust'\] is 0\.1\. Only blocks .* cosim\.Gaussian\(std=0\.1\)",
+        ),
+        ({"faults": "freeze"}, cosim.ModelError, r"only faults, such as Freeze\(.* not 'freeze'"),
         ({"plant": cosim.Constant(1.0)}, cosim.UnknownNameError, r"Block 'plant' has no port 'speed'"),
         (
             {"controller": Hasty()},
@@ -199,11 +226,7 @@ def test_references(reference):
             r"controller, of the kind Gain, has no input 'y'.*whether plant and controller are exchanged",
         ),
         ({"plant": "car.fmu"}, cosim.ModelError, r"plant must be a block, not 'car.fmu'; use cosim.FMU\(path\)"),
-        (
-            {"plant": ss([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], 0)},
-            cosim.ModelError,
-            r"not StateSpace\( array.*use cosim",
-        ),
+        ({"plant": np.eye(2)}, cosim.ModelError, r"not array\(\[\[1.*use cosim"),
         ({"controller": control}, cosim.ModelError, r"controller must be a block, not <function control"),
         ({"sensors": 2}, cosim.ModelError, r"sensors is 2; it must be a Sensors block, such as cosim.Sensors\(count=2"),
         ({"noise": cosim.Gaussian(1.0)}, cosim.ModelError, r"it must be a mapping from inputs of the plant to sources"),
@@ -227,6 +250,44 @@ def test_references(reference):
 def test_what_does_not_fit(changes, error, sentence):
     with pytest.raises(error, match=sentence):
         loop(**changes)
+
+
+def test_a_system_of_python_control_is_a_plant():
+    system = ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["force"], outputs=["speed"])
+    runs = [loop(plant=plant).simulate(1)["plant.speed"] for plant in (system, cosim.StateSpace(system))]
+    np.testing.assert_array_equal(*runs)
+    assert runs[0].any()
+
+
+ROOMS = ss(
+    [[-0.3, 0.1], [0.1, -0.2]], [[1.0, 0.0], [0.0, 1.0]], np.eye(2), 0,
+    inputs=["heat", "vent"], outputs=["T1", "T2"], states=["T1", "T2"],
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, ""),
+        (
+            {"measured": ["T2", "T1"]},
+            r"T1, T2, T1, T2, but the loop has T2, T1, T2, T1 .* measured=\['T1', 'T2'\]",
+        ),
+        ({"measured": "T1"}, r"sensors T1, T2, T1, T2, but the loop has T1, T1, T1, T1"),
+        (
+            {"control": ["vent", "heat"]},
+            r"the controls heat, vent, but the loop has vent, heat .* control=\['heat', 'vent'\]",
+        ),
+    ],
+)
+def test_signals_in_another_order_than_those_of_the_model_are_warned_of(changes, words):
+    controller = controllers.design(ROOMS, measured=["T1", "T2"], actuated=["heat", "vent"], dt=0.1, sensors=4)
+    given = {"control": ["heat", "vent"], "measured": ["T1", "T2"], "sensors": cosim.Sensors(4, 0.1), **changes}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        cosim.closed_loop(ROOMS, controller, reference=[1.0, 2.0], **given)
+    assert len(caught) == bool(words)
+    assert all(re.search(words, str(each.message)) and each.filename == __file__ for each in caught)
 
 
 def test_one_fault_needs_no_list():

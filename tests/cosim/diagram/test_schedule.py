@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import control
 import numpy as np
 import pytest
 
@@ -57,6 +58,23 @@ def test_rates(run_both):
     assert result["g2.y"].tolist() == [0, 0, 20, 20, 40, 40, 60, 60, 80, 80]
     assert result["g3.y"].tolist() == [0, 0, 0, 200, 200, 200, 600, 600, 600, 800]
     assert result["huge.y"].tolist() == [5.0] * 10
+
+
+@pytest.mark.parametrize("feedthrough", [True, False])
+def test_a_nonlinear_system_in_an_algebraic_loop_is_named_with_its_setting(feedthrough):
+    system = control.nlsys(lambda t, x, u, p: -x + u, lambda t, x, u, p: x, inputs="u", outputs="y", states=1)
+    diagram = cosim.Diagram(0.1)
+    plant = diagram.add(cosim.StateSpace(system, feedthrough=feedthrough), "plant")
+    gain = diagram.add(cosim.Gain(-1.0), "gain")
+    diagram.connect(plant["y"], gain["u"])
+    diagram.connect(gain["y"], plant["u"])
+    if feedthrough:
+        with pytest.raises(
+            cosim.AlgebraicLoopError, match=r"of 'plant' .* cosim\.StateSpace\(system, feedthrough=False\)"
+        ):
+            diagram.build()
+    else:
+        diagram.build()
 
 
 def test_algebraic_loop_is_printed_port_by_port():

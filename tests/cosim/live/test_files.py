@@ -1,9 +1,11 @@
 """Files that grow: partial rows, rotation, columns."""
 
+import time
+
 import pytest
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.live import File, Inbox
+from bayesftc.cosim.live import File, Inbox, Limits
 
 
 @pytest.fixture
@@ -90,6 +92,25 @@ def test_what_is_sent_is_a_csv_file(tmp_path, until):
         bridge.send(force, 0.5)
         bridge.close()
     assert path.read_text() == "seconds,a,b\n0.5,1.0,2.0\n0.5,3.0,4.0\n"
+
+
+def test_times_have_the_unit_in_the_name_of_their_column(tmp_path, until):
+    path = tmp_path / "speeds.csv"
+    append(path, "t_ms,v\n1000,1.0\n")
+    bridge, box = File(str(path), columns=["v"], time="t_ms", from_start=True), Inbox(1, Limits(stale_after=0.1))
+    bridge.open(box)
+    until(lambda: box.received == 1)
+    time.sleep(0.3)
+    append(path, "1001,2.0\n")  # a millisecond later, but on its way for 0.3 s
+    until(lambda: box.received == 2)
+    bridge.close()
+    assert dict(box.rejected) == {"late": 1}
+    bridge = File(str(tmp_path / "out.csv"), columns=["a"], time="t [ms]")
+    bridge.open(None)
+    until(lambda: bridge.connected)
+    bridge.send([1.0], 0.5)
+    bridge.close()
+    assert (tmp_path / "out.csv").read_text() == "t [ms],a\n500.0,1.0\n"
 
 
 def test_a_poll_without_sense_is_refused():

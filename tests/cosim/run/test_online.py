@@ -101,6 +101,12 @@ def test_wrong_inputs_change_nothing(step, inputs, error, sentence):
     assert step(y=[0.0, 0.0]).u == 1.5
 
 
+def test_inputs_by_position_are_refused_with_their_names(step):
+    with pytest.raises(cosim.ModelError, match=r"Filter takes its inputs by name: step\(y=\.\.\., goal=\.\.\.\)"):
+        step([0.0, 0.0], 1.0)
+    assert step(y=[0.0, 0.0]).u == 1.5
+
+
 def test_sample_time():
     with pytest.raises(cosim.StepSizeError, match=r"Filter runs every 1/30 s, not every 0.1 s"):
         Filter().online(0.1)

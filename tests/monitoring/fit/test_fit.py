@@ -1,6 +1,7 @@
 """A monitor's model from nothing but a recording: known parameters come back, faults and calm parts do no harm."""
 
 from dataclasses import fields, replace
+from fractions import Fraction
 from itertools import combinations
 from pathlib import Path
 
@@ -393,3 +394,14 @@ def test_a_fit_that_takes_another_quantity_for_a_sensor_gives_a_model_that_can_b
     columns = {"a": y[:, 0], "b": y[:, 1], "c": y[:, 2], "voltage": voltage}
     fitted = fit_model(align({name: Signal(t, x.round(5)) for name, x in columns.items()}, {}, 0.01))
     assert all(errors.std > 0 for errors in fitted.errors)
+
+
+@pytest.mark.parametrize("name", ["t_ms", "time [ms]", "Elapsed_ms"])
+def test_times_in_milliseconds_are_known_from_their_name(tmp_path, name):
+    rng = np.random.default_rng(0)
+    rows = "".join(f"{20 * k},{a:.3f},{b:.3f}\n" for k, (a, b) in enumerate(rng.standard_normal((50, 2))))
+    (tmp_path / "run.csv").write_text(f"{name},a,b\n{rows}")
+    places, signals = redundant_signals([tmp_path / "run.csv"])
+    assert places["a"].time == name
+    assert signals["b"].time[-1] == 0.98
+    assert recorded(signals).dt == Fraction("0.02")

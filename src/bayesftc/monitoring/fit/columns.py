@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
+from bayesftc.cosim.base.table_files import UNITS_OF_TIME
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.recording import Recording, Signal, align
 
-TIMES = ("t", "time", "times", "timestamp", "seconds", "time_s", "time (s)", "t (s)", "time [s]", "t [s]")
-"""Names of a column of time stamps, in any case. Without such a column it is the first column, if that increases."""
+TIMES = ("t", "time", "timestamp", "times", "seconds", "millis", "milliseconds", "microseconds")
+"""Names of a column of time stamps, in any case, also with a unit (``t_ms``). Else it is the first column, if that increases."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,7 @@ def redundant_signals(
                 continue
             name = column if column not in places else f"{file.stem}_{column}"
             places[name] = Place(file.name, column, time)
-            times = tables.column(file, time, "the times")
+            times = tables.times(file, time)
             samples = tables.column(file, column, "a sensor")
             try:
                 signals[name] = Signal(times, samples)
@@ -109,16 +111,17 @@ def redundant_signals(
 def _time_column(tables: Tables, file: os.PathLike[str], header: Sequence[str]) -> str:
     every = tables.names(file)
     for name in every:
-        if name.lower() in TIMES:
+        first, *unit = [word for word in re.split(r"[\W_]+", name.lower()) if word] or [""]
+        if first in TIMES and (not unit or (len(unit) == 1 and unit[0] in UNITS_OF_TIME)):
             return name
     why = "has no number"
     if every[0] in header:
         why = "does not increase"
-        if np.all(np.diff(tables.column(file, every[0], "the times")) > 0):  # type: ignore[arg-type]
+        if np.all(np.diff(tables.times(file, every[0])) > 0):  # type: ignore[arg-type]
             return every[0]
     raise RecordingError(
         f"{os.fspath(file)} has no column of times: none is called {', '.join(TIMES[:3])}, and the first, {every[0]!r}, {why}. "
-        "Name the column of times 't', with times in seconds."
+        "Name the column of times 't' (in seconds) or by its unit, as 't_ms'."
     )
 
 

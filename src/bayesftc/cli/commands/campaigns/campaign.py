@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -67,7 +68,8 @@ def campaign(
     chosen = _executor(executor, jobs, scheduler)
     folder = Path(file.stem) if out is None else out
     began = time.perf_counter()
-    with _kept(folder), _progress(file.stem, shown=not quiet and not json) as progress:
+    again = ["bayesftc", "campaign", str(file)] + (["-o", str(out)] if out else [])
+    with _kept(folder, again), _progress(file.stem, shown=not quiet and not json) as progress:
         result = loaded.run(
             folder, executor=chosen, progress=progress, retry_failed=retry_failed, description=described(file, loaded)
         )
@@ -81,8 +83,8 @@ def campaign(
 
 
 @contextmanager
-def _kept(store: Path) -> Iterator[None]:
-    """Give a Ctrl-C inside the number of runs that are kept, as its message."""
+def _kept(store: Path, again: list[str]) -> Iterator[None]:
+    """Give a Ctrl-C inside the number of runs that are kept, and the command that goes on, as its message."""
     try:
         yield
     except (Interrupted, KeyboardInterrupt) as stop:
@@ -92,7 +94,7 @@ def _kept(store: Path) -> Iterator[None]:
             kept = CampaignStore.open(store)
             runs = sum(len(kept.plan.pieces[index]) for index in kept.done())
             stop.args = (
-                f"Stopped by Ctrl-C. {runs} of {kept.plan.runs} runs are kept in {store}. Repeat the command to go on.",
+                f"Stopped by Ctrl-C. {runs} of {kept.plan.runs} runs are kept in {store}. To go on: {shlex.join(again)}",
             )
         raise
 
@@ -167,9 +169,8 @@ def _print(numbers: Mapping[str, Any]) -> None:
     console.print(Text(f"{done}, in {numbers['store']} ({numbers['seconds']:.1f} s)."))
     for reason, count in numbers["reasons"].items():
         console.print(Text(f"{count} of them: {reason}"))
-    console.print(
-        Text(f"bayesftc report {numbers['store']} draws them; bayesftc replay {numbers['store']} RUN repeats one.")
-    )
+    store = shlex.quote(numbers["store"])
+    console.print(Text(f"bayesftc report {store} draws them; bayesftc replay {store} RUN repeats one."))
 
 
 def _table(points: list[dict[str, Any]]) -> Table:

@@ -43,7 +43,7 @@ def replay(
     if not 0 <= run < len(points):
         raise ModelError(f"There is no run {run}. The campaign in {store} has the runs 0 to {len(points) - 1}.")
     if out is not None:
-        output.check_folder(out)
+        output.check_folder(out, silent=quiet or json)
     diagram, seed = job.diagram(int(points[run])), int(seeds[run])
     try:
         result = diagram.simulate(job.duration, seed=seed)

@@ -30,7 +30,7 @@ def report(
 
     target = store / "report.html" if out is None else out
     opened = CampaignStore.open(store)
-    output.check_folder(target.parent, [target.name])
+    output.check_folder(target.parent, [target.name], silent=quiet)
     text = page.report(opened, metric=metric, compare=compare, title=title)
     with output.staged(target.parent) as stage:
         (stage / target.name).write_text(text, encoding="utf-8")

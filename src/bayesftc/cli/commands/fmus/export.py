@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from bayesftc.cli import output
 from bayesftc.cli.options import AScenario, Quiet, Timing
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
@@ -64,7 +65,10 @@ def export(
             raise ModelError(
                 f"{' and '.join(given)} cannot be used with --format c, because C is written without FMI. Leave it out."
             )
-        source, header = export_c(loop, out or Path(), name=_stem(scenario, chosen), blocks=chosen)
+        folder, name = out or Path(), _stem(scenario, chosen)
+        if not quiet:
+            output.note_replaced(folder / f"{name}.{end}" for end in "ch")
+        source, header = export_c(loop, folder, name=name, blocks=chosen)
         if not quiet:
             typer.echo(
                 f"{source} and {header.name}: {source.stem}_init, {source.stem}_step; {header.name} explains their use."
@@ -72,6 +76,8 @@ def export(
             typer.echo(f"Try:  cc -std=c99 -O2 -c {quote(str(source))}")
         return
     path = out or Path(f"{_stem(scenario, chosen)}.fmu")
+    if not quiet:
+        output.note_replaced([path])
     options: dict[str, Any] = {"fmi": fmi or "2.0", "timing": timing and timing.value, "platforms": platform or None}
     about = f"{', '.join(chosen)} of the scenario {Path(scenario).name}"
     path = export_fmu(loop, path, blocks=chosen, description=f"{about[0].upper()}{about[1:]}", **options)

@@ -60,7 +60,7 @@ def compare_scenarios(
                 "--duration."
             )
     if out is not None:
-        output.check_folder(out, (TABLE, output.FIGURE))
+        output.check_folder(out, (TABLE, output.FIGURE), silent=quiet or json)
     loops = {name: scenario.loop() for name, scenario in scenarios.items()}
     with output.progress_bar(
         "Comparing", "count", "remaining", shown=sys.stderr.isatty() and not quiet and not json

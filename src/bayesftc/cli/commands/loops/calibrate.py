@@ -44,7 +44,7 @@ def calibrate(
     hazards, path = controllers.Hazards(time_to_fault, time_to_recovery), scenario
     magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
     if out is not None:
-        output.check_folder(out, (DIAGRAM, NUMBERS))
+        output.check_folder(out, (DIAGRAM, NUMBERS), silent=json)
     loaded = load_scenario(path)
     controller = loaded.controller
     if not isinstance(controller, controllers.BayesianController):
@@ -56,7 +56,14 @@ def calibrate(
     has_probability = not isinstance(learner, RateLearner) and learner.why_no_probability is None
     with Place(path).named():
         report = (judge_own_probability if has_probability else controllers.calibrate)(
-            controller.model, hazards, magnitudes, reference=loaded.reference, steps=steps, seed=seed, **settings
+            controller.model,
+            hazards,
+            magnitudes,
+            reference=loaded.reference,
+            steps=steps,
+            seed=seed,
+            kind=type(controller),
+            **settings,
         )
     assert report.reliability is not None
     numbers = asdict(replace(report, reliability=None)) | {"reliability": report.reliability.to_dict()}

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.running import Progress
     from bayesftc.cosim.types import Floats
 
-AGREEMENT = 1e-9
-"""Largest relative difference from filterpy that is rounding."""
 COMPARED = 20_000
 """Samples over which a run with our SER baseline is compared with filterpy's: less than a second."""
 UNKNOWN = "The comparison with filterpy has no result, because one of its numbers is not finite."
@@ -96,7 +94,7 @@ def run(
         _refuse_kalman(loaded)
         options = {**options, "record": _with_kalmans(loaded, loop)}
     if out is not None:
-        output.check_folder(out)
+        output.check_folder(out, silent=quiet or json)
     notes = unused(loaded, duration)
     if not json and not quiet:
         output.say_notes(notes)
@@ -343,7 +341,8 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None 
         with np.errstate(all="ignore"):  # the verdict reports a filter that diverges
             if together:
                 signals, controller = sensor_by_sensor(result, controller, y=name)
-            check = asdict(check_kalman(signals, controller, y=name, most=most))
+            found = asdict(check_kalman(signals, controller, y=name, most=most))
+            check = {key: found[key] for key in (*DIFFERENCES, "steps")}
     except BayesFTCError as error:
         raise type(error)(f"--check-kalman: {error}") from None
     except np.linalg.LinAlgError:  # with a belief that diverges filterpy inverts a singular matrix
@@ -377,6 +376,8 @@ def _has_another_form(controller: BayesianController) -> bool:
 
 def _verdict(check: Mapping[str, float], controller: BayesianController) -> tuple[bool | None, str]:
     """Return whether the belief agrees with filterpy's (None if that is unknown), and a sentence on it."""
+    from bayesftc.controllers.bayesian.validation import AGREEMENT, expected_to_differ
+
     # Where the absolute difference is zero the relative one is zero too, or 0/0.
     pairs = (("mean_difference", "mean_absolute"), ("covariance_difference", "covariance_absolute"))
     relative = [0.0 if check[absolute] == 0.0 else check[name] for name, absolute in pairs]
@@ -386,14 +387,7 @@ def _verdict(check: Mapping[str, float], controller: BayesianController) -> tupl
     if largest <= AGREEMENT:
         return True, "The belief agrees with filterpy to 1e-9."
     sentence = f"The belief does NOT agree with filterpy: the largest relative difference is {largest:.2g}."
-    if controller.belief == "joint":
-        sentence += ' This is expected of belief = "joint", which depends on the goal; belief = "filtered" agrees.'
-    elif controller.precision.learner(controller.model).infer is not None:
-        sentence += (
-            f" This is expected of this {type(controller.precision).__name__}, which infers state and faults together; a Kalman "
-            "filter with its R does not. With joint = false the two agree."
-        )
-    return False, sentence
+    return False, f"{sentence} {expected_to_differ(controller)}".rstrip()
 
 
 @contextmanager

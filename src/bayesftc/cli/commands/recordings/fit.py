@@ -13,10 +13,13 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.commands.fmus.inspect import find_fmu
-from bayesftc.cli.options import Json, Quiet
+from bayesftc.cli.options import Json, Quiet, by_options
 from bayesftc.cosim.judging.metrics import without_nan
 
 FITTED, FIGURE = "fit.json", "figure.png"
+
+OPTIONS = {"time": "--time", "dt": "--dt", "held_out": "--held-out", "inputs": "--input"}
+"""Arguments of `bayesftc.cosim.fit` that its errors name, and their options."""
 
 
 def fit(
@@ -58,18 +61,19 @@ def fit(
     from bayesftc import cosim
 
     if out is not None:
-        output.check_folder(out, (FITTED, FIGURE))
-    fitted = cosim.fit(
-        find_fmu(fmu),
-        recording,
-        {name: _range(name, text) for name, text in _pairs("--parameter", parameters).items()},
-        inputs=_pairs("--input", inputs or (), alone=True),
-        outputs={name: text.split(",") for name, text in _pairs("--output", outputs, alone=True).items()},
-        time=time,
-        dt=dt,
-        held_out=held_out,
-        weigh=None if all_samples else "learner",
-    )
+        output.check_folder(out, (FITTED, FIGURE), silent=quiet or json)
+    with by_options(**OPTIONS):
+        fitted = cosim.fit(
+            find_fmu(fmu),
+            recording,
+            {name: _range(name, text) for name, text in _pairs("--parameter", parameters).items()},
+            inputs=_pairs("--input", inputs or (), alone=True),
+            outputs={name: text.split(",") for name, text in _pairs("--output", outputs, alone=True).items()},
+            time=time,
+            dt=dt,
+            held_out=held_out,
+            weigh=None if all_samples else "learner",
+        )
     numbers = summary(fitted)
     if out is not None:
         from bayesftc.cosim.fitting.figure import plot_fit

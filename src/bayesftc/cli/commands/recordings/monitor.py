@@ -71,7 +71,7 @@ def monitor(
     loaded = load_monitor(model)
     samples = loaded.read(recording)
     if out is not None:
-        output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE))
+        output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE), silent=quiet or json)
     mismatch = loaded.compare(samples)
     if mismatch is not None:
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)

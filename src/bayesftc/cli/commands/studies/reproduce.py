@@ -76,7 +76,7 @@ def reproduce(
         raise ModelError(f"{name} has no choice of {' and '.join(given)}. Leave it out, or use it with: {able}.")
     given |= {"seed": check_seed(seed), "jobs": check_jobs(_cores() if jobs is None else jobs)}
     if out is not None:
-        output.check_folder(out, [name for e in chosen for name in _names(e)])
+        output.check_folder(out, [name for e in chosen for name in _names(e)], silent=quiet or json)
     reports = {}
     for each in chosen:
         with _progress(each.name, shown=not quiet and not json) as progress:

@@ -1,0 +1,55 @@
+"""The unit of a column of times, from its name, wherever a recording is read."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayesftc import cosim
+from bayesftc.controllers import LinearModel
+from bayesftc.cosim.base.table_files import in_seconds, time_unit
+from bayesftc.cosim.errors import RecordingError
+
+SECOND = ("t", "time", "timestamp", "time_s", "t [s]", "time (s since start)", "time_local", "s", "h", "min", "x[0]", 0)
+MILLI = (
+    "t_ms",
+    "time_ms",
+    "timestamp_ms",
+    "t [ms]",
+    "t(ms)",
+    "Time/ms",
+    "timeMs",
+    "time in ms",
+    "ms",
+    "millis",
+    "T_MS",
+)
+
+
+@pytest.mark.parametrize(
+    ("names", "unit"),
+    [(SECOND, 1.0), (MILLI, 1e-3), (("t_us", "t [µs]"), 1e-6), (("t_ns",), 1e-9), (("t_min", "hours_min"), 60.0)],
+)
+def test_the_end_of_a_name_is_its_unit(names, unit):
+    assert {float(time_unit(name)) for name in names} == {unit}
+
+
+def test_an_unknown_unit_is_refused_with_names_that_are_right():
+    with pytest.raises(RecordingError, match=r"'t \[ticks\]' is in 'ticks', .* Call it 't \[s\]', 't \[ms\]'"):
+        time_unit("t [ticks]")
+
+
+def test_times_are_the_nearest_numbers():
+    assert in_seconds("t_ms", np.arange(1000)).tolist() == [float(f"{k / 1000:.3f}") for k in range(1000)]
+
+
+def test_recordings_in_milliseconds_are_those_in_seconds(tmp_path):
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(400)
+    y = np.convolve(u, np.append(0.0, 0.5 ** np.arange(1, 30)))[:400] + 0.01 * rng.standard_normal(400)
+    tables = [
+        pd.DataFrame({name: 20 * np.arange(400) * unit, "u": u, "y": y}) for name, unit in (("t", 1e-3), ("t_ms", 1))
+    ]
+    found = [LinearModel.identify(table, inputs="u", outputs="y", time=table.columns[0]) for table in tables]
+    assert [float(each.model.step) for each in found] == [0.02, 0.02]
+    tables[1].to_csv(tmp_path / "run.csv", index=False)
+    assert cosim.Table.read(tmp_path / "run.csv", "u", time="t_ms").times == tuple(k / 1000 for k in range(0, 8000, 20))
