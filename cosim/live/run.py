@@ -29,6 +29,9 @@ from bayesftc.cosim.types import Floats
 BREATH = 0.05
 """Most seconds of sleep after which the loop looks whether it is to stop."""
 
+CATCH = 1e-3
+"""Seconds in which the bridges read what came while the process had stopped, before the late steps are made."""
+
 LOST_CLOCK = 1.0
 """Seconds of delay after which the clock is set anew and steps are left out, instead of caught up."""
 
@@ -322,7 +325,7 @@ class _Loop:
         """Make the steps."""
         stepper, inputs, pace = self._stepper, self._inputs, self._settings.pace
         pacer = Pacer(pace, stepper.step, 0)
-        k = 0
+        k = behind = 0
         while not stop and k != steps:
             due = pacer.due(k)
             while (rest := due - time.perf_counter()) > 0 and not stop:
@@ -333,9 +336,12 @@ class _Loop:
             if begin - due > max(LOST_CLOCK, self.deadlines.period):
                 self.deadlines.skipped += int((begin - due) / self.deadlines.period)
                 pacer, due = Pacer(pace, stepper.step, k), begin
+            was_behind, behind = behind, max(int((begin - due) / self.deadlines.period), 0)
+            if behind and not was_behind:
+                time.sleep(CATCH)
             waiting = False
             for each in self._ins:
-                each.read(inputs)
+                each.read(inputs, begin - due, behind)
                 waiting |= each.waiting
             outputs = stepper.advance(inputs)
             self.time = stepper.time
