@@ -10,7 +10,7 @@ from math import isfinite
 from typing import IO, Any
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.live.bridge import Reconnecting
+from bayesftc.cosim.live.bridge import PATH, Reconnecting
 from bayesftc.cosim.live.formats import LONGEST, encode
 
 PIECE = 1 << 16
@@ -56,7 +56,7 @@ class File(Reconnecting):
     [20.2]
     """
 
-    path: str = field(metadata={"path": True})
+    path: str = field(metadata=PATH)
     columns: Sequence[str] = ()
     time: str | None = None
     from_start: bool = False
