@@ -29,8 +29,8 @@ from bayesftc.cosim.types import Floats
 BREATH = 0.05
 """Most seconds of sleep after which the loop looks whether it is to stop."""
 
-CATCH = 1e-3
-"""Seconds in which the bridges read what came while the process had stopped, before the late steps are made."""
+CATCH = 0.1
+"""Share of a period in which the bridges read what came while the process had stopped, before the late steps are made."""
 
 LOST_CLOCK = 1.0
 """Seconds of delay after which the clock is set anew and steps are left out, instead of caught up."""
@@ -338,7 +338,7 @@ class _Loop:
                 pacer, due = Pacer(pace, stepper.step, k), begin
             was_behind, behind = behind, max(int((begin - due) / self.deadlines.period), 0)
             if behind and not was_behind:
-                time.sleep(CATCH)
+                time.sleep(CATCH * self.deadlines.period)
             waiting = False
             for each in self._ins:
                 each.read(inputs, begin - due, behind)
