@@ -120,6 +120,26 @@ def test_a_sample_of_a_session_feeds_one_step(memory, tmp_path):
     assert np.isnan(result["received.u"][:, 0]).all()
 
 
+def test_late_steps_use_the_samples_that_came_while_the_process_had_stopped(memory, tmp_path):
+    diagram = cosim.Diagram(dt=0.02)
+    diagram.add(live.Received(1), "received")
+    source = memory()
+
+    def stall(now, inputs, outputs):
+        if 0.19 < now < 0.21:
+            time.sleep(0.11)  # five and a half periods
+            for value in range(5):
+                source.inbox.put(float(value))
+
+    settings = live.LiveSettings(duration=0.5, recording=live.Recording(tmp_path), watcher=stall)
+    with diagram.start(engine="interpreted") as session:
+        summary = live.run_live(session, {"in": live.Wire(source, to="received.u")}, settings)
+    seen = live.read_recording(tmp_path)["received.y"].ravel()
+    assert np.flatnonzero(np.isfinite(seen)).tolist() == [10, 11, 12, 13, 14]
+    assert seen[10:15].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert summary.wires_in["in"]["replaced"] == 0
+
+
 def test_an_input_of_an_fmu_keeps_its_last_sample(memory):
     from bayesftc import fmus
 
