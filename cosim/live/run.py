@@ -75,6 +75,17 @@ class LiveSettings:
     recording: Recording | None = None
     watcher: Watcher | None = None
 
+    def steps(self, step: Fraction) -> int | None:
+        """Return the number of steps of so many seconds; None without a duration.
+
+        Raises
+        ------
+        StepSizeError, ModelError
+            If the duration is no whole number of steps, or the pace is not positive.
+        """
+        Pacer(self.pace, step, 0)
+        return None if self.duration is None else whole_steps(self.duration, step, "The duration")
+
 
 @dataclass(frozen=True)
 class LiveSummary:
@@ -203,7 +214,7 @@ def run_live(
     stepper = _stepper(target)
     stepper.prepare()
     ins, outs = _connected(stepper, wires)
-    steps = None if settings.duration is None else whole_steps(settings.duration, stepper.step, "The duration")
+    steps = settings.steps(stepper.step)
     with ExitStack() as stack:
         stack.enter_context(_signals(stop))
         stack.enter_context(_quick_switches())
@@ -291,8 +302,7 @@ class _Loop:
 
     def __init__(self, stepper: Stepper, ins: list[Incoming], outs: list[Outgoing], settings: LiveSettings):
         self._stepper, self._ins, self._outs, self._settings = stepper, ins, outs, settings
-        period = float(stepper.step) / settings.pace if settings.pace > 0 else 0.0
-        self._pacer = Pacer(settings.pace, stepper.step, 0)  # refuses a wrong pace
+        period = float(stepper.step) / settings.pace
         self.deadlines = Deadlines(period)
         self._watchdog = Watchdog(settings.watchdog * period, outs)
         self._recorder = None if settings.recording is None else self._recorded(settings.recording)

@@ -232,8 +232,8 @@ def test_its_wires_are_those_of_the_shipped_file():
         (["live_car", "--bridge", "nowhere.toml"], 3, "There is no file of wires nowhere.toml"),
         (["live_cra", "--bridge", "car_by_udp"], 3, "did you mean 'live_car'"),
         (["live_car", "--bridge", "wrong.toml"], 5, "wrong.toml: The wire 'speed': There is no input 'controller.z'"),
-        (["live_car", "--bridge", "car_by_udp", "--pace", "0"], 9, "pace is 0"),
-        (["live_car", "--bridge", "car_by_udp", "--duration", "0.01"], 8, "step"),
+        (["live_car", "--bridge", "car_by_udp", "--pace", "0"], 9, "Error: pace is 0"),
+        (["live_car", "--bridge", "car_by_udp", "--duration", "0.01"], 8, "Error: The duration of 0.01 s"),
     ],
 )
 def test_mistakes_end_with_a_sentence(options, code, words, tmp_path, monkeypatch):

@@ -241,3 +241,6 @@ def test_a_wire_to_a_sensor_that_is_not_there_is_refused(tmp_path):
     done = CliRunner().invoke(app, ["monitor", *arguments])
     assert done.exit_code == 9
     assert "No wire sets the input 'c'" in done.output
+    done = CliRunner().invoke(app, ["monitor", *arguments, "--duration", "0.013"])
+    assert done.exit_code == 8
+    assert done.output.startswith("Error: The duration of 0.013 s is no whole number of steps")

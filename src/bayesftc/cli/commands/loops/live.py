@@ -47,6 +47,7 @@ def live(
         stepper.prepare()
         alarms = Alarms([AlarmWatch(loaded.sensors, loaded.modes, stepper.step)], "controller.", shown=not quiet)
         settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), alarms.watcher(stepper))
+        settings.steps(stepper.step)  # errors of the options are not those of the wires
         with wires.named():
             summary = run_live(stepper, wires.wires, settings)
     numbers = as_numbers(summary, alarms.close())

@@ -44,13 +44,14 @@ def monitor_live(model: Path, bridges: Path, options: LiveOptions) -> None:
         watches.append(ActuatorWatch(list(loaded.inputs), precision.actuator_modes, *conditions))
     alarms = Alarms(watches, shown=not options.quiet)
     watcher = _Watcher(stepper, loaded, alarms)
+    settings = LiveSettings(
+        options.duration,
+        watchdog=wires.watchdog,
+        recording=wires.recording(options.record),
+        watcher=watcher.watch,
+    )
+    settings.steps(stepper.step)  # errors of the options are not those of the wires
     with wires.named():
-        settings = LiveSettings(
-            options.duration,
-            watchdog=wires.watchdog,
-            recording=wires.recording(options.record),
-            watcher=watcher.watch,
-        )
         summary = run_live(stepper, wires.wires, settings)
     events = alarms.close()
     numbers: dict[str, Any] = {
