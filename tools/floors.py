@@ -76,7 +76,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("console", "console.desk"),
     ("console.shown",),
     ("console.web",),
-    ("bench", "bench.measures", "bench.measures.console"),
+    ("bench", "bench.measures", "bench.measures.console", "bench.measures.live"),
     ("reproduce.settings", "reproduce.paper"),
     ("reproduce.shared",),
     ("reproduce.experiments",),

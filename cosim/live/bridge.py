@@ -5,13 +5,15 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from bayesftc.cosim.live.inbox import Inbox
+from bayesftc.cosim.live.inbox import Inbox  # at run time: files of wires evaluate the annotations
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
 """Seconds before the first new attempt to connect, and the most between two; the pause doubles at each."""
+
+PATH = {"path": True}
+"""Metadata of a field with a path, which begins at the folder of the file of wires."""
 
 PATIENCE = 2.0
 """Seconds that `Reconnecting.close` waits for the thread."""

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from bayesftc.cosim.base.table_files import time_unit
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.live.bridge import Reconnecting
+from bayesftc.cosim.live.bridge import PATH, Reconnecting
 from bayesftc.cosim.live.formats import LONGEST, encode
 
 PIECE = 1 << 16
@@ -57,7 +57,7 @@ class File(Reconnecting):
     [20.2]
     """
 
-    path: str = field(metadata={"path": True})
+    path: str = field(metadata=PATH)
     columns: Sequence[str] = ()
     time: str | None = None
     from_start: bool = False

@@ -1,13 +1,22 @@
-"""The latest sample of a wire, and the reasons of missing ones."""
+"""The samples of a wire, of which a step uses one, and the reasons of missing ones.
+
+A filter may use a sample once only: it would take a second use for a second measurement, and the learner a repetition for a
+freeze. But two clocks drift. When a sender's phase passes that of the steps, jitter lets some steps see no message and the next
+ones two. To use the newest only would then lose a sixth of the samples, for as long as the phase needs to pass the jitter (40 s
+for 2 ms and 50 parts in a million). So after a step without a message, a second sample waits for the next step; the price is an
+age of up to two periods instead of one. When each of the last `CALM` steps had a message, the newest is used again. Each slip of
+the phase by a period still costs one sample, or one step without any: nothing that uses samples once can avoid it.
+"""
 
 from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite, isinf
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +44,15 @@ RESTART = 10
 DRIFT = 2e-4
 """Largest relative difference of the rates of two clocks, by which the least delay of a message grows with time."""
 
+CALM = 100
+"""Steps in a row with a message after which no sample waits any more."""
+
+BEHIND = 8
+"""Most samples that wait for steps that are late: those that came while the process had stopped."""
+
+MOST = 2 + BEHIND
+"""Most samples that wait."""
+
 CLOCKS, YEAR = 1.0, 3.2e7
 """Largest lead of a sender's clock, and largest age of a sample that the other side has kept, in seconds."""
 
@@ -49,7 +67,8 @@ class Limits:
         Seconds after which a sample is not used any more. Its age counts from its arrival. If the messages have time stamps, the
         age also has the delay on the way, beyond the smallest delay so far; so the two clocks need not agree.
     hold : bool
-        Whether a sample is used in each step until a newer one comes, or is stale. By default it is used in one step only.
+        Whether a sample is used in each step until a newer one comes, or is stale. By default it is used in one step only, and
+        may wait for it for one period; so `stale_after` should be at least three periods of the samples.
     scale, offset : float
         The sample is ``scale * value + offset``.
     low, high : float
@@ -81,10 +100,19 @@ class Limits:
             raise ModelError(f"low is {self.low!r} and high is {self.high!r}; low must be less than high.")
 
 
+class _Sample(NamedTuple):
+    values: Floats
+    reasons: list[str]
+    born: float
+
+
 class Inbox:
-    """The latest sample of a wire: bridges put samples in from any thread, the loop takes one at each step.
+    """The samples of a wire: bridges put samples in from any thread, the loop takes one at each step.
 
     A sample that is late, out of order, not a number or out of range is missing (NaN), and counted by its reason.
+
+    A step takes the newest sample. If a message has been lacking at one of the last 100 steps, it takes the older of the last
+    two, so that the jitter of messages leaves no gaps.
 
     Parameters
     ----------
@@ -98,7 +126,7 @@ class Inbox:
     Attributes
     ----------
     received, replaced : int
-        Number of messages, and of those that a newer one has replaced before any step used them.
+        Number of messages, and of those that newer ones have replaced before any step used them.
     rejected : Counter of str
         Number of messages that were not used, by reason. A message of which only some elements are not used counts, too.
     missing : Counter of str
@@ -124,10 +152,9 @@ class Inbox:
         self.last_reason = ""
         self._clock = clock
         self._lock = threading.Lock()
-        self._values = np.full(size, np.nan)
-        self._reasons: list[str] = [NONE] * size
+        self._waiting: deque[_Sample] = deque()  # the oldest first
         self._born = -inf
-        self._fresh, self._used = False, True
+        self._used, self._came, self._calm = False, False, CALM
         self._why = NONE
         self._stamps: dict[str, float] = {}
         self._old: list[float] = []
@@ -210,24 +237,39 @@ class Inbox:
         with self._lock:
             self.received += 1
             self._refuse(STATUS, f"{STATUS}: {reason}")
-            self._fresh = False
+            self._drop(0)
 
-    def take(self) -> Floats:
-        """Return the sample for a step, with NaN for each missing element."""
-        now, limits = self._clock(), self.limits
+    def take(self, late: float = 0.0, behind: int = 0) -> Floats:
+        """Return the sample for a step, with NaN for each missing element.
+
+        Parameters
+        ----------
+        late : float
+            Seconds by which the step is late. The age of a sample counts to the time at which the step was due.
+        behind : int
+            Number of further steps that are due already. For them, samples wait.
+        """
+        now, limits = self._clock() - late, self.limits
         with self._lock:
-            if not self._fresh:
+            self._calm = min(self._calm + 1, CALM) if self._came else 0
+            self._came = False
+            self._drop(1 if limits.hold else 1 + (self._calm < CALM) + min(behind, BEHIND))
+            while len(self._waiting) > 1 and self._is_stale(self._waiting[0], now):
+                self._drop(len(self._waiting) - 1)
+            if not self._waiting:
                 values, reasons = np.full(self.size, np.nan), [self._why] * self.size
-            elif limits.stale_after is not None and now - self._born > limits.stale_after:
+            elif self._is_stale(self._waiting[0], now):
                 values, reasons = np.full(self.size, np.nan), [STALE] * self.size
             else:
-                values, reasons = self._values.copy(), self._reasons
+                values, reasons = self._waiting[0].values.copy(), self._waiting[0].reasons
+            if limits.hold:
+                self._used = True
+            elif self._waiting:
+                self._waiting.popleft()
             for value, reason in zip(values, reasons, strict=True):
                 if value != value:
                     self.missing[reason] += 1
-            self._used = True
             self._why = NONE
-            self._fresh = self._fresh and limits.hold
             return values
 
     def age(self) -> float:
@@ -246,12 +288,21 @@ class Inbox:
                 self.last_reason = reason
         if not (number & inside).any():
             self._why = RANGE if number.any() else NUMBER
-            if limits.hold or self._fresh:  # an earlier sample remains
-                return
-        self.replaced += not self._used
-        self._values = np.where(number & inside, values, np.nan)
-        self._reasons = [RANGE if n else NUMBER for n in number]
-        self._born, self._fresh, self._used = born, True, False
+            return
+        reasons = [RANGE if n else NUMBER for n in number]
+        self._waiting.append(_Sample(np.where(number & inside, values, np.nan), reasons, born))
+        self._born, self._came = born, True
+        self._drop(1 if limits.hold else MOST)
+
+    def _drop(self, most: int) -> None:
+        """Leave at most so many of the newest samples."""
+        while len(self._waiting) > most:
+            self._waiting.popleft()
+            self.replaced += not self._used
+            self._used = False
+
+    def _is_stale(self, sample: _Sample, now: float) -> bool:
+        return self.limits.stale_after is not None and now - sample.born > self.limits.stale_after
 
     def _refuse(self, reason: str, text: str = "") -> None:
         self.rejected[reason] += 1

@@ -68,10 +68,10 @@ def _of_file(path: Path) -> ModuleType:
 def _of_name(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
-    except ImportError as error:
+    except Exception as error:  # an own module may raise anything
         raise ModelError(
-            f"The module {name!r} with a bridge cannot be imported ({error}). Install it, or name a file."
-        ) from None
+            f"The module {name!r} with a bridge cannot be imported ({error}). Install or correct it, or name a file."
+        ) from error
 
 
 __all__ = ["BRIDGES", "own_bridge"]

@@ -8,23 +8,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.live.bridge import Bridge
+from bayesftc.cosim.live.bridge import PATH, Bridge
 from bayesftc.cosim.live.connections.broker import Broker, Connection, Will, join, leave
-from bayesftc.cosim.live.connections.credentials import check_login, password_of
+from bayesftc.cosim.live.connections.credentials import Login
 from bayesftc.cosim.live.formats import Format, encode
 from bayesftc.cosim.live.inbox import Inbox
 
 WINDOW = 8
 """Messages of a wire that may be under way. Further ones are lost, so that a slow broker never gets old controls."""
 
-PATH = {"path": True}
-
 LAST = 1.0
 """Seconds in which `MQTT.close` sends the last message."""
 
 
 @dataclass(eq=False)
-class MQTT(Bridge):
+class MQTT(Login, Bridge):
     """MQTT messages of one topic.
 
     Wires with the same broker and login share a connection. A wire with a safe value has a connection of its own: the safe value
@@ -46,12 +44,8 @@ class MQTT(Bridge):
         Whether the broker keeps the last message for those who subscribe later. Only for wires that send.
     will : bool
         Whether the broker gets the safe value as the will.
-    user : str, optional
-        Name of the user.
-    password_env, password_file : str, optional
-        Environment variable with the password, or a file with the password in its first line.
-    password : str, optional
-        The password itself. Anybody who can read the file of wires can then read it.
+    user, password_env, password_file, password
+        See `Login`.
     tls : bool
         Whether the connection is encrypted. It is with any of the next three.
     ca_file : str, optional
@@ -93,10 +87,6 @@ class MQTT(Bridge):
     qos: int = 0
     retained: bool = False
     will: bool = True
-    user: str | None = None
-    password_env: str | None = None
-    password_file: str | None = field(default=None, metadata=PATH)
-    password: str | None = field(default=None, repr=False)
     tls: bool = False
     ca_file: str | None = field(default=None, metadata=PATH)
     certificate: str | None = field(default=None, metadata=PATH)
@@ -131,7 +121,7 @@ class MQTT(Bridge):
             )
         if self.key is not None and self.certificate is None:
             raise ModelError("MQTT has a key without a certificate. Add certificate = ...")
-        check_login("MQTT", self.user, self.password, self.password_env, self.password_file)
+        self.check_login("MQTT")
 
     def open(self, inbox: Inbox | None) -> None:
         """Join the connection to the broker, or begin one.
@@ -151,7 +141,7 @@ class MQTT(Bridge):
             self.host,
             self.port if self.port is not None else 8883 if tls else 1883,
             self.user,
-            password_of("MQTT", self.password, self.password_env, self.password_file),
+            self.read_password("MQTT"),
             tls,
             self.ca_file,
             self.certificate,

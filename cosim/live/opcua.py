@@ -14,9 +14,9 @@ from typing import Any
 
 from bayesftc.cosim.base.extras import extra
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.live.bridge import PATIENCE, Bridge
+from bayesftc.cosim.live.bridge import PATH, PATIENCE, Bridge
 from bayesftc.cosim.live.connections import opcua_server, opcua_session
-from bayesftc.cosim.live.connections.credentials import check_login, password_of, readable
+from bayesftc.cosim.live.connections.credentials import Login, is_loopback, readable
 from bayesftc.cosim.live.connections.event_loop import event_loop, submit
 from bayesftc.cosim.live.connections.opcua_certificates import check_pair
 from bayesftc.cosim.live.connections.opcua_values import check_node, check_security, check_url, give
@@ -24,8 +24,6 @@ from bayesftc.cosim.live.inbox import Inbox
 
 OPENING = 30.0
 """Longest time in seconds until the event loop knows a wire; it is busy for about a second while a server starts."""
-
-PATH = {"path": True}
 
 LAST = 1.0
 """Seconds in which `close` sends the last values."""
@@ -83,7 +81,7 @@ class _Node(Bridge):
 
 
 @dataclass(eq=False)
-class OPCUA(_Node):
+class OPCUA(Login, _Node):
     """A node of an OPC UA server: changes of its value are samples, controls are written into it.
 
     Wires with the same server and login share a session.
@@ -97,12 +95,8 @@ class OPCUA(_Node):
         namespace, whose number may change when a server starts.
     period : float
         Seconds between two samples or more, as the server allows.
-    user : str, optional
-        Name of the user.
-    password_env, password_file : str, optional
-        Environment variable with the password, or a file with the password in its first line.
-    password : str, optional
-        The password itself. Anybody who can read the file of wires can then read it.
+    user, password_env, password_file, password
+        See `Login`.
     security : str, optional
         Policy and mode: ``"Basic256Sha256,SignAndEncrypt"``. By default nothing is signed or encrypted.
     certificate, key : str, optional
@@ -138,10 +132,6 @@ class OPCUA(_Node):
     url: str
     node: str
     period: float = 0.1
-    user: str | None = None
-    password_env: str | None = None
-    password_file: str | None = field(default=None, metadata=PATH)
-    password: str | None = field(default=None, repr=False)
     security: str | None = None
     certificate: str | None = field(default=None, metadata=PATH)
     key: str | None = field(default=None, metadata=PATH)
@@ -153,7 +143,7 @@ class OPCUA(_Node):
         if not 0 < self.period < inf:
             raise ModelError(f"OPC UA has period={self.period!r}; it must be a positive number of seconds.")
         check_security("OPC UA", self.security, self.certificate, self.key)
-        check_login("OPC UA", self.user, self.password, self.password_env, self.password_file)
+        self.check_login("OPC UA")
 
     def open(self, inbox: Inbox | None) -> None:
         """Join the session at the server, or begin one.
@@ -170,7 +160,7 @@ class OPCUA(_Node):
         address = opcua_session.Address(
             self.url,
             self.user,
-            password_of("OPC UA", self.password, self.password_env, self.password_file),
+            self.read_password("OPC UA"),
             self.security,
             self.certificate,
             self.key,
@@ -189,7 +179,7 @@ class OPCUA(_Node):
 
 
 @dataclass(eq=False)
-class OPCUAServer(_Node):
+class OPCUAServer(Login, _Node):
     """A node of an OPC UA server in this process: others read the controls, or write the samples.
 
     Wires with the same `url` share the server. Its nodes are in the folder ``bayesftc``, and in the namespace
@@ -202,15 +192,15 @@ class OPCUAServer(_Node):
     url : str
         Address to listen at. By default only programs of this machine can connect.
     user : str, optional
-        The only user who may connect. Without one, all may.
-    password_env, password_file : str, optional
-        Environment variable with the password, or a file with the password in its first line.
-    password : str, optional
-        The password itself. Anybody who can read the file of wires can then read it.
+        The only user who may connect. Without one, all may who can reach the address.
+    password_env, password_file, password
+        See `Login`.
     security : str, optional
         Policy and mode: ``"Basic256Sha256,SignAndEncrypt"``. By default nothing is signed or encrypted.
     certificate, key : str, optional
         Files with the certificate of the server and its private key (PEM or DER), for `security`.
+    anonymous : bool
+        Whether a server without a user may have an address that other machines can reach.
 
     Raises
     ------
@@ -241,23 +231,24 @@ class OPCUAServer(_Node):
 
     node: str
     url: str = "opc.tcp://127.0.0.1:4840"
-    user: str | None = None
-    password_env: str | None = None
-    password_file: str | None = field(default=None, metadata=PATH)
-    password: str | None = field(default=None, repr=False)
     security: str | None = None
     certificate: str | None = field(default=None, metadata=PATH)
     key: str | None = field(default=None, metadata=PATH)
+    anonymous: bool = False
 
     def __post_init__(self) -> None:
-        check_url("The OPC UA server", self.url)
+        host, _ = check_url("The OPC UA server", self.url)
         if not self.node:
             raise ModelError("The OPC UA server has an empty node. Give the node a name.")
         check_security("The OPC UA server", self.security, self.certificate, self.key)
-        passwords = (self.password, self.password_env, self.password_file)
-        check_login("The OPC UA server", self.user, *passwords)
-        if self.user is not None and not any(passwords):
+        self.check_login("The OPC UA server")
+        if self.user is not None and not (self.password or self.password_env or self.password_file):
             raise ModelError("The OPC UA server has a user without a password. Add password_env = ...")
+        if self.user is None and not self.anonymous and not is_loopback(host):
+            raise ModelError(
+                f"The OPC UA server at {self.url} has no user: everybody who can reach this address could write samples. Add "
+                "user and password_env, or anonymous = true if everybody may."
+            )
 
     def open(self, inbox: Inbox | None) -> None:
         """Start the server, or add the node to it. This takes about a second; the bridge is then `connected`.
@@ -274,7 +265,7 @@ class OPCUAServer(_Node):
         offer = opcua_session.Address(
             self.url,
             self.user,
-            password_of("The OPC UA server", self.password, self.password_env, self.password_file),
+            self.read_password("The OPC UA server"),
             self.security,
             self.certificate,
             self.key,

@@ -29,6 +29,9 @@ from bayesftc.cosim.types import Floats
 BREATH = 0.05
 """Most seconds of sleep after which the loop looks whether it is to stop."""
 
+CATCH = 0.1
+"""Share of a period in which the bridges read what came while the process had stopped, before the late steps are made."""
+
 LOST_CLOCK = 1.0
 """Seconds of delay after which the clock is set anew and steps are left out, instead of caught up."""
 
@@ -71,6 +74,17 @@ class LiveSettings:
     watchdog: float = FEWEST
     recording: Recording | None = None
     watcher: Watcher | None = None
+
+    def steps(self, step: Fraction) -> int | None:
+        """Return the number of steps of so many seconds; None without a duration.
+
+        Raises
+        ------
+        StepSizeError, ModelError
+            If the duration is no whole number of steps, or the pace is not positive.
+        """
+        Pacer(self.pace, step, 0)
+        return None if self.duration is None else whole_steps(self.duration, step, "The duration")
 
 
 @dataclass(frozen=True)
@@ -200,7 +214,7 @@ def run_live(
     stepper = _stepper(target)
     stepper.prepare()
     ins, outs = _connected(stepper, wires)
-    steps = None if settings.duration is None else whole_steps(settings.duration, stepper.step, "The duration")
+    steps = settings.steps(stepper.step)
     with ExitStack() as stack:
         stack.enter_context(_signals(stop))
         stack.enter_context(_quick_switches())
@@ -288,8 +302,7 @@ class _Loop:
 
     def __init__(self, stepper: Stepper, ins: list[Incoming], outs: list[Outgoing], settings: LiveSettings):
         self._stepper, self._ins, self._outs, self._settings = stepper, ins, outs, settings
-        period = float(stepper.step) / settings.pace if settings.pace > 0 else 0.0
-        self._pacer = Pacer(settings.pace, stepper.step, 0)  # refuses a wrong pace
+        period = float(stepper.step) / settings.pace
         self.deadlines = Deadlines(period)
         self._watchdog = Watchdog(settings.watchdog * period, outs)
         self._recorder = None if settings.recording is None else self._recorded(settings.recording)
@@ -322,7 +335,7 @@ class _Loop:
         """Make the steps."""
         stepper, inputs, pace = self._stepper, self._inputs, self._settings.pace
         pacer = Pacer(pace, stepper.step, 0)
-        k = 0
+        k = behind = 0
         while not stop and k != steps:
             due = pacer.due(k)
             while (rest := due - time.perf_counter()) > 0 and not stop:
@@ -333,9 +346,12 @@ class _Loop:
             if begin - due > max(LOST_CLOCK, self.deadlines.period):
                 self.deadlines.skipped += int((begin - due) / self.deadlines.period)
                 pacer, due = Pacer(pace, stepper.step, k), begin
+            was_behind, behind = behind, max(int((begin - due) / self.deadlines.period), 0)
+            if behind and not was_behind:
+                time.sleep(CATCH * self.deadlines.period)
             waiting = False
             for each in self._ins:
-                each.read(inputs)
+                each.read(inputs, begin - due, behind)
                 waiting |= each.waiting
             outputs = stepper.advance(inputs)
             self.time = stepper.time

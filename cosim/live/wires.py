@@ -126,9 +126,9 @@ class Incoming:
     def __post_init__(self) -> None:
         self.waiting = not self.bears_missing and self.wire.start is None
 
-    def read(self, inputs: Floats) -> None:
+    def read(self, inputs: Floats, late: float, behind: int) -> None:
         """Write the sample into the vector of inputs; an input that bears no missing sample keeps its last one."""
-        values = self.inbox.take()
+        values = self.inbox.take(late, behind)
         if self.bears_missing:
             inputs[self.places] = values
             return

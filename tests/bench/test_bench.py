@@ -32,6 +32,7 @@ BARS = {
     "learners.per_sensor", "learners.growth",
     "large_diagrams.build", "large_diagrams.run", "large_diagrams.build_growth", "large_diagrams.run_growth",
     "console.watched",
+    "live.within", "live.misses_over_sleeping",
     "startup.import", "startup.help", "startup.scenario", "startup.scenario_compiled", "startup.second_engine",
     "memory.growth_over_recording",
 }  # fmt: skip

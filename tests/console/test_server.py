@@ -12,8 +12,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from bayesftc.console.desk.history import Rows
 from bayesftc.console.shown.frames import thinned
-from bayesftc.console.web.access import Access, is_loopback
+from bayesftc.console.web.access import Access
 from bayesftc.console.web.server import MOST_VIEWERS
+from bayesftc.cosim.live.connections.credentials import is_loopback
 from bayesftc.scenario import load_scenario
 
 

@@ -30,6 +30,7 @@ SECTIONS = (
     "learners",
     "large_diagrams",
     "console",
+    "live",
     "startup",
     "memory",
 )

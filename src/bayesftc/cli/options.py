@@ -26,6 +26,10 @@ RunFolder = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Write result.npz, figure.png and figures.json there.")
 ]
 Store = Annotated[Path, typer.Argument(help="The folder of a campaign's results.")]
+RecordFolder = Annotated[
+    Path | None, typer.Option("--record", metavar="DIR", help="Record all signals there, in pieces (Parquet).")
+]
+LiveDuration = Annotated[float | None, typer.Option(help="Seconds; by default until it is stopped.")]
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from .fit.columns import (
 from .fit.fit import FittedModel as FittedModel, FittedSensor as FittedSensor, fit_model as fit_model
 from .fit.likelihood import log_likelihood as log_likelihood
 from .fit.text import as_model_file as as_model_file
+from .live import MonitorStepper as MonitorStepper
 from .model_file import load_monitor as load_monitor
 from .models import (
     PLANT_MODELS as PLANT_MODELS,
@@ -24,4 +25,4 @@ from .monitor import Monitor as Monitor
 from .precision import default_precision as default_precision
 from .recording import Recording as Recording, Signal as Signal, align as align
 from .run import Monitored as Monitored, monitor_recording as monitor_recording
-from .watching import AlarmWatch as AlarmWatch
+from .watching import ActuatorWatch as ActuatorWatch, AlarmWatch as AlarmWatch

@@ -15,6 +15,9 @@ from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.recording import Recording
 
+ACTUATOR_SIGNALS = ("fault_probability", "mode_probability", "fault_size")
+"""Outputs of the estimator about its actuators; their names begin with ``actuator_``."""
+
 
 @dataclass(frozen=True)
 class Alarm:

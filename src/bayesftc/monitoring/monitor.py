@@ -214,6 +214,11 @@ class Monitor:
             compiled=compiled,
         )
 
+    def estimator(self, recording: Recording) -> StateEstimator:
+        """Return the estimator of a recording, or of the first samples of a longer one."""
+        model = self.model
+        return StateEstimator(model, self._precision(recording), *self.start(recording, model))
+
     def learn(
         self, recordings: Sequence[Recording], *, iterations: int = 20, compiled: bool | None = None
     ) -> LearnedModes:
@@ -258,7 +263,7 @@ class Monitor:
         return replace(self.precision, modes=modes, loss=recording.loss if self.own_loss else self.precision.loss)
 
     def start(self, recording: Recording, model: LinearModel) -> tuple[tuple[float, ...], Floats]:
-        """Return the belief before the first sample: the given one, or one from each sensor's first sample.
+        """Return the belief before the first sample: the given one, or one from the first sample of each sensor that has any.
 
         Raises
         ------
@@ -270,18 +275,20 @@ class Monitor:
         if self._input_errors:
             variances = np.square([max(given.error_std, SMALL) for given in self.inputs.values()])
             covariance[plant : plant + len(variances), plant : plant + len(variances)] = np.diag(variances)
-        C = model.matrix("C")
+        seen = np.isfinite(recording.y).any(axis=0)
+        C = model.matrix("C")[seen]
         given = self.initial_mean is not None and self.initial_std is not None
         if not given and np.linalg.matrix_rank(C[:, :plant]) < plant:
             raise ModelError(
                 "The sensors alone do not determine all states of the model. Give initial_mean and initial_std in [model]."
             )
-        stds = np.sqrt(np.diag(model.matrix("sensor_covariance")))
-        first = np.array([_first(column, std) for column, std in zip(recording.y.T, stds, strict=True)])
+        noise = model.matrix("sensor_covariance")[np.ix_(seen, seen)]
+        columns = recording.y.T[seen]
+        first = np.array([_first(column, std) for column, std in zip(columns, np.sqrt(np.diag(noise)), strict=True)])
         inverse = np.linalg.pinv(C[:, :plant])
         mean = inverse @ first if self.initial_mean is None else as_vector("initial_mean", self.initial_mean, plant)
         if self.initial_std is None:
-            errors = C[:, plant:] @ covariance[plant:, plant:] @ C[:, plant:].T + model.matrix("sensor_covariance")
+            errors = C[:, plant:] @ covariance[plant:, plant:] @ C[:, plant:].T + noise
             covariance[:plant, :plant] = FLAT**2 * inverse @ errors @ inverse.T
         else:
             covariance[:plant, :plant] = np.diag(as_vector("initial_std", self.initial_std, plant) ** 2)

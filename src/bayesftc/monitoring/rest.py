@@ -6,6 +6,7 @@ freezes.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -63,3 +64,48 @@ def held(signals: Mapping[str, Floats], names: Iterable[str], y: Floats, rest: F
         for values in kept.values():
             values[:, i] = values[last, i]
     return {**signals, **kept}
+
+
+class RestWatch:
+    """Holds signals at rest while samples arrive, as `held` does in a recording.
+
+    A rest is known at its third step only. So a signal has its own values in the first two, and then those of before.
+
+    Parameters
+    ----------
+    sensors : int
+        Number of sensors.
+    """
+
+    def __init__(self, sensors: int):
+        self._last = np.full(sensors, np.nan)
+        self._equal = np.zeros(sensors, dtype=bool)
+        self._since = np.full(sensors, SETTLES + 1)
+        self._alike = 0
+        self._given: deque[dict[str, Floats]] = deque(maxlen=LEAST)
+
+    def feed(self, y: Floats, signals: Mapping[str, Floats]) -> dict[str, Floats]:
+        """Return the signals of a step.
+
+        Parameters
+        ----------
+        y : ndarray, sensors
+            Samples.
+        signals : mapping of str to ndarray
+            By name, with one row per sensor.
+        """
+        there = np.isfinite(y)
+        self._equal[there] = y[there] == self._last[there]
+        self._last[there] = y[there]
+        self._alike = self._alike + 1 if len(y) > 1 and self._equal.all() else 0
+        was_held = self._since <= SETTLES
+        self._since = np.zeros_like(self._since) if self._alike >= LEAST else self._since + there
+        is_held = self._since <= SETTLES
+        given = {name: values.copy() for name, values in signals.items()}
+        if self._given:
+            for name, values in given.items():
+                begins, goes_on = is_held & ~was_held, is_held & was_held
+                values[begins] = self._given[0][name][begins]
+                values[goes_on] = self._given[-1][name][goes_on]
+        self._given.append(given)
+        return given

@@ -19,7 +19,14 @@ from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.alarms import ActuatorEvent, Alarm, FaultEvent, actuator_events, sensor_events
+from bayesftc.monitoring.alarms import (
+    ACTUATOR_SIGNALS,
+    ActuatorEvent,
+    Alarm,
+    FaultEvent,
+    actuator_events,
+    sensor_events,
+)
 from bayesftc.monitoring.precision import default_precision
 from bayesftc.monitoring.recording import Recording
 from bayesftc.monitoring.rest import at_rest, held
@@ -29,7 +36,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEALTHY = "healthy"
-ACTUATOR_SIGNALS = ("fault_probability", "mode_probability", "fault_size")
 Event = TypeVar("Event", FaultEvent, ActuatorEvent)
 
 
@@ -201,9 +207,8 @@ def monitor_recording(
     estimator = StateEstimator(model, precision, initial_mean, initial_covariance)
     switching = precision if isinstance(precision, SwitchingPrecision) else None
     modes = switching.modes if switching else ()
-    judged = ["fault_probability", *(["mode_probability", "fault_size", "fault_onset"] if modes else [])]
-    names = ["x_hat", "innovation", *judged]
-    names += [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if actuator_modes else []
+    judged = judged_names(precision)
+    names = signal_names(precision)
     rest = at_rest(recording.y)
     signals = held(estimate(estimator, recording.y, recording.u, names, compiled), judged, recording.y, rest)
     alarm = alarm or Alarm()
@@ -229,6 +234,18 @@ def monitor_recording(
         actuator_mode_probability=signals["actuator_mode_probability"],
         actuator_events=_in_order(actuator_events(recording, actuators, signals, actuator_modes, alarm)),
     )
+
+
+def judged_names(precision: PrecisionLearner) -> list[str]:
+    """Return the names of the outputs about the faults of the sensors, which keep their values at rest."""
+    modes = precision.modes if isinstance(precision, SwitchingPrecision) else ()
+    return ["fault_probability", *(["mode_probability", "fault_size", "fault_onset"] if modes else [])]
+
+
+def signal_names(precision: PrecisionLearner) -> list[str]:
+    """Return the names of the estimator's outputs that a monitor needs."""
+    of_actuators = [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if precision.actuator_modes else []
+    return ["x_hat", "innovation", *judged_names(precision), *of_actuators]
 
 
 def _kinds(modes: Sequence[object]) -> tuple[str, ...]:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
+from typing import Any, ClassVar
 
 import numpy as np
 
+from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.alarms import Alarm, FaultEvent
+from bayesftc.monitoring.alarms import ACTUATOR_SIGNALS, ActuatorEvent, Alarm, FaultEvent
 
 
 class AlarmWatch:
@@ -43,15 +45,24 @@ class AlarmWatch:
     left 0.1 0.2 0.99 True
     """
 
-    def __init__(self, sensors: Sequence[str], modes: Sequence[FaultMode], step: Fraction, alarm: Alarm | None = None):
-        self._alarm = alarm or Alarm()
-        self._sensors, self._modes = tuple(sensors), tuple(modes)
-        self._faulty = [k for k, mode in enumerate(modes, start=1) if mode.is_fault]
-        self._hold = round(time_at(self._alarm.hold, float(step)) / float(step))
-        self._open: dict[int, FaultEvent] = {}
-        self._below = np.zeros(len(self._sensors), dtype=np.int64)
+    signals: ClassVar[tuple[str, ...]] = ("fault_probability", "mode_probability", "fault_size", "fault_onset")
+    """Names of the signals of `feed`; all but the first may be missing."""
 
-    def feed(self, time: float, signals: Mapping[str, Floats]) -> Iterator[tuple[FaultEvent, bool]]:
+    def __init__(
+        self,
+        sensors: Sequence[str],
+        modes: Sequence[FaultMode | ActuatorMode],
+        step: Fraction,
+        alarm: Alarm | None = None,
+    ):
+        self._names, self._modes = tuple(sensors), tuple(modes)
+        self._alarm = alarm or Alarm()
+        self._faulty = [k for k, mode in enumerate(modes, start=1) if getattr(mode, "is_fault", True)]
+        self._hold = round(time_at(self._alarm.hold, float(step)) / float(step))
+        self._open: dict[int, Any] = {}
+        self._below = np.zeros(len(self._names), dtype=np.int64)
+
+    def feed(self, time: float, signals: Mapping[str, Floats]) -> Iterator[tuple[Any, bool]]:
         """Give the alarms that begin or end at a step, and whether they have ended.
 
         Parameters
@@ -59,11 +70,9 @@ class AlarmWatch:
         time : float
             Time of the step in seconds.
         signals : mapping of str to ndarray
-            The outputs of the estimator or controller at this step: ``fault_probability`` and, with modes,
-            ``mode_probability``, ``fault_size`` and ``fault_onset``.
+            The outputs of the estimator or controller at this step: those of `signals`.
         """
-        probability = signals["fault_probability"]
-        above = probability >= self._alarm.threshold
+        above = signals[self.signals[0]] >= self._alarm.threshold
         if not (above.any() or self._open):
             return
         for i in map(int, np.flatnonzero(above)):
@@ -77,29 +86,61 @@ class AlarmWatch:
             if self._below[i] > self._hold:
                 yield self._open.pop(i), True
 
-    def close(self) -> Iterator[FaultEvent]:
+    def close(self) -> Iterator[Any]:
         """Give the alarms that have not ended, with the last step above the threshold as their end."""
         yield from self._open.values()
         self._open.clear()
 
-    def _event(self, i: int, time: float, signals: Mapping[str, Floats], begun: FaultEvent | None) -> FaultEvent:
-        p = float(signals["fault_probability"][i])
-        start, largest = (time, p) if begun is None else (begun.start, max(p, begun.probability))
-        name = self._sensors[i]
-        if not self._modes or "mode_probability" not in signals:
-            return FaultEvent(name, start, time, largest)
-        modes = signals["mode_probability"].reshape(len(self._sensors), -1)[i]
+    def _event(self, i: int, time: float, signals: Mapping[str, Floats], begun: Any) -> FaultEvent | ActuatorEvent:
+        probability, of_modes, *rest = (signals.get(name) for name in self.signals)
+        assert probability is not None
+        p = float(probability[i])
+        span = (time, time, p) if begun is None else (begun.start, time, max(p, begun.probability))
+        if not self._modes or of_modes is None:
+            return self._made(i, span, None, ())
+        modes = of_modes.reshape(len(self._names), -1)[i]
         kind = self._faulty[int(modes[self._faulty].argmax())]
-        size, onset = float(signals["fault_size"][i]), float(signals["fault_onset"][i])
+        numbers = [None if values is None or not np.isfinite(values[i]) else float(values[i]) for values in rest]
         if modes.argmax() != kind and begun is not None:  # size and onset belong to another mode
-            size = np.nan if begun.size is None else begun.size
-            onset = np.nan if begun.onset is None else begun.onset
+            numbers = [begun.size, getattr(begun, "onset", None)][: len(numbers)]
+        return self._made(i, span, type(self._modes[kind - 1]).__name__, numbers)
+
+    def _made(
+        self, i: int, span: tuple[float, float, float], kind: str | None, numbers: Sequence[float | None]
+    ) -> FaultEvent | ActuatorEvent:
+        size, onset = numbers or (None, None)
         return FaultEvent(
-            name,
-            start,
-            time,
-            largest,
-            kind=type(self._modes[kind - 1]).__name__,
-            onset=min(onset, start) if np.isfinite(onset) else None,
-            size=size if np.isfinite(size) else None,
+            self._names[i], *span, kind=kind, onset=None if onset is None else min(onset, span[0]), size=size
         )
+
+
+class ActuatorWatch(AlarmWatch):
+    """Watches the fault probabilities of actuators step by step; see `AlarmWatch`.
+
+    Parameters
+    ----------
+    sensors : sequence of str
+        Names of the actuators.
+    modes : sequence of ActuatorMode
+        The learner's modes.
+    step, alarm
+        As for `AlarmWatch`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fractions import Fraction
+    >>> from bayesftc import controllers, monitoring
+    >>> watch = monitoring.ActuatorWatch(["pump"], [controllers.LostEffect()], Fraction(1, 10))
+    >>> names = ("actuator_fault_probability", "actuator_mode_probability", "actuator_fault_size")
+    >>> signals = dict(zip(names, map(np.array, ([0.95], [[0.05, 0.95]], [0.3])), strict=True))
+    >>> next(watch.feed(2.0, signals))
+    (ActuatorEvent(actuator='pump', start=2 s, end=2 s, probability=0.95, kind='LostEffect', size=0.3), False)
+    """
+
+    signals = tuple(f"actuator_{name}" for name in ACTUATOR_SIGNALS)
+
+    def _made(
+        self, i: int, span: tuple[float, float, float], kind: str | None, numbers: Sequence[float | None]
+    ) -> FaultEvent | ActuatorEvent:
+        return ActuatorEvent(self._names[i], *span, kind=kind or "", size=numbers[0] if numbers else None)

@@ -444,6 +444,17 @@ def test_wrong_settings_are_refused(cls, settings, sentence):
         cls(**{**defaults, **settings})
 
 
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.0.2", "[::]", "plc", "controller.local"])
+def test_a_server_that_others_can_reach_needs_a_user_or_the_word_of_the_user(host):
+    url = f"opc.tcp://{host}:4840"
+    with pytest.raises(ModelError, match=r"has no user: everybody .* Add user and password_env, or anonymous = true"):
+        OPCUAServer(node="y", url=url)
+    assert OPCUAServer(node="y", url=url, anonymous=True).user is None
+    assert OPCUAServer(node="y", url=url, user="plant", password_env="PLANT").anonymous is False
+    for own in ("127.0.0.1", "127.0.0.2", "localhost", "[::1]"):
+        OPCUAServer(node="y", url=f"opc.tcp://{own}:4840")
+
+
 def test_files_that_cannot_be_used_are_refused_at_the_opening(tmp_path, certificates):
     missing = str(tmp_path / "no.pem")
     settings = {"security": "Basic256Sha256,Sign", "certificate": missing, "key": missing}

@@ -1,4 +1,4 @@
-"""The page on MQTT and OPC UA: each file of wires in it is read, with all its keys."""
+"""The pages on wires: each file of wires in them is read, with all its keys."""
 
 import re
 from pathlib import Path
@@ -8,8 +8,13 @@ import pytest
 from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.scenario.live import load_wires
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "connect-mqtt-and-opc-ua.md"
-FILES = re.findall(r"^```toml\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.S | re.M)
+PAGES = Path(__file__).resolve().parents[3] / "docs" / "how-to"
+NAMES = ("connect-mqtt-and-opc-ua", "live", "watch-sensors-now")
+FILES = [
+    text
+    for name in NAMES
+    for text in re.findall(r"^```toml\n(.*?)^```", (PAGES / f"{name}.md").read_text(encoding="utf-8"), re.S | re.M)
+]
 
 
 def wires(tmp_path, text):
@@ -27,8 +32,8 @@ def test_the_files_of_the_page_are_read(tmp_path, text):
             assert wire.bridge.key == str(tmp_path / "certificates" / "controller.key")
 
 
-def test_there_are_four():
-    assert len(FILES) == 4
+def test_there_are_six():
+    assert len(FILES) == 6
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,11 @@ import uvicorn
 from bayesftc.console.desk.desk import Desk
 from bayesftc.console.desk.engine import Engine
 from bayesftc.console.shown.broadcast import view_of
-from bayesftc.console.web.access import Access, is_loopback, new_token
+from bayesftc.console.web.access import Access, new_token
 from bayesftc.console.web.commands import LONGEST
 from bayesftc.console.web.server import Server
 from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.live.connections.credentials import is_loopback
 from bayesftc.scenario import find_scenario
 
 PATIENCE = 2

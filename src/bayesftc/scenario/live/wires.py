@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from bayesftc.cosim.live.bridge import Bridge
 from bayesftc.cosim.live.kinds import BRIDGES, own_bridge
@@ -117,10 +117,7 @@ def _wire(table: object, place: Place, folder: Path) -> Wire:
         with (place / "kind").named():
             cls: Any = own_bridge(kind, folder)
         del rest["kind"]
-        if not is_dataclass(cls):
-            raise (place / "kind").error(
-                f"is {kind!r}, which is no dataclass. Write @dataclass(eq=False) above the class."
-            )
+        _check(cls, place / "kind", kind)
     else:
         cls, rest = choose(BRIDGES, rest, place)
     of_wire = [name for name in settings(Wire) if name not in {"bridge", "source"}]
@@ -131,6 +128,18 @@ def _wire(table: object, place: Place, folder: Path) -> Wire:
     wire = {name: rest.pop(name) for name in of_wire if name in rest}
     given["bridge"] = _at(build(cls, rest, place), folder)
     return build(Wire, wire, place, given=given)  # type: ignore[no-any-return]
+
+
+def _check(cls: type[Bridge], place: Place, kind: str) -> None:
+    """Check that the settings of a user's class can be read."""
+    if not is_dataclass(cls):
+        raise place.error(f"is {kind!r}, which is no dataclass. Write @dataclass(eq=False) above the class.")
+    try:
+        get_type_hints(cls)
+    except NameError as error:
+        raise place.error(
+            f"is {kind!r}, whose annotations cannot be evaluated ({error}). Import what they name outside of TYPE_CHECKING."
+        ) from None
 
 
 def _at(bridge: Bridge, folder: Path) -> Bridge:

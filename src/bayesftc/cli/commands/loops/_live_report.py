@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from math import prod
 from typing import Any
 
 from bayesftc.cli import output
 from bayesftc.cosim.live.run import LiveSummary
 from bayesftc.cosim.live.steppers import Stepper
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.alarms import Alarm, FaultEvent
+from bayesftc.monitoring.alarms import ActuatorEvent, FaultEvent
 from bayesftc.monitoring.watching import AlarmWatch
+
+Event = FaultEvent | ActuatorEvent
 
 MOST = 1000
 """Largest number of alarms that the summary lists."""
-
-WATCHED = ("fault_probability", "mode_probability", "fault_size", "fault_onset")
 
 
 @dataclass(eq=False)
@@ -27,74 +27,79 @@ class Alarms:
 
     Parameters
     ----------
-    sensors : sequence of str
-        Names of the sensors.
-    modes : sequence of FaultMode
-        The learner's modes.
+    watches : sequence of AlarmWatch
+        They find the alarms.
     prefix : str
         Beginning of the names of the outputs: ``"controller."``.
-    alarm : Alarm, optional
-        Conditions of an alarm.
     shown : bool
         Whether to print them on stderr.
     """
 
-    sensors: Sequence[str]
-    modes: Sequence[Any]
+    watches: Sequence[AlarmWatch]
     prefix: str = ""
-    alarm: Alarm | None = None
     shown: bool = True
-    ended: list[FaultEvent] = field(default_factory=list)
-    count: int = 0
+    ended: list[Event] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
 
     def watcher(self, stepper: Stepper) -> Callable[[float, Floats, Floats], None] | None:
         """Return the watcher for a live run; None if there are no fault probabilities. The stepper is prepared by then."""
         places: dict[str, slice] = {}
         first = 0
         for name, port in stepper.outputs.items():
-            size = prod(port.shape)
-            if (short := name.removeprefix(self.prefix)) in WATCHED and name == self.prefix + short:
-                places[short] = slice(first, first + size)
-            first += size
-        if "fault_probability" not in places:
+            if name.startswith(self.prefix):
+                places[name.removeprefix(self.prefix)] = slice(first, first + port.size)
+            first += port.size
+        self.watches = [watch for watch in self.watches if watch.signals[0] in places]
+        if not self.watches:
             return None
-        self._watch = AlarmWatch(self.sensors, self.modes, stepper.step, self.alarm)
+        wanted = {name: places[name] for watch in self.watches for name in watch.signals if name in places}
 
-        def watch(time: float, inputs: Floats, outputs: Floats) -> None:
-            for event, ended in self._watch.feed(time, {name: outputs[place] for name, place in places.items()}):
-                self._note(event, ended, time)
+        def watch_all(time: float, inputs: Floats, outputs: Floats) -> None:
+            signals = {name: outputs[place] for name, place in wanted.items()}
+            for watch in self.watches:
+                for event, ended in watch.feed(time, signals):
+                    self._note(event, ended, time)
 
-        return watch
+        return watch_all
 
-    def close(self) -> list[FaultEvent]:
-        """Return all alarms, also those that have not ended."""
-        if hasattr(self, "_watch"):
-            for event in self._watch.close():
-                self.ended.append(event)
-        return self.ended
+    def close(self) -> list[Event]:
+        """Return the last alarms, also those that have not ended, in the order of their start."""
+        self.ended += [event for watch in self.watches for event in watch.close()]
+        return sorted(self.ended, key=lambda event: event.start)
 
-    def _note(self, event: FaultEvent, ended: bool, time: float) -> None:
+    def _note(self, event: Event, ended: bool, time: float) -> None:
         if ended:
-            self.count += 1
             self.ended.append(event)
             del self.ended[:-MOST]
+        else:
+            self.counts[name_of(event)] += 1
         if self.shown:
             kind = f", {event.kind}" if event.kind else ""
             if ended:
-                text = f"{time:.2f} s: {event.sensor}: the alarm has ended (since {event.start:.2f} s{kind})"
+                text = f"the alarm has ended (since {event.start:.2f} s{kind})"
             else:
-                text = f"{time:.2f} s: {event.sensor}: alarm, fault probability {event.probability:.3f}{kind}"
-            sys.stderr.write(text + "\n")
-            sys.stderr.flush()
+                text = f"alarm, fault probability {event.probability:.3f}{kind}"
+            note(f"{time:.2f} s: {name_of(event)}: {text}")
 
 
-def as_numbers(summary: LiveSummary, alarms: Sequence[FaultEvent]) -> dict[str, Any]:
+def note(text: str) -> None:
+    """Print a line on stderr at once."""
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+def name_of(event: Event) -> str:
+    """Return the name of the sensor or actuator, as in tables."""
+    return event.sensor if isinstance(event, FaultEvent) else f"actuator {event.actuator}"
+
+
+def as_numbers(summary: LiveSummary, alarms: Sequence[Event]) -> dict[str, Any]:
     """Return a summary as plain data."""
     return {**asdict(summary), "alarms": [asdict(event) for event in alarms]}
 
 
 def print_summary(numbers: Mapping[str, Any]) -> None:
-    """Print the tables of a live run."""
+    """Print the tables of a live run, without its alarms."""
     console, say = output.sayer()
     deadlines = numbers["deadlines"]
     say(f"{numbers['stopped']} {numbers['steps']} steps of {_time(deadlines['period'])}.\n")
@@ -128,18 +133,22 @@ def print_summary(numbers: Mapping[str, Any]) -> None:
             counts = [str(row[key]) for key in ("sent", "lost", "safe", "clipped", "not_finite")]
             sent.add_row(name, *counts, _connection(row))
         console.print(sent)
-    if numbers["alarms"]:
-        say("\nAlarms", "bold")
-        alarms = output.empty_table("kind", "onset (s)", "alarm (s)", "probability")
-        for event in numbers["alarms"]:
-            onset = output.DASH if event["onset"] is None else f"{event['onset']:.2f}"
-            span = f"{event['start']:.2f} to {event['end']:.2f}"
-            alarms.add_row(event["sensor"], event["kind"] or output.DASH, onset, span, f"{event['probability']:.3f}")
-        console.print(alarms)
     if numbers["recorded"]:
         say(f"\nRecorded in {numbers['recorded']}")
     if numbers["lost_rows"]:
         say(f"{numbers['lost_rows']} steps are not recorded ({numbers['problem'] or 'the disk was too slow'}).")
+
+
+def print_alarms(numbers: Mapping[str, Any]) -> None:
+    """Print the table of the alarms."""
+    console, say = output.sayer()
+    say("\nAlarms", "bold")
+    alarms = output.empty_table("kind", "onset (s)", "alarm (s)", "probability")
+    for event in numbers["alarms"]:
+        onset = output.DASH if event["onset"] is None else f"{event['onset']:.2f}"
+        span = f"{event['start']:.2f} to {event['end']:.2f}"
+        alarms.add_row(event["sensor"], event["kind"] or output.DASH, onset, span, f"{event['probability']:.3f}")
+    console.print(alarms)
 
 
 def _connection(row: Mapping[str, Any]) -> str:

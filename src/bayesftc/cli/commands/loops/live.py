@@ -8,18 +8,15 @@ from typing import Annotated
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, print_summary
-from bayesftc.cli.options import Json, Quiet
+from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, print_alarms, print_summary
+from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
 from bayesftc.cosim.live.run import LiveSettings, run_live
+from bayesftc.monitoring.watching import AlarmWatch
 from bayesftc.scenario.live import live_controller, load_wires
 
 Bridges = Annotated[
     Path, typer.Option("--bridge", metavar="TOML", help="File of wires: where samples come from, and where outputs go.")
 ]
-RecordFolder = Annotated[
-    Path | None, typer.Option("--record", metavar="DIR", help="Record all signals there, in pieces (Parquet).")
-]
-LiveDuration = Annotated[float | None, typer.Option(help="Seconds; by default until it is stopped.")]
 
 
 def live(
@@ -48,8 +45,9 @@ def live(
     loaded = live_controller(controller, received)
     with loaded.stepper() as stepper:
         stepper.prepare()
-        alarms = Alarms(loaded.sensors, loaded.modes, "controller.", shown=not quiet)
+        alarms = Alarms([AlarmWatch(loaded.sensors, loaded.modes, stepper.step)], "controller.", shown=not quiet)
         settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), alarms.watcher(stepper))
+        settings.steps(stepper.step)  # errors of the options are not those of the wires
         with wires.named():
             summary = run_live(stepper, wires.wires, settings)
     numbers = as_numbers(summary, alarms.close())
@@ -57,3 +55,5 @@ def live(
         typer.echo(output.as_json(numbers))
     elif not quiet:
         print_summary(numbers)
+        if numbers["alarms"]:
+            print_alarms(numbers)

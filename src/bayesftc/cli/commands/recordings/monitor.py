@@ -12,22 +12,23 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli.commands.recordings._faults import print_faults
 from bayesftc.cli.commands.recordings._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
-from bayesftc.cli.options import Json, Quiet
+from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.cosim.judging.metrics import without_nan
-from bayesftc.monitoring import ActuatorEvent, FaultEvent, Monitored, load_monitor
+from bayesftc.monitoring import Monitored, load_monitor
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from bayesftc.controllers import ModelFinding
 
 PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
 
 
 def monitor(
-    recording: Annotated[list[Path], typer.Argument(help="CSV files with recorded samples, or a folder of them.")],
+    recording: Annotated[
+        list[Path] | None, typer.Argument(help="CSV files with recorded samples, or a folder of them.")
+    ] = None,
     model: Annotated[
         Path | None,
         typer.Option(
@@ -51,13 +52,37 @@ def monitor(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write probabilities.csv, faults.json and figure.png there."),
     ] = None,
+    live: Annotated[
+        Path | None,
+        typer.Option(
+            "--live", metavar="TOML", help="File of wires with the samples that arrive now, instead of a recording."
+        ),
+    ] = None,
+    duration: LiveDuration = None,
+    record: RecordFolder = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Find faults in a recording, print them and write the files.
 
     First the model, driven by the recorded inputs, is compared with the recording. A `ModelMismatchWarning` states differences.
+
+    With --live, samples come from wires. Alarms are printed as they begin and end, until Ctrl-C, SIGTERM or --duration.
     """
+    if live is not None:
+        if model is None or recording or fit or out is not None:
+            raise typer.BadParameter(
+                "--live needs --model, and no recording, --fit or --out. Fit the model to a recording first; --record keeps the "
+                "signals of a live run."
+            )
+        from bayesftc.cli.commands.recordings._monitor_live import LiveOptions, monitor_live
+
+        monitor_live(model, live, LiveOptions(duration, record, json, quiet))
+        return
+    if duration is not None or record is not None:
+        raise typer.BadParameter("--duration and --record are for samples that arrive now: add --live.")
+    if not recording:
+        raise typer.BadParameter("there is no recording: give CSV files, or a file of wires with --live.")
     if model is None and not fit:
         raise typer.BadParameter("there is no model: give a file with --model, or fit one to the recording with --fit.")
     if not fit and (sensors or start is not None or stop is not None):
@@ -157,43 +182,9 @@ def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -
         )
     if monitored.why_no_probability:
         say(f"There is no fault probability: {monitored.why_no_probability}")
-    elif not monitored.events and not monitored.actuator_events:
-        say("No fault was found.")
     else:
-        say("\nFaults", "bold")
-        console.print(_faults(monitored))
-        say("Size: at the end of the alarm. For a noisier sensor: its noise as a multiple of the expected noise.")
-        if monitored.actuator_events:
-            say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")
+        recording = monitored.recording
+        units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
+        print_faults((*monitored.events, *monitored.actuator_events), dict(units))
     if folder is not None:
         say(f"\nWritten to {folder}: {PROBABILITIES}, {FAULTS}, {FIGURE}")
-
-
-def _faults(monitored: Monitored) -> Table:
-    """Return the table of all alarms."""
-    table = output.empty_table("kind", "onset (s)", "alarm (s)", "size")
-    recording = monitored.recording
-    units = dict(zip(recording.sensors, recording.units, strict=True))
-    input_units = dict(zip(recording.inputs, recording.input_units, strict=False))
-    for event in monitored.events:
-        onset = output.DASH if event.onset is None else f"{event.onset:.2f}"
-        size = _size(event, units[event.sensor])
-        table.add_row(event.sensor, event.kind or output.DASH, onset, _span(event), size)
-    for actuator_event in monitored.actuator_events:
-        size = _size(
-            actuator_event, "" if actuator_event.kind == "LostEffect" else input_units.get(actuator_event.actuator, "")
-        )
-        table.add_row(
-            f"actuator {actuator_event.actuator}", actuator_event.kind, output.DASH, _span(actuator_event), size
-        )
-    return table
-
-
-def _span(event: FaultEvent | ActuatorEvent) -> str:
-    return f"{event.start:.2f} to {event.end:.2f}"
-
-
-def _size(event: FaultEvent | ActuatorEvent, unit: str) -> str:
-    if event.size is None:
-        return output.DASH
-    return f"x {event.size:.3g}" if event.kind == "Noisier" else f"{event.size:.3g} {unit}".rstrip()

@@ -1,0 +1,140 @@
+"""``bayesftc monitor --live``: samples that arrive by wires, and alarms as they begin and end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from bayesftc.cli import output
+from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, note, print_summary
+from bayesftc.cli.commands.recordings._faults import print_faults
+from bayesftc.cosim.live.run import LiveSettings, run_live
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring import ActuatorWatch, AlarmWatch, Monitor, MonitorStepper, load_monitor
+from bayesftc.scenario.live import load_wires
+
+PATIENCE = 5.0
+"""Seconds after which the sensors are named that have not sent a sample yet."""
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """The options of a live monitor: see `monitor`."""
+
+    duration: float | None
+    record: Path | None
+    json: bool
+    quiet: bool
+
+
+def monitor_live(model: Path, bridges: Path, options: LiveOptions) -> None:
+    """Monitor until the end of the duration, Ctrl-C or SIGTERM, and print what was found."""
+    loaded, wires = load_monitor(model), load_wires(bridges)
+    stepper = MonitorStepper(loaded)
+    stepper.prepare()
+    precision = stepper.estimator.precision
+    conditions = stepper.step, loaded.alarm
+    watches = [AlarmWatch(list(loaded.sensors), getattr(precision, "modes", ()), *conditions)]
+    if precision.actuator_modes:
+        watches.append(ActuatorWatch(list(loaded.inputs), precision.actuator_modes, *conditions))
+    alarms = Alarms(watches, shown=not options.quiet)
+    watcher = _Watcher(stepper, loaded, alarms)
+    settings = LiveSettings(
+        options.duration,
+        watchdog=wires.watchdog,
+        recording=wires.recording(options.record),
+        watcher=watcher.watch,
+    )
+    settings.steps(stepper.step)  # errors of the options are not those of the wires
+    with wires.named():
+        summary = run_live(stepper, wires.wires, settings)
+    events = alarms.close()
+    numbers: dict[str, Any] = {
+        **as_numbers(summary, events),
+        "began": stepper.began,
+        "sensors": watcher.numbers(),
+        "why_no_probability": precision.why_no_probability,
+    }
+    if options.json:
+        typer.echo(output.as_json(numbers))
+    elif not options.quiet:
+        print_summary(numbers)
+        _print_sensors(numbers)
+        if stepper.began is not None and not precision.why_no_probability:
+            units = {name: sensor.unit for name, sensor in loaded.sensors.items()}
+            print_faults(events, units | {name: given.unit for name, given in loaded.inputs.items()})
+
+
+@dataclass(eq=False)
+class _Watcher:
+    """Counts samples and fault probabilities, and says when monitoring begins."""
+
+    stepper: MonitorStepper
+    monitor: Monitor
+    alarms: Alarms
+    steps: int = 0
+    judged: int = 0
+    told: bool = False
+    samples: Floats = field(init=False)
+    probability: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.samples, self.probability = np.zeros(len(self.monitor.sensors)), np.zeros(len(self.monitor.sensors))
+        self._places = self.stepper.output_places("fault_probability")
+        self._alarms = self.alarms.watcher(self.stepper)
+        self._began = False
+
+    def watch(self, time: float, inputs: Floats, outputs: Floats) -> None:
+        """Note a step."""
+        self.steps += 1
+        self.samples += np.isfinite(inputs[: len(self.samples)])
+        if self.stepper.began is None:
+            if time >= PATIENCE and not self.told:
+                self._say(
+                    time, f"monitoring has not begun; no sample yet of {', '.join(self.stepper.silent) or 'none'}"
+                )
+                self.told = True
+            return
+        if not self._began:
+            self._began = True
+            self._say(time, "monitoring has begun")
+        self.judged += 1
+        self.probability += outputs[self._places]
+        if self._alarms is not None:
+            self._alarms(time, inputs, outputs)
+
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """Return the numbers of each sensor."""
+        seconds = max(self.steps, 1) * float(self.stepper.step)
+        return {
+            name: {
+                "samples": int(self.samples[i]),
+                "rate": float(self.samples[i] / seconds),
+                "mean_probability": float(self.probability[i] / self.judged) if self.judged else None,
+                "alarms": self.alarms.counts[name],
+            }
+            for i, name in enumerate(self.monitor.sensors)
+        }
+
+    def _say(self, time: float, text: str) -> None:
+        if self.alarms.shown:
+            note(f"{time:.2f} s: {text}")
+
+
+def _print_sensors(numbers: Mapping[str, Any]) -> None:
+    console, say = output.sayer()
+    say("\nSensors", "bold")
+    table = output.empty_table("samples used", "per second", "mean probability", "alarms")
+    for name, row in numbers["sensors"].items():
+        mean = output.DASH if row["mean_probability"] is None else f"{row['mean_probability']:.4f}"
+        table.add_row(name, str(row["samples"]), f"{row['rate']:.4g}", mean, str(row["alarms"]))
+    console.print(table)
+    if numbers["began"] is None:
+        say("Monitoring has not begun: not all sensors have sent enough samples.")
+    elif numbers["why_no_probability"]:
+        say(f"There is no fault probability: {numbers['why_no_probability']}")

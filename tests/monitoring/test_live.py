@@ -1,0 +1,250 @@
+"""A monitor whose samples arrive step by step: it finds what it finds in a recording, and its alarms are the same."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from bayesftc.controllers import FixedPrecision, InputOffset, LostEffect, SwitchingPrecision
+from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.monitoring import (
+    ActuatorWatch,
+    Alarm,
+    AlarmWatch,
+    ConstantRate,
+    Input,
+    Integrator,
+    Monitor,
+    MonitorStepper,
+    RandomWalk,
+    Sensor,
+    Signal,
+    align,
+    default_precision,
+)
+from bayesftc.monitoring.live import FINDING, LONGEST
+from bayesftc.monitoring.monitor import OPENING
+from bayesftc.monitoring.rest import LEAST, RestWatch, at_rest, held
+
+DT = 0.1
+NAN = np.nan
+
+
+def sensors(names="abc", **settings):
+    return {name: Sensor(std=0.1, resolution=0.0, **settings) for name in names}
+
+
+def rows(steps=400, seed=0):
+    """Three sensors of a level, of which the third sends at every second step, and the second jumps at step 200."""
+    rng = np.random.default_rng(seed)
+    level = 5.0 + np.cumsum(0.02 * rng.standard_normal(steps))
+    y = level[:, None] + 0.1 * rng.standard_normal((steps, 3))
+    y[200:, 1] += 2.0
+    y[1::2, 2] = NAN
+    return y
+
+
+def run(stepper, inputs):
+    """Return the outputs over the steps by name."""
+    stepper.prepare()
+    outputs = np.array([stepper.advance(np.asarray(row, dtype=float)) for row in inputs])
+    return {name: outputs[:, stepper.output_places(name)] for name in stepper.outputs}
+
+
+def recorded(monitor, y, u=()):
+    """Return what the monitor finds in a recording of the same samples."""
+    t = DT * np.arange(len(y))
+    signals = {name: Signal(t, column, resolution=0.0) for name, column in zip(monitor.sensors, y.T, strict=True)}
+    given = {name: Signal(t, column) for name, column in zip(monitor.inputs, u, strict=True)}
+    return monitor.run(align(signals, given, DT), compiled=False)
+
+
+def watched(watch, signals, steps):
+    """Return the alarms of a watch over all steps."""
+    events = []
+    for k in range(steps):
+        events += [e for e, ended in watch.feed(DT * k, {n: s[k] for n, s in signals.items()}) if ended]
+    return sorted([*events, *watch.close()], key=lambda event: event.start)
+
+
+def close(a, b):
+    """Compare two alarms."""
+    assert type(a) is type(b)
+    for name, value in vars(a).items():
+        expected = getattr(b, name)
+        assert value == (expected if isinstance(expected, str | None) else pytest.approx(expected)), name
+
+
+def test_it_finds_what_is_in_the_recording_of_the_same_samples():
+    monitor, y = Monitor(DT, RandomWalk(std=0.06), sensors()), rows()
+    stepper = MonitorStepper(monitor, compiled=False)
+    live, monitored = run(stepper, y), recorded(monitor, y)
+    assert stepper.began == 0.0
+    begin = 2 * (OPENING - 1)  # the slow sensor has sent nine samples by then
+    assert np.isnan(live["fault_probability"][:begin]).all()
+    for name, expected in (("x_hat", monitored.x_hat), ("fault_probability", monitored.fault_probability)):
+        np.testing.assert_allclose(live[name][begin:], expected[begin:], rtol=1e-9, atol=1e-15)
+    watch = AlarmWatch(list("abc"), stepper.estimator.precision.modes, stepper.step)
+    (found,), (event,) = watched(watch, live, len(y)), monitored.events
+    close(found, event)
+    assert (found.sensor, found.kind) == ("b", "Offset")
+
+
+def test_times_count_from_the_first_step_also_before_the_first_samples():
+    monitor, y, silent = Monitor(DT, RandomWalk(std=0.06), sensors()), rows(), 57
+    stepper = MonitorStepper(monitor, compiled=False)
+    live = run(stepper, [*np.full((silent, 3), NAN), *y])
+    assert stepper.began == pytest.approx(DT * silent)
+    watch = AlarmWatch(list("abc"), stepper.estimator.precision.modes, stepper.step)
+    (found,), (event,) = watched(watch, live, silent + len(y)), recorded(monitor, y).events
+    assert found.start - event.start == pytest.approx(DT * silent)
+    assert found.onset - event.onset == pytest.approx(DT * silent)
+
+
+def test_bias_and_values_for_no_sample_are_those_of_the_model_file():
+    plain = Monitor(DT, RandomWalk(std=0.06), sensors())
+    monitor = replace(plain, sensors={**sensors("a", bias=3.0), **sensors("bc")}, invalid=[-9999.0])
+    y = rows()
+    sent = np.where(np.isnan(y), -9999.0, y + np.array([3.0, 0.0, 0.0]))
+    one, other = (run(MonitorStepper(m, compiled=False), s) for m, s in ((plain, y), (monitor, sent)))
+    np.testing.assert_allclose(one["x_hat"], other["x_hat"], rtol=1e-12)
+
+
+def test_an_input_acts_until_the_next_step_and_its_fault_is_an_alarm():
+    rng, steps = np.random.default_rng(0), 300
+    flow = np.sin(np.arange(steps) / 10)
+    gain = 0.1 * flow * np.where(np.arange(steps) < 150, 1.0, 0.2)
+    level = 5.0 + np.cumsum(gain) - gain
+    y = level[:, None] + 0.02 * rng.standard_normal((steps, 2))
+    modes = [LostEffect(), InputOffset()]
+    monitor = Monitor(
+        DT,
+        Integrator(std=0.02),
+        {name: Sensor(std=0.02, resolution=0.0) for name in "ab"},
+        {"flow": Input()},
+        precision=SwitchingPrecision(actuator_modes=modes),
+    )
+    stepper = MonitorStepper(monitor, compiled=False)
+    live, monitored = run(stepper, np.column_stack([y, flow])), recorded(monitor, y, [flow])
+    np.testing.assert_allclose(live["x_hat"][OPENING:], monitored.x_hat[OPENING:], rtol=1e-12)
+    watch = ActuatorWatch(["flow"], modes, stepper.step)
+    found = watched(watch, live, steps)
+    assert found[0].kind == "LostEffect"
+    for a, b in zip(found, monitored.actuator_events, strict=True):
+        close(a, b)
+
+
+def test_smooth_averages_the_last_values_of_an_input():
+    monitor = Monitor(DT, Integrator(std=0.02), sensors("ab"), {"flow": Input(smooth=0.3), "other": Input()})
+    with pytest.raises(ModelError, match="Integrator has 1 input"):
+        MonitorStepper(monitor, compiled=False)
+    flow = np.where(np.arange(60) < 30, 0.0, 3.0)
+    plain, smooth = (
+        run(
+            MonitorStepper(Monitor(DT, Integrator(std=1e-6), sensors("ab"), {"flow": Input(smooth=s)}), compiled=False),
+            np.column_stack([np.full((60, 2), 5.0), flow]),
+        )["innovation"][:, 0]
+        for s in (0.0, 0.3)
+    )
+    # The belief moves by 0.1 s of the input in each step: 3, or 1, 2 and then 3.
+    assert plain[31] == pytest.approx(-0.3, abs=1e-3)
+    assert smooth[31] == pytest.approx(-0.1, abs=1e-3)
+
+
+def test_monitoring_begins_without_a_sensor_that_sends_nothing_and_blames_it():
+    monitor, y = Monitor(DT, RandomWalk(std=0.06), sensors()), rows(LONGEST + 200)
+    y[:, 2] = NAN
+    stepper = MonitorStepper(monitor, compiled=False)
+    stepper.prepare()
+    for row in y[: LONGEST - 1]:
+        stepper.advance(row)
+    assert stepper.began is None
+    assert stepper.silent == ["c"]
+    live = run(stepper, y[LONGEST - 1 :])
+    assert stepper.began == 0.0
+    p = live["fault_probability"]
+    assert p[-1, 2] > 0.99
+    assert p[:, 0].max() < 0.5
+
+
+def test_without_a_resolution_more_samples_are_waited_for():
+    monitor = Monitor(DT, RandomWalk(std=0.06), {name: Sensor(std=0.1) for name in "ab"})
+    stepper, rng = MonitorStepper(monitor, compiled=False), np.random.default_rng(0)
+    live = run(stepper, np.round(rng.standard_normal((60, 2)) / 0.05) * 0.05)
+    assert np.isnan(live["x_hat"][:, 0]).sum() == FINDING - 1
+    assert stepper.estimator.precision.modes[0].resolution == pytest.approx((0.05, 0.05))
+
+
+def test_sensors_that_determine_too_little_are_waited_for():
+    position, speed = Sensor(std=0.1, resolution=0.0), Sensor(std=0.1, resolution=0.0, reads=[0.0, 1.0])
+    plain = Monitor(DT, ConstantRate(std=0.1), {"position": position, "speed": speed})
+    y = np.column_stack([np.zeros(LONGEST + 50), np.full(LONGEST + 50, NAN)])
+    known = replace(plain, initial_mean=[0.0, 0.0], initial_std=[1.0, 1.0])
+    for monitor, began, silent in ((plain, None, ["speed"]), (known, 0.0, [])):
+        stepper = MonitorStepper(monitor, compiled=False)
+        run(stepper, y)
+        assert (stepper.began, stepper.silent) == (began, silent)
+
+
+def test_a_delay_is_refused_and_names_are_those_of_the_file():
+    monitor = Monitor(DT, RandomWalk(std=0.06), {**sensors("ab"), "gnss": Sensor(std=0.1, delay=0.15)})
+    with pytest.raises(ModelError, match=r"'gnss' has delay = 0.15 s.*Remove"):
+        MonitorStepper(monitor, compiled=False)
+    stepper = MonitorStepper(Monitor(DT, RandomWalk(std=0.06), sensors()), compiled=False)
+    stepper.prepare()
+    with pytest.raises(UnknownNameError, match="There is no input 'd'"):
+        stepper.input_places("d")
+
+
+def test_a_learner_without_probabilities_has_none():
+    monitor = Monitor(DT, RandomWalk(std=0.06), sensors(), precision=FixedPrecision())
+    live = run(MonitorStepper(monitor, compiled=False), rows())
+    assert np.isnan(live["fault_probability"]).all()
+    assert np.isfinite(live["x_hat"][-1]).all()
+    watch = AlarmWatch(list("abc"), (), Fraction(1, 10))
+    assert not watched(watch, {"fault_probability": live["fault_probability"]}, 400)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_rest_is_that_of_a_recording_but_for_its_first_steps(seed):
+    rng, steps = np.random.default_rng(seed), 300
+    y = rng.integers(0, 3, (steps, 3)).astype(float)
+    for begin in rng.integers(10, 280, 6):
+        y[begin : begin + rng.integers(2, 20)] = y[begin]  # all repeat themselves
+    y[rng.random((steps, 3)) < 0.2] = NAN
+    p = rng.random((steps, 3))
+    rest = at_rest(y)
+    expected = held({"p": p}, ["p"], y, rest)["p"]
+    watch = RestWatch(3)
+    live = np.array([watch.feed(y[k], {"p": p[k]})["p"] for k in range(steps)])
+    begins = np.flatnonzero(rest & ~np.roll(rest, 1))
+    early = np.zeros(steps, dtype=bool)
+    for begin in begins:
+        early[begin : begin + LEAST - 1] = True
+    assert rest.sum() > 20
+    np.testing.assert_array_equal(live[~early], expected[~early])
+    own = early[:, None] & (live == p)
+    assert (own | (live == expected))[early].all()
+
+
+def test_an_alarm_lasts_as_in_a_recording():
+    from bayesftc.monitoring.alarms import alarms
+
+    rng = np.random.default_rng(3)
+    for hold in (0.0, 0.2, 0.5):
+        p = np.repeat(rng.random(200), rng.integers(1, 6, 200))
+        watch = AlarmWatch(["s"], (), Fraction(1, 10), Alarm(threshold=0.7, hold=hold))
+        events = watched(watch, {"fault_probability": p[:, None]}, len(p))
+        spans = [(round(event.start / DT), round(event.end / DT) + 1) for event in events]
+        assert spans == alarms(p, 0.7, round(hold / DT))
+        assert len(spans) > 5
+
+
+def test_the_default_learner_is_that_of_recordings():
+    stepper = MonitorStepper(Monitor(DT, RandomWalk(std=0.06), sensors()), compiled=False)
+    run(stepper, rows())
+    learner = stepper.estimator.precision
+    expected = default_precision(learner.loss, (0.0, 0.0, 0.0), learner.modes[0].healthy_repeats)
+    assert [type(mode) for mode in learner.modes] == [type(mode) for mode in expected.modes]
+    assert learner.loss == pytest.approx((0.01, 0.01, 0.5))
