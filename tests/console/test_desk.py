@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from bayesftc.console.desk.actions import faults_of
 from bayesftc.console.desk.desk import MOST_BRANCHES, Desk
 from bayesftc.console.desk.history import History, SavedStates
-from bayesftc.console.shown.layout import MADE
+from bayesftc.console.shown.layout import MADE, layout
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario._written import toml
@@ -151,6 +151,37 @@ def test_branches(desk, tmp_path):
         desk.choose("drift")
 
 
+def test_what_was_done_later_stays_in_its_branch(desk, tmp_path):
+    desk.advance_to(100)
+    desk.act("fault", "sensors", fault("Bias", sensor=0))
+    desk.advance_to(600)  # the freeze of sensor 0 is in the file
+    desk.act("fault", "sensors", fault("Freeze", sensor=1))
+    desk.act("goal", "0", value=23.0)
+    desk.advance_to(700)
+    first = desk.branch
+    before = first.lanes[0].rows.values.copy()
+    desk.go_back(250)
+    assert desk.branch is first  # to look back makes no branch
+    assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0"]
+    shown = layout(desk)
+    assert [each["name"] for each in shown["faults"]] == ["freeze_0", "bias_0"]
+    assert [each["later"] for each in shown["actions"]] == [False, True, True]
+    assert [each["kind"] for each in tomllib.loads(desk.toml())["faults"]] == ["Freeze", "Bias"]
+    desk.go_back(650)  # and forward again
+    assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0", "freeze_1"]
+    desk.go_back(250)
+    desk.advance_to(700)
+    assert (desk.branch.name, desk.branch.parent, desk.branch.since) == ("branch 2", "first", 250)
+    assert "freeze_1.active" not in desk.branch.lanes[0].place
+    assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0"]
+    same_as_run(desk, tmp_path)
+    desk.choose("first")
+    assert desk.k == 700
+    assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0", "freeze_1"]
+    assert np.array_equal(bits(before), bits(desk.branch.lanes[0].rows.values))
+    same_as_run(desk, tmp_path)
+
+
 def test_most_branches(desk):
     desk.advance_to(20)
     for _ in range(MOST_BRANCHES - 1):
@@ -160,6 +191,10 @@ def test_most_branches(desk):
     desk.go_back(10)
     with pytest.raises(ModelError, match="Remove one"):
         desk.act("goal", "0", value=20.0)
+    desk.go_back(0)
+    with pytest.raises(ModelError, match="Remove one"):
+        desk.advance_to(1)
+    assert desk.k == 0
 
 
 @pytest.mark.parametrize(

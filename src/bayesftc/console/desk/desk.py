@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from bayesftc.console.desk.actions import Action, time_of, with_absolute_paths, with_actions
+from bayesftc.console.desk.actions import Action, faults_of, time_of, with_absolute_paths, with_actions
 from bayesftc.console.desk.lane import Lane
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
@@ -22,6 +22,8 @@ MOST_LANES = 3
 MOST_BRANCHES = 8
 MOST_ACTIONS = 200
 MEMORY = 512 * 2**20
+
+Progress = Callable[[int], None]
 
 
 @dataclass(eq=False)
@@ -62,8 +64,12 @@ class Branch:
         """Whether no lane can continue."""
         return all(lane.stopped is not None for lane in self.lanes)
 
-    def advance_to(self, k: int, progress: Callable[[int], None] | None = None) -> None:
-        """Continue all lanes to a step."""
+    def actions_until(self, k: int) -> tuple[Action, ...]:
+        """Return the actions that were made up to step `k`."""
+        return tuple(action for action in self.actions if action.k <= k + 1)
+
+    def advance_to(self, k: int, progress: Progress | None = None) -> None:
+        """Continue all lanes to a step, with all actions of the branch."""
         for lane in self.lanes:
             lane.advance_to(k, progress)
         self.furthest = max(self.furthest, self.k)
@@ -140,8 +146,15 @@ class Desk:
         """The time of the present step in seconds."""
         return time_of(self.k, self.step)
 
+    @property
+    def actions(self) -> tuple[Action, ...]:
+        """What was done by hand in the present branch up to the present moment."""
+        return self.branch.actions_until(self.k)
+
     def advance_to(self, k: int) -> None:
-        """Continue to step `k`, the compared branch too."""
+        """Continue to step `k`, the compared branch too; see `go_on`."""
+        if k > self.k:
+            self.go_on()
         self.branch.advance_to(k)
         if self.compared is not None:
             self.compared.advance_to(self.branch.k)
@@ -152,7 +165,7 @@ class Desk:
         target: str,
         settings: Mapping[str, Any] | None = None,
         value: float = 0.0,
-        progress: Callable[[int], None] | None = None,
+        progress: Progress | None = None,
     ) -> Branch:
         """Do something by hand, from the next step on; see `Action`.
 
@@ -165,19 +178,36 @@ class Desk:
         """
         if what not in ("fault", "repair", "goal", "input"):
             raise ModelError(f"There is no action {brief(what)}; use fault, repair, goal or input.")
-        k = self.k
-        if k < 0:
+        if self.k < 0:
             raise ModelError("The run has not begun; advance it first.")
-        before = tuple(action for action in self.branch.actions if action.k <= k + 1)
-        if len(before) >= MOST_ACTIONS:
+        if len(self.actions) >= MOST_ACTIONS:
             raise ModelError(
-                f"There are {len(before)} actions, which is the most. Save the scenario, and serve that file."
+                f"There are {len(self.actions)} actions, which is the most. Save the scenario, and serve that file."
             )
-        action = Action(k + 1, what, target, dict(settings or {}), value)  # type: ignore[arg-type]
-        is_new = k < self.branch.furthest
+        action = Action(self.k + 1, what, target, dict(settings or {}), value)  # type: ignore[arg-type]
+        self._begin_again((*self.actions, action), progress)
+        return self.branch
+
+    def go_on(self, progress: Progress | None = None) -> None:
+        """Leave the actions of later moments to the branch in which they were made.
+
+        After `go_back` to a moment before some of them, the run continues without them, as a new branch.
+
+        Raises
+        ------
+        ModelError
+            If there are too many branches.
+        """
+        if len(self.actions) < len(self.branch.actions):
+            self._begin_again(self.actions, progress)
+
+    def _begin_again(self, actions: tuple[Action, ...], progress: Progress | None) -> None:
+        """Let the run begin again with these actions, up to the present step; as a new branch if this one came further."""
+        k, branch = self.k, self.branch
+        is_new = k < branch.furthest
         if is_new:
             self._check_room()
-        lanes = self._lanes((*before, action))
+        lanes = self._lanes(actions)
         try:
             for lane in lanes:
                 lane.advance_to(k, progress)
@@ -186,15 +216,14 @@ class Desk:
             raise
         if is_new:
             name = next(n for i in range(2, 10**6) if (n := f"branch {i}") not in self.branches)
-            self.branch = self.branches[name] = Branch(name, self.branch.name, k, (*before, action), lanes, k)
+            self.branch = self.branches[name] = Branch(name, branch.name, k, actions, lanes, k)
         else:
-            _close(self.branch.lanes)
-            self.branch.actions, self.branch.lanes = (*before, action), lanes
+            _close(branch.lanes)
+            branch.actions, branch.lanes = actions, lanes
         self.epoch += 1
-        return self.branch
 
     def go_back(self, k: int) -> None:
-        """Return to an earlier step of this branch.
+        """Return to an earlier step of this branch; see `go_on`.
 
         Raises
         ------
@@ -209,9 +238,11 @@ class Desk:
             lane.advance_to(k)
         self.epoch += 1
 
-    def choose(self, name: str) -> None:
-        """Continue with another branch. If it is the compared one, the two change places."""
-        before, self.branch = self.branch, self._named(name)
+    def choose(self, name: str, progress: Progress | None = None) -> None:
+        """Continue with another branch, where it came furthest. If it is the compared one, the two change places."""
+        chosen = self._named(name)
+        chosen.advance_to(chosen.furthest, progress)
+        before, self.branch = self.branch, chosen
         if self.compared is self.branch:
             self.compared = None if before is self.branch else before
             before.advance_to(self.branch.k)
@@ -255,8 +286,10 @@ class Desk:
         return toml(self.scenario_content())
 
     def scenario_content(self, lane: int = 0) -> dict[str, Any]:
-        """Return the content of a lane's scenario, with the present time as its duration."""
-        content = with_absolute_paths(self.branch.lanes[lane].content, self.file.absolute().parent)
+        """Return the content of a lane's scenario up to the present step, with the present time as its duration."""
+        content = with_absolute_paths(
+            self._content(self.actions, list(self.variants)[lane]), self.file.absolute().parent
+        )
         end = max(self.k, 1)
         content["simulation"] = {**content["simulation"], "duration": time_of(end, self.step)}
         return content
@@ -279,14 +312,20 @@ class Desk:
         lanes: list[Lane] = []
         try:
             for name in self.variants if names is None else names:
-                content = self.variants[name]
-                if actions:
-                    content = with_actions(content, actions, self.step, self.scenario)
-                lanes.append(Lane(name, content, self.file, self.memory // len(self.variants)))
+                lanes.append(Lane(name, self._content(actions, name), self.file, self.memory // len(self.variants)))
         except BaseException:
             _close(lanes)
             raise
         return lanes
+
+    def _content(self, actions: Sequence[Action], name: str) -> dict[str, Any]:
+        """Return the content of a variant's scenario with actions."""
+        content = self.variants[name]
+        return with_actions(content, actions, self.step, self.scenario) if actions else content
+
+    def faults(self) -> list[tuple[str, str, dict[str, Any]]]:
+        """Return the faults that are known at the present moment; see `faults_of`."""
+        return faults_of(self._content(self.actions, next(iter(self.variants))))
 
     def _named(self, name: str) -> Branch:
         if name not in self.branches:

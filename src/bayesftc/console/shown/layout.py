@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.console.desk.actions import SENSORS, Action, faults_of, free_inputs, goals_of, time_of
+from bayesftc.console.desk.actions import SENSORS, Action, free_inputs, goals_of, time_of
 from bayesftc.console.desk.desk import Desk
 from bayesftc.console.desk.lane import Lane
 from bayesftc.cosim.blocks.faults.base import COMMON
@@ -54,9 +54,11 @@ def layout(desk: Desk) -> dict[str, Any]:
         "faults": [
             {"target": target, "name": name, "kind": str(table.get("kind")), "sensor": table.get("sensor", 0),
              "words": _window(table), "stop": _stop(table)}
-            for target, name, table in faults_of(lane.content)
+            for target, name, table in desk.faults()
         ],
-        "actions": [{"t": time_of(a.k, step), "words": _words(a)} for a in branch.actions],
+        "actions": [
+            {"t": time_of(a.k, step), "words": _words(a), "later": a not in desk.actions} for a in branch.actions
+        ],
     }  # fmt: skip
 
 
