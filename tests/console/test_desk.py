@@ -1,7 +1,9 @@
 """The headless desk: what is done by hand is an entry of the scenario, and the file has the bits of the run."""
 
+import csv
 import tomllib
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc.console.desk.actions import faults_of
 from bayesftc.console.desk.desk import MOST_BRANCHES, Desk
+from bayesftc.console.desk.events import as_csv
 from bayesftc.console.desk.history import History, SavedStates
 from bayesftc.console.shown.layout import MADE, layout
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError
@@ -180,6 +183,29 @@ def test_what_was_done_later_stays_in_its_branch(desk, tmp_path):
     assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0", "freeze_1"]
     assert np.array_equal(bits(before), bits(desk.branch.lanes[0].rows.values))
     same_as_run(desk, tmp_path)
+
+
+def test_events_are_noted_once(desk):
+    desk.advance_to(100)
+    desk.act("fault", "sensors", fault("Stuck", sensor=1))
+    desk.advance_to(200)
+    desk.act("goal", "0", value=23.0)  # computes the alarm once more
+    desk.go_back(50)
+    desk.advance_to(60)
+    desk.rename("branch 2", "=1+1")
+    events = desk.events.all()
+    assert [(e.what, e.branch) for e in events] == [
+        ("action", "first"), ("alarm", "first"), ("action", "first"), ("action", "first"), ("branch", "branch 2"),
+        ("branch", "=1+1"),
+    ]  # fmt: skip
+    assert events[0].words == "Stuck of sensor 1 (at 21)"
+    assert (events[0].time, events[3].time, events[4].time) == (2.0, 1.0, 1.0)
+    assert events[1].words == "sensor 1: alarm"
+    assert 2.0 < events[1].time < 3.0
+    rows = [*csv.reader(as_csv(events).splitlines())]
+    assert [row[1] for row in rows[:2]] == ["time", "2.0"]
+    assert rows[-1][2:] == ["'=1+1", "branch", "branch 2 has the new name =1+1"]  # no formula for a spreadsheet
+    assert datetime.fromisoformat(rows[1][0]).tzinfo is not None
 
 
 def test_most_branches(desk):

@@ -10,7 +10,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from bayesftc.console.desk.actions import Action, faults_of, time_of, with_absolute_paths, with_actions
+from bayesftc.console.desk.actions import Action, faults_of, time_of, with_absolute_paths, with_actions, words_of
+from bayesftc.console.desk.events import Events, What
 from bayesftc.console.desk.lane import Lane
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
@@ -91,6 +92,8 @@ class Desk:
         Kinds of precision learners: the scenario's controller runs beside itself with each of them.
     memory : int
         Bound of memory in bytes for recorded rows and saved states of each branch.
+    events : Events
+        Where actions, alarms and branches are noted.
 
     Raises
     ------
@@ -111,6 +114,7 @@ class Desk:
     path: str | Path
     beside: Sequence[str] = ("FixedPrecision",)
     memory: int = MEMORY
+    events: Events = field(default_factory=Events)
     branches: dict[str, Branch] = field(default_factory=dict, init=False)
     epoch: int = field(default=0, init=False)
 
@@ -155,7 +159,9 @@ class Desk:
         """Continue to step `k`, the compared branch too; see `go_on`."""
         if k > self.k:
             self.go_on()
+        before = self.k, self.branch.stopped
         self.branch.advance_to(k)
+        self._note_alarms(*before)
         if self.compared is not None:
             self.compared.advance_to(self.branch.k)
 
@@ -186,6 +192,7 @@ class Desk:
             )
         action = Action(self.k + 1, what, target, dict(settings or {}), value)  # type: ignore[arg-type]
         self._begin_again((*self.actions, action), progress)
+        self.note("action", words_of(action))
         return self.branch
 
     def go_on(self, progress: Progress | None = None) -> None:
@@ -217,6 +224,7 @@ class Desk:
         if is_new:
             name = next(n for i in range(2, 10**6) if (n := f"branch {i}") not in self.branches)
             self.branch = self.branches[name] = Branch(name, branch.name, k, actions, lanes, k)
+            self.note("branch", f"{name} begins, from {branch.name}")
         else:
             _close(branch.lanes)
             branch.actions, branch.lanes = actions, lanes
@@ -236,6 +244,7 @@ class Desk:
             if k < lane.k or lane.stopped:
                 lane.go_back(min(k, lane.k))
             lane.advance_to(k)
+        self.note("action", "back to this time")
         self.epoch += 1
 
     def choose(self, name: str, progress: Progress | None = None) -> None:
@@ -246,6 +255,7 @@ class Desk:
         if self.compared is self.branch:
             self.compared = None if before is self.branch else before
             before.advance_to(self.branch.k)
+        self.note("branch", f"{name} is shown")
         self.epoch += 1
 
     def compare(self, name: str | None) -> None:
@@ -256,6 +266,7 @@ class Desk:
         if branch is not None:
             branch.advance_to(self.branch.k)
         self.compared = branch
+        self.note("branch", "the comparison ends" if name is None else f"{name} is compared")
         self.epoch += 1
 
     def rename(self, name: str, new: str) -> None:
@@ -268,6 +279,7 @@ class Desk:
         self.branches = {each.name: each for each in self.branches.values()}
         for each in self.branches.values():
             each.parent = new if each.parent == name else each.parent
+        self.note("branch", f"{name} has the new name {new}")
         self.epoch += 1
 
     def remove(self, name: str) -> None:
@@ -279,7 +291,23 @@ class Desk:
             self.compared = None
         del self.branches[name]
         _close(branch.lanes)
+        self.note("branch", f"{name} is removed")
         self.epoch += 1
+
+    def note(self, what: What, words: str) -> None:
+        """Note an event at the present moment."""
+        self.events.add(what, words, self.branch.name, self.time)
+
+    def _note_alarms(self, k: int, was_stopped: bool) -> None:
+        """Note the alarms after step `k`, and a run that has stopped since."""
+        branch = self.branch
+        several = len(branch.lanes) > 1
+        for lane in branch.lanes:
+            controller = f" ({lane.name})" if several else ""
+            for alarm in lane.alarms_after(k):
+                self.events.add("alarm", lane.words_of(alarm) + controller, branch.name, time_of(alarm.k, self.step))
+        if branch.stopped and not was_stopped:
+            self.note("run", f"stopped: {branch.lanes[0].stopped}")
 
     def toml(self) -> str:
         """Return the scenario of the present branch up to the present step, as the text of a file."""

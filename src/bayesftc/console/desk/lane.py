@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import takewhile
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -133,14 +134,20 @@ class Lane:
             self._reached_without_row(reached)
         self.advance_to(k)
 
+    def alarms_after(self, k: int) -> list[Alarm]:
+        """Return the alarms that began or ended after step `k`."""
+        return [*takewhile(lambda alarm: alarm.k > k, reversed(self.alarms))][::-1]
+
+    def words_of(self, alarm: Alarm) -> str:
+        """Return an alarm in words."""
+        number = alarm.number
+        device = f"sensor {number}" if alarm.device == "sensor" else f"actuator {self.roles.controls[number].name}"
+        return f"{device}: {'alarm' if alarm.begins else 'the alarm ends'}"
+
     def close(self) -> None:
         """End the run."""
         if not self._session.closed:
             self._session.close()
-
-    def simulate(self) -> Result:
-        """Run the scenario once more from its beginning to the present step, with all signals."""
-        return self.scenario.simulate(duration=self.k * self.step, record=["*"], decimation=1)
 
     def _reached_without_row(self, reached: int) -> None:
         row = np.full((1, self._width), np.nan)

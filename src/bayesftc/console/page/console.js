@@ -101,6 +101,7 @@ function onLayout(message) {
   showChoices();
   showCards();
   showBranches();
+  showDownloads();
   shownLog = "";
   enable(layout.operator);
   if (extra.length) act({ do: "show", columns: extra });
@@ -118,6 +119,18 @@ function addStrip(name) {
   };
   strip.element.querySelector("h3").append(" ", close);
   strips.push(strip);
+}
+
+function showDownloads() {
+  const own = layout.lanes.filter((lane) => lane.branch === layout.lanes[0].branch), chosen = $("lane").value;
+  $("of-lane").hidden = own.length < 2;
+  $("lane").replaceChildren(...own.map((lane, i) => make("option", { value: String(i) }, lane.name)));
+  $("lane").value = Number(chosen) < own.length ? chosen : "0";
+  $("lane").onchange = () => document.querySelectorAll(".links a").forEach((link) => {
+    const path = new URL(link.href).pathname;
+    link.setAttribute("href", $("lane").value === "0" ? path : `${path}?lane=${$("lane").value}`);
+  });
+  $("lane").onchange();
 }
 
 function showChoices() {

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.console.desk.actions import SENSORS, Action, free_inputs, goals_of, time_of
+from bayesftc.console.desk.actions import SENSORS, free_inputs, goals_of, time_of, words_of
 from bayesftc.console.desk.desk import Desk
 from bayesftc.console.desk.lane import Lane
 from bayesftc.cosim.blocks.faults.base import COMMON
@@ -57,7 +57,7 @@ def layout(desk: Desk) -> dict[str, Any]:
             for target, name, table in desk.faults()
         ],
         "actions": [
-            {"t": time_of(a.k, step), "words": _words(a), "later": a not in desk.actions} for a in branch.actions
+            {"t": time_of(a.k, step), "words": words_of(a), "later": a not in desk.actions} for a in branch.actions
         ],
     }  # fmt: skip
 
@@ -197,21 +197,6 @@ def _stop(table: dict[str, Any]) -> float | None:
     if isinstance(start, int | float) and isinstance(duration, int | float):
         ends.append(start + duration)
     return min((end for end in ends if isfinite(end)), default=None)
-
-
-def _words(action: Action) -> str:
-    if action.what == "fault":
-        numbers = [
-            f"{n} {v:g}" for n, v in action.settings.items() if isinstance(v, float | int) and n not in ("sensor",)
-        ]
-        where = (
-            f"sensor {action.settings.get('sensor', 0)}" if action.target == SENSORS else f"actuator {action.target}"
-        )
-        return f"{action.settings.get('kind')} of {where}" + (f" ({', '.join(numbers)})" if numbers else "")
-    if action.what == "repair":
-        return f"end of {action.target}"
-    name = f"reference {action.target}" if action.what == "goal" else action.target
-    return f"{name} set to {action.value:g}"
 
 
 __all__ = ["MADE", "devices", "label_of", "layout", "strips"]

@@ -118,11 +118,14 @@ def carry_out(engine: Engine, command: Command) -> Callable[[Desk], None]:
             if command.on:
                 desk.go_on(progress)
             engine.set_running(command.on)
+            desk.note("run", "run" if command.on else "pause")
         elif isinstance(command, Step):
             engine.set_running(False)
+            desk.note("run", "1 step" if command.steps == 1 else f"{command.steps} steps")
             desk.advance_to(desk.k + command.steps)
         elif isinstance(command, Pace):
             engine.set_pace(inf if command.pace is None else command.pace)
+            desk.note("run", "as fast as possible" if command.pace is None else f"pace {command.pace:g}")
         elif isinstance(command, Fault):
             desk.act("fault", command.target, command.settings, progress=progress)
         elif isinstance(command, Repair):

@@ -20,7 +20,7 @@ from bayesftc.console.desk.engine import Engine
 from bayesftc.console.shown.broadcast import MOST_EXTRA, Broadcast, Cursor, View
 from bayesftc.console.web.access import Access, Guard
 from bayesftc.console.web.commands import LONGEST, carry_out, read_command
-from bayesftc.console.web.downloads import DOWNLOADS
+from bayesftc.console.web.downloads import DOWNLOADS, kept_of
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 FRAMES = 30
@@ -97,15 +97,15 @@ class Server:
         name = request.path_params["name"]
         if name not in DOWNLOADS or self._engine.desk is None:
             return PlainTextResponse("There is no such file.", status_code=404)
+        lane = request.query_params.get("lane", "0")
         kind, make = DOWNLOADS[name]
         async with self._downloads:
             try:
-                future = self._engine.call(lambda desk: (desk.scenario_content(), desk.file))
-                content, file = await asyncio.wrap_future(future)
-                data = await asyncio.to_thread(make, content, file)
+                kept = await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane)))
+                data = await asyncio.to_thread(make, kept)
             except BayesFTCError as error:
                 return PlainTextResponse(str(error), status_code=409)
-        shown = f'attachment; filename="{_safe(file.stem)}_{name}"'
+        shown = f'attachment; filename="{_safe(kept.name)}_{name}"'
         return Response(data, media_type=kind, headers={"content-disposition": shown})
 
     async def _live(self, socket: WebSocket) -> None:
@@ -115,14 +115,16 @@ class Server:
             return
         self._viewers[socket] = asyncio.Lock()
         cursor = Cursor()
+        self._note(f"connected, {len(self._viewers)} now")
         if self._operator is None:
-            self._operator = socket
+            self._operate(socket)
         sender = asyncio.create_task(self._send_frames(socket, cursor))
         reader = asyncio.create_task(self._read(socket, cursor))
         try:
             await asyncio.wait({sender, reader}, return_when=asyncio.FIRST_COMPLETED)
         finally:
             del self._viewers[socket]
+            self._note(f"left, {len(self._viewers)} now{', with the controls' if self._operator is socket else ''}")
             if self._operator is socket:
                 self._operator = None
             for task in (sender, reader):
@@ -131,6 +133,18 @@ class Server:
                 await asyncio.gather(sender, reader, return_exceptions=True)
             with suppress(Exception):
                 await socket.close(1001 if self._closing else 1000)
+
+    def _operate(self, socket: WebSocket) -> None:
+        if self._operator is not socket:
+            self._operator = socket
+            self._note("takes the controls")
+
+    def _note(self, words: str) -> None:
+        desk = self._engine.desk
+        if desk is None:
+            self._engine.events.add("viewer", words)
+        else:
+            desk.note("viewer", words)
 
     async def _send_frames(self, socket: WebSocket, cursor: Cursor) -> None:
         """Send what is new, up to `FRAMES` times a second; a slow viewer gets fewer and coarser frames."""
@@ -180,7 +194,7 @@ class Server:
             if content.get("do") == "claim":
                 if self._operator not in (None, socket):
                     raise ModelError("Another page has the controls. Close it first.")
-                self._operator = socket
+                self._operate(socket)
             elif content.get("do") == "show":
                 self._show(cursor, content.get("columns"))
             elif socket is not self._operator:

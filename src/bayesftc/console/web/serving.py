@@ -67,7 +67,7 @@ def serve_scenario(
     with _listening(host, port) as listener:
         port = listener.getsockname()[1]
         access = Access(host, port, None if is_loopback(host) else new_token())
-        engine = Engine(lambda: Desk(str(scenario), tuple(beside)), view_of)
+        engine = Engine(lambda events: Desk(str(scenario), tuple(beside), events=events), view_of)
         shown = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
         if access.token is not None:
             shown += f"?token={access.token}"
