@@ -1,5 +1,6 @@
 """A served scenario in a process of its own, and a viewer that speaks its protocol, for the tests."""
 
+import http.client
 import json
 import re
 import signal
@@ -16,10 +17,10 @@ PATIENCE = 90
 
 
 @contextmanager
-def served(*arguments):
-    """Yield the process and the address of ``bayesftc serve``; end it by SIGINT."""
-    command = [sys.executable, "-m", "bayesftc", "serve", *arguments, "--port", "0"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+def served(*arguments, command=("serve",)):
+    """Yield the process and the address of ``bayesftc serve``, or of another command that serves; end it by SIGINT."""
+    command = [sys.executable, "-m", "bayesftc", *command, *arguments, "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
         said = ""
         while not (found := re.search(r"http://\S+", said)):
@@ -36,6 +37,17 @@ def served(*arguments):
         if process.poll() is None:
             process.kill()
             process.wait()
+
+
+def get(address, path, **headers):
+    """Return status, headers and body of the answer to a request."""
+    host = re.search(r"http://([^/]+)", address)[1]
+    connection = http.client.HTTPConnection(host, timeout=60)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer.status, dict(answer.getheaders()), body
 
 
 class Viewer:

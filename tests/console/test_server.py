@@ -11,7 +11,7 @@ import tomllib
 import numpy as np
 import pandas
 import pytest
-from served import Viewer, served
+from served import Viewer, get, served
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from bayesftc.console.desk.history import Rows
@@ -19,16 +19,6 @@ from bayesftc.console.shown.frames import thinned
 from bayesftc.console.web.access import Access, is_loopback
 from bayesftc.console.web.server import MOST_VIEWERS
 from bayesftc.scenario import load_scenario
-
-
-def get(address, path, **headers):
-    host = re.search(r"http://([^/]+)", address)[1]
-    connection = http.client.HTTPConnection(host, timeout=60)
-    connection.request("GET", path, headers=headers)
-    answer = connection.getresponse()
-    body = answer.read()
-    connection.close()
-    return answer.status, dict(answer.getheaders()), body
 
 
 def test_run_break_go_back_and_download(address, tmp_path):

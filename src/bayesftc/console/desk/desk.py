@@ -76,6 +76,40 @@ class Branch:
         self.furthest = max(self.furthest, self.k)
 
 
+@dataclass(frozen=True)
+class Served:
+    """The scenario that a desk begins with.
+
+    Attributes
+    ----------
+    file : Path
+        Its file, for messages and for relative paths.
+    content : mapping
+        The content of the file, or one that was changed.
+    name : str
+        What the page shows.
+    duration : Fraction
+        Seconds that have run when the desk opens.
+    """
+
+    file: Path
+    content: Mapping[str, Any]
+    name: str
+    duration: Fraction = Fraction(0)
+
+    @classmethod
+    def of(cls, path: str | Path) -> Served:
+        """Return a scenario file, or a shipped scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If there is none.
+        """
+        file = find_scenario(path)
+        return cls(file, read_toml(file), file.stem)
+
+
 @dataclass
 class Desk:
     """A scenario that runs now, and what an operator does.
@@ -86,8 +120,8 @@ class Desk:
 
     Parameters
     ----------
-    path : str or Path
-        The scenario file, or the name of a shipped scenario.
+    scenario_file : str, Path or Served
+        The scenario file, the name of a shipped scenario, or its content.
     beside : sequence of str
         Kinds of precision learners: the scenario's controller runs beside itself with each of them.
     memory : int
@@ -111,7 +145,7 @@ class Desk:
     {'kind': 'Dropout', 'sensor': 1, 'duration': 0.5, 'start': 2.02, 'name': 'dropout_1'}
     """
 
-    path: str | Path
+    scenario_file: str | Path | Served
     beside: Sequence[str] = ("FixedPrecision",)
     memory: int = MEMORY
     events: Events = field(default_factory=Events)
@@ -119,8 +153,9 @@ class Desk:
     epoch: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self.file = find_scenario(self.path)
-        self.content = read_toml(self.file)
+        given = self.scenario_file
+        served = given if isinstance(given, Served) else Served.of(given)
+        self.file, self.content, self.name = served.file, served.content, served.name
         first = Lane("", self.content, self.file, self.memory // (1 + len(self.beside)))
         try:
             self.scenario: Scenario = first.scenario  # the one without actions
@@ -134,6 +169,7 @@ class Desk:
         self.branches["first"] = self.branch
         self.compared: Branch | None = None
         self.epoch = 1
+        self.advance_to(int(served.duration / self.step))
 
     @property
     def step(self) -> Fraction:
@@ -389,4 +425,4 @@ def _variants(content: Mapping[str, Any], scenario: Scenario, beside: Sequence[s
     return lanes
 
 
-__all__ = ["MEMORY", "Branch", "Desk"]
+__all__ = ["MEMORY", "Branch", "Desk", "Served"]

@@ -35,7 +35,7 @@ def layout(desk: Desk) -> dict[str, Any]:
     return {
         "type": "layout",
         "epoch": desk.epoch,
-        "scenario": desk.file.stem,
+        "scenario": desk.name,
         "step": float(step),
         "lanes": [{"name": each.name, "columns": each.columns, "branch": branch.name} for each in branch.lanes]
         + ([_compared(desk)] if desk.compared else []),

@@ -62,7 +62,7 @@ def kept_of(desk: Desk, lane: str) -> Kept:
     if not (lane.isascii() and lane.isdecimal() and int(lane) < len(lanes)):
         raise ModelError(f"There is no controller {brief(lane)}; use lane=0 to lane={len(lanes) - 1}.")
     number = int(lane)
-    name = f"{desk.file.stem}_{lanes[number].name}" if number else desk.file.stem
+    name = f"{desk.name}_{lanes[number].name}" if number else desk.name
     return Kept(name, desk.scenario_content(number), desk.file, desk.events.all())
 
 
