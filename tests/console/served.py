@@ -4,6 +4,7 @@ import http.client
 import json
 import re
 import signal
+import socket
 import struct
 import subprocess
 import sys
@@ -22,12 +23,7 @@ def served(*arguments, command=("serve",)):
     command = [sys.executable, "-m", "bayesftc", *command, *arguments, "--port", "0"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
-        said = ""
-        while not (found := re.search(r"http://\S+", said)):
-            line = process.stderr.readline()
-            assert line, said
-            said += line
-        yield process, found[0]
+        yield process, read_address(process)
         process.send_signal(signal.SIGINT)
         rest = process.communicate(timeout=PATIENCE)[1]
         assert process.returncode == 0, rest
@@ -37,6 +33,16 @@ def served(*arguments, command=("serve",)):
         if process.poll() is None:
             process.kill()
             process.wait()
+
+
+def read_address(process):
+    """Return the address that the process prints."""
+    said = ""
+    while not (found := re.search(r"http://\S+", said)):
+        line = process.stderr.readline()
+        assert line, said
+        said += line
+    return found[0]
 
 
 def get(address, path, **headers):
@@ -50,10 +56,25 @@ def get(address, path, **headers):
     return answer.status, dict(answer.getheaders()), body
 
 
+def connect_without_reading(address):
+    """Return the socket of a viewer that reads nothing, with a small buffer."""
+    host = re.search(r"http://([^/]+)", address)[1]
+    stuck = socket.socket()
+    stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    name, port = host.split(":")
+    stuck.connect((name, int(port)))
+    stuck.sendall(
+        f"GET /live HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    return stuck
+
+
 class Viewer:
     """A viewer without a page."""
 
     def __init__(self, address, **options):
+        self.address = address
         self.host = re.search(r"http://([^/]+)", address)[1]
         options.setdefault("origin", f"http://{self.host}")
         self.socket = connect(f"ws://{self.host}/live", max_size=None, open_timeout=PATIENCE, **options).__enter__()

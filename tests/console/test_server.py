@@ -11,7 +11,7 @@ import tomllib
 import numpy as np
 import pandas
 import pytest
-from served import Viewer, get, served
+from served import Viewer, connect_without_reading, get, served
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from bayesftc.console.desk.history import Rows
@@ -199,14 +199,7 @@ def test_number_of_viewers_is_bounded(address):
 
 
 def test_a_viewer_that_does_not_read_delays_nobody(address):
-    host, port = re.search(r"http://([^/]+):(\d+)", address).groups()
-    stuck = socket.socket()
-    stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    stuck.connect((host, int(port)))
-    stuck.sendall(
-        f"GET /live HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: http://{host}:{port}\r\nUpgrade: websocket\r\n"
-        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
-    )
+    stuck = connect_without_reading(address)
     with Viewer(address) as viewer:
         viewer.ready()
         time.sleep(0.5)

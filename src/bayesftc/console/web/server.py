@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -99,12 +101,16 @@ class Server:
             return PlainTextResponse("There is no such file.", status_code=404)
         lane = request.query_params.get("lane", "0")
         kind, make = DOWNLOADS[name]
-        async with self._downloads:
-            try:
+        try:
+            async with self._downloads:
                 kept = await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane)))
-                data = await asyncio.to_thread(make, kept)
-            except BayesFTCError as error:
-                return PlainTextResponse(str(error), status_code=409)
+                data = await _in_thread(lambda: make(kept))
+        except BayesFTCError as error:
+            return PlainTextResponse(str(error), status_code=409)
+        except asyncio.CancelledError:
+            if not self._closing:
+                raise
+            return PlainTextResponse("The console has ended.", status_code=503)
         shown = f'attachment; filename="{_safe(kept.name)}_{name}"'
         return Response(data, media_type=kind, headers={"content-disposition": shown})
 
@@ -219,6 +225,21 @@ class Server:
     async def _send(self, socket: WebSocket, content: dict[str, Any]) -> None:
         async with self._viewers[socket]:
             await socket.send_text(json.dumps(content, separators=(",", ":")))
+
+
+def _in_thread(function: Callable[[], bytes]) -> asyncio.Future[bytes]:
+    """Call a function in a thread that does not delay the end of the process."""
+    future: Future[bytes] = Future()
+    future.set_running_or_notify_cancel()
+
+    def work() -> None:
+        try:
+            future.set_result(function())
+        except BaseException as error:  # noqa: BLE001 - whoever waits gets it
+            future.set_exception(error)
+
+    threading.Thread(target=work, name="bayesftc-download", daemon=True).start()
+    return asyncio.wrap_future(future)
 
 
 def _safe(name: str) -> str:
