@@ -1,6 +1,7 @@
 """The headless desk: what is done by hand is an entry of the scenario, and the file has the bits of the run."""
 
 import csv
+import pickle
 import tomllib
 from contextlib import suppress
 from datetime import datetime
@@ -332,6 +333,50 @@ def test_history_stays_within_its_memory():
         assert np.array_equal(rows.values[:, 0], np.arange(rows.first, rows.last + 1))
     assert len(history.rows.of(19_990, 30_000).values) == 10
     assert len(history.rows.of(25_000, 30_000).values) == 0
+
+
+def test_history_takes_rows_that_are_written_in_place():
+    history, kept = History(2, 10**6), []
+    for first, count in ((0, 1), (1, 400), (401, 5000), (300, 7), (307, 20_000)):  # the fourth replaces rows
+        room = history.room(count, 2)
+        room[:] = np.arange(first, first + count, dtype=np.float64)[:, None]
+        history.append(room, first)
+        kept.append((history.rows, history.rows.values))
+        assert history.rows.last == first + count - 1
+        assert np.array_equal(history.rows.values[:, 1], np.arange(history.rows.first, history.rows.last + 1))
+        assert history.rows.newest[0] == history.rows.last
+    for rows, values in kept:  # readers keep what they have
+        assert np.array_equal(rows.values, values)
+    part = history.rows.of(20_000, 20_010, [1])
+    assert part.values.tolist() == [[float(k)] for k in range(20_000, 20_011)]
+
+
+def test_all_branches_together_stay_within_the_memory():
+    with Desk("cruise_control", beside=(), memory=4_000_000) as desk:
+        desk.advance_to(10_000)
+        for number in range(5):
+            desk.go_back(9_000)
+            desk.act("goal", "0", value=20.0 + number)
+            desk.advance_to(10_000)
+            lanes = [branch.lanes[0] for branch in desk.branches.values()]
+            assert len(lanes) == number + 2
+            assert sum(lane.bytes for lane in lanes) < 4_100_000
+            assert all(lane.bytes > 4_000_000 / len(lanes) / 4 for lane in lanes)  # each has its part
+        before = desk.branch.lanes[0].rows.newest
+        desk.go_back(100)
+        desk.choose("branch 2")
+        desk.choose("branch 6")
+        assert np.array_equal(bits(before), bits(desk.branch.lanes[0].rows.newest))
+
+
+def test_states_of_fmus_count():
+    with Desk("cruise_control", beside=()) as desk:
+        lane = desk.branch.lanes[0]
+        desk.advance_to(1000)
+        state = lane._session.save_state()
+        assert lane._states.bytes / len(lane._states) == state.memory.nbytes + len(
+            pickle.dumps(state.instances["plant"])
+        )
 
 
 def test_long_runs_stay_within_their_memory():

@@ -22,6 +22,7 @@ from bayesftc.scenario._written import toml
 MOST_LANES = 3
 MOST_BRANCHES = 8
 MOST_ACTIONS = 200
+MOST_STATES = 1600
 MEMORY = 512 * 2**20
 
 Progress = Callable[[int], None]
@@ -125,7 +126,7 @@ class Desk:
     beside : sequence of str
         Kinds of precision learners: the scenario's controller runs beside itself with each of them.
     memory : int
-        Bound of memory in bytes for recorded rows and saved states of each branch.
+        Bound of memory in bytes for recorded rows and saved states of all branches together.
     events : Events
         Where actions, alarms and branches are noted.
 
@@ -156,7 +157,7 @@ class Desk:
         given = self.scenario_file
         served = given if isinstance(given, Served) else Served.of(given)
         self.file, self.content, self.name = served.file, served.content, served.name
-        first = Lane("", self.content, self.file, self.memory // (1 + len(self.beside)))
+        first = Lane("", self.content, self.file, self.memory)
         try:
             self.scenario: Scenario = first.scenario  # the one without actions
             self.variants = _variants(self.content, self.scenario, self.beside)
@@ -167,6 +168,7 @@ class Desk:
             raise
         self.branch = Branch("first", None, 0, (), lanes)
         self.branches["first"] = self.branch
+        self._share()
         self.compared: Branch | None = None
         self.epoch = 1
         self.advance_to(int(served.duration / self.step))
@@ -264,6 +266,7 @@ class Desk:
         else:
             _close(branch.lanes)
             branch.actions, branch.lanes = actions, lanes
+        self._share()
         self.epoch += 1
 
     def go_back(self, k: int) -> None:
@@ -327,6 +330,7 @@ class Desk:
             self.compared = None
         del self.branches[name]
         _close(branch.lanes)
+        self._share()
         self.note("branch", f"{name} is removed")
         self.epoch += 1
 
@@ -376,11 +380,22 @@ class Desk:
         lanes: list[Lane] = []
         try:
             for name in self.variants if names is None else names:
-                lanes.append(Lane(name, self._content(actions, name), self.file, self.memory // len(self.variants)))
+                lanes.append(Lane(name, self._content(actions, name), self.file, self._part(len(self.variants))))
         except BaseException:
             _close(lanes)
             raise
         return lanes
+
+    def _part(self, more: int = 0) -> int:
+        """Return the memory of each lane of all branches, and of some more."""
+        return self.memory // (sum(len(branch.lanes) for branch in self.branches.values()) + more)
+
+    def _share(self) -> None:
+        """Give each lane of all branches the same part of memory, and of the number of states."""
+        part = self._part()
+        for branch in self.branches.values():
+            for lane in branch.lanes:
+                lane.bound(part, MOST_STATES * part // self.memory)
 
     def _content(self, actions: Sequence[Action], name: str) -> dict[str, Any]:
         """Return the content of a variant's scenario with actions."""
