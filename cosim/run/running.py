@@ -107,8 +107,17 @@ def place_tables(run: Run) -> None:
         run.memory[start : start + len(instance.table)] = instance.table.view(np.float64)
 
 
-def make_room(run: Run, end: int) -> None:
+def make_room(run: Run, end: int, room: Callable[[int, int], Floats] | None = None) -> None:
     """Give a run an empty recording for the steps from the next one to step `end`.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    end : int
+        The last step.
+    room : callable, optional
+        Returns the array for a number of rows and of columns; by default a new one.
 
     Raises
     ------
@@ -118,7 +127,7 @@ def make_room(run: Run, end: int) -> None:
     run.before = run.k // run.decimation + 1
     rows, columns = end // run.decimation + 1 - run.before, len(run.recorded)
     try:
-        run.recording = np.empty((rows, columns))
+        run.recording = np.empty((rows, columns)) if room is None else room(rows, columns)
     except (MemoryError, ValueError):
         raise too_large(rows, columns) from None
 

@@ -7,7 +7,7 @@ step, and the rest of a run's state is in its memory and in its FMUs.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack, closing, nullcontext
 from copy import copy
 from dataclasses import dataclass, field
@@ -145,6 +145,7 @@ class Session:
         self._run: Run | None = None
         self._is_running = False
         self._pacer: Pacer | None = None
+        self._room: Callable[[int, int], Floats] | None = None
         self._last_duration: tuple[Any, int] = (None, 0)
         self._stack = ExitStack()
         # This also frees the FMUs of a session that is dropped without close().
@@ -206,7 +207,7 @@ class Session:
             )
         if pace is None or self._pacer is None or self._pacer.pace != pace:
             self._pacer = None if pace is None else Pacer(pace, self._schedule.step, max(run.k, 0))
-        make_room(run, end)
+        make_room(run, end, self._room)
         try:
             self._is_running = True
             stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
@@ -239,6 +240,29 @@ class Session:
         elif stopped:
             raise failed(stopped, result, run)
         return result
+
+    def record_into(self, room: Callable[[int, int], Floats] | None) -> None:
+        """Choose where the signals of the next pieces are written, so that whoever collects them need not copy them.
+
+        Parameters
+        ----------
+        room : callable or None
+            Called as ``room(rows, columns)`` by `advance`; returns the array for these rows. None for a new array each time.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from bayesftc import cosim
+        >>> diagram = cosim.Diagram(dt=0.1)
+        >>> ramp = diagram.add(cosim.Ramp(1.0), "ramp")
+        >>> rows = np.zeros((11, 1))
+        >>> with diagram.start(engine="interpreted") as session:
+        ...     session.record_into(lambda rows_, columns: rows[:rows_])
+        ...     piece = session.advance(1.0)
+        >>> round(float(rows[10, 0]), 6)
+        1.0
+        """
+        self._room = room
 
     def set(self, name: str | PortRef, value: ArrayLike) -> None:
         """Set the value of an unconnected input. It stays until it is set again; `reset` restores its start value.

@@ -1,8 +1,10 @@
 """A served scenario in a process of its own, and a viewer that speaks its protocol, for the tests."""
 
+import http.client
 import json
 import re
 import signal
+import socket
 import struct
 import subprocess
 import sys
@@ -16,17 +18,12 @@ PATIENCE = 90
 
 
 @contextmanager
-def served(*arguments):
-    """Yield the process and the address of ``bayesftc serve``; end it by SIGINT."""
-    command = [sys.executable, "-m", "bayesftc", "serve", *arguments, "--port", "0"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+def served(*arguments, command=("serve",)):
+    """Yield the process and the address of ``bayesftc serve``, or of another command that serves; end it by SIGINT."""
+    command = [sys.executable, "-m", "bayesftc", *command, *arguments, "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
-        said = ""
-        while not (found := re.search(r"http://\S+", said)):
-            line = process.stderr.readline()
-            assert line, said
-            said += line
-        yield process, found[0]
+        yield process, read_address(process)
         process.send_signal(signal.SIGINT)
         rest = process.communicate(timeout=PATIENCE)[1]
         assert process.returncode == 0, rest
@@ -38,10 +35,46 @@ def served(*arguments):
             process.wait()
 
 
+def read_address(process):
+    """Return the address that the process prints."""
+    said = ""
+    while not (found := re.search(r"http://\S+", said)):
+        line = process.stderr.readline()
+        assert line, said
+        said += line
+    return found[0]
+
+
+def get(address, path, **headers):
+    """Return status, headers and body of the answer to a request."""
+    host = re.search(r"http://([^/]+)", address)[1]
+    connection = http.client.HTTPConnection(host, timeout=60)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    body = answer.read()
+    connection.close()
+    return answer.status, dict(answer.getheaders()), body
+
+
+def connect_without_reading(address):
+    """Return the socket of a viewer that reads nothing, with a small buffer."""
+    host = re.search(r"http://([^/]+)", address)[1]
+    stuck = socket.socket()
+    stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    name, port = host.split(":")
+    stuck.connect((name, int(port)))
+    stuck.sendall(
+        f"GET /live HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    return stuck
+
+
 class Viewer:
     """A viewer without a page."""
 
     def __init__(self, address, **options):
+        self.address = address
         self.host = re.search(r"http://([^/]+)", address)[1]
         options.setdefault("origin", f"http://{self.host}")
         self.socket = connect(f"ws://{self.host}/live", max_size=None, open_timeout=PATIENCE, **options).__enter__()

@@ -1,7 +1,10 @@
 """The headless desk: what is done by hand is an entry of the scenario, and the file has the bits of the run."""
 
+import csv
+import pickle
 import tomllib
 from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +13,9 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc.console.desk.actions import faults_of
 from bayesftc.console.desk.desk import MOST_BRANCHES, Desk
+from bayesftc.console.desk.events import as_csv
 from bayesftc.console.desk.history import History, SavedStates
-from bayesftc.console.shown.layout import MADE
+from bayesftc.console.shown.layout import MADE, layout
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario._written import toml
@@ -151,6 +155,60 @@ def test_branches(desk, tmp_path):
         desk.choose("drift")
 
 
+def test_what_was_done_later_stays_in_its_branch(desk, tmp_path):
+    desk.advance_to(100)
+    desk.act("fault", "sensors", fault("Bias", sensor=0))
+    desk.advance_to(600)  # the freeze of sensor 0 is in the file
+    desk.act("fault", "sensors", fault("Freeze", sensor=1))
+    desk.act("goal", "0", value=23.0)
+    desk.advance_to(700)
+    first = desk.branch
+    before = first.lanes[0].rows.values.copy()
+    desk.go_back(250)
+    assert desk.branch is first  # to look back makes no branch
+    assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0"]
+    shown = layout(desk)
+    assert [each["name"] for each in shown["faults"]] == ["freeze_0", "bias_0"]
+    assert [each["later"] for each in shown["actions"]] == [False, True, True]
+    assert [each["kind"] for each in tomllib.loads(desk.toml())["faults"]] == ["Freeze", "Bias"]
+    desk.go_back(650)  # and forward again
+    assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0", "freeze_1"]
+    desk.go_back(250)
+    desk.advance_to(700)
+    assert (desk.branch.name, desk.branch.parent, desk.branch.since) == ("branch 2", "first", 250)
+    assert "freeze_1.active" not in desk.branch.lanes[0].place
+    assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0"]
+    same_as_run(desk, tmp_path)
+    desk.choose("first")
+    assert desk.k == 700
+    assert [name for _, name, _ in desk.faults()] == ["freeze_0", "bias_0", "freeze_1"]
+    assert np.array_equal(bits(before), bits(desk.branch.lanes[0].rows.values))
+    same_as_run(desk, tmp_path)
+
+
+def test_events_are_noted_once(desk):
+    desk.advance_to(100)
+    desk.act("fault", "sensors", fault("Stuck", sensor=1))
+    desk.advance_to(200)
+    desk.act("goal", "0", value=23.0)  # computes the alarm once more
+    desk.go_back(50)
+    desk.advance_to(60)
+    desk.rename("branch 2", "=1+1")
+    events = desk.events.all()
+    assert [(e.what, e.branch) for e in events] == [
+        ("action", "first"), ("alarm", "first"), ("action", "first"), ("action", "first"), ("branch", "branch 2"),
+        ("branch", "=1+1"),
+    ]  # fmt: skip
+    assert events[0].words == "Stuck of sensor 1 (at 21)"
+    assert (events[0].time, events[3].time, events[4].time) == (2.0, 1.0, 1.0)
+    assert events[1].words == "sensor 1: alarm"
+    assert 2.0 < events[1].time < 3.0
+    rows = [*csv.reader(as_csv(events).splitlines())]
+    assert [row[1] for row in rows[:2]] == ["time", "2.0"]
+    assert rows[-1][2:] == ["'=1+1", "branch", "branch 2 has the new name =1+1"]  # no formula for a spreadsheet
+    assert datetime.fromisoformat(rows[1][0]).tzinfo is not None
+
+
 def test_most_branches(desk):
     desk.advance_to(20)
     for _ in range(MOST_BRANCHES - 1):
@@ -160,6 +218,10 @@ def test_most_branches(desk):
     desk.go_back(10)
     with pytest.raises(ModelError, match="Remove one"):
         desk.act("goal", "0", value=20.0)
+    desk.go_back(0)
+    with pytest.raises(ModelError, match="Remove one"):
+        desk.advance_to(1)
+    assert desk.k == 0
 
 
 @pytest.mark.parametrize(
@@ -271,6 +333,50 @@ def test_history_stays_within_its_memory():
         assert np.array_equal(rows.values[:, 0], np.arange(rows.first, rows.last + 1))
     assert len(history.rows.of(19_990, 30_000).values) == 10
     assert len(history.rows.of(25_000, 30_000).values) == 0
+
+
+def test_history_takes_rows_that_are_written_in_place():
+    history, kept = History(2, 10**6), []
+    for first, count in ((0, 1), (1, 400), (401, 5000), (300, 7), (307, 20_000)):  # the fourth replaces rows
+        room = history.room(count, 2)
+        room[:] = np.arange(first, first + count, dtype=np.float64)[:, None]
+        history.append(room, first)
+        kept.append((history.rows, history.rows.values))
+        assert history.rows.last == first + count - 1
+        assert np.array_equal(history.rows.values[:, 1], np.arange(history.rows.first, history.rows.last + 1))
+        assert history.rows.newest[0] == history.rows.last
+    for rows, values in kept:  # readers keep what they have
+        assert np.array_equal(rows.values, values)
+    part = history.rows.of(20_000, 20_010, [1])
+    assert part.values.tolist() == [[float(k)] for k in range(20_000, 20_011)]
+
+
+def test_all_branches_together_stay_within_the_memory():
+    with Desk("cruise_control", beside=(), memory=4_000_000) as desk:
+        desk.advance_to(10_000)
+        for number in range(5):
+            desk.go_back(9_000)
+            desk.act("goal", "0", value=20.0 + number)
+            desk.advance_to(10_000)
+            lanes = [branch.lanes[0] for branch in desk.branches.values()]
+            assert len(lanes) == number + 2
+            assert sum(lane.bytes for lane in lanes) < 4_100_000
+            assert all(lane.bytes > 4_000_000 / len(lanes) / 4 for lane in lanes)  # each has its part
+        before = desk.branch.lanes[0].rows.newest
+        desk.go_back(100)
+        desk.choose("branch 2")
+        desk.choose("branch 6")
+        assert np.array_equal(bits(before), bits(desk.branch.lanes[0].rows.newest))
+
+
+def test_states_of_fmus_count():
+    with Desk("cruise_control", beside=()) as desk:
+        lane = desk.branch.lanes[0]
+        desk.advance_to(1000)
+        state = lane._session.save_state()
+        assert lane._states.bytes / len(lane._states) == state.memory.nbytes + len(
+            pickle.dumps(state.instances["plant"])
+        )
 
 
 def test_long_runs_stay_within_their_memory():

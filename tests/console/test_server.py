@@ -1,13 +1,17 @@
 """The server: frames and commands, who may connect, bounds, and viewers that do not read."""
 
+import csv
 import http.client
+import io
 import re
 import socket
 import time
+import tomllib
 
 import numpy as np
+import pandas
 import pytest
-from served import Viewer, served
+from served import Viewer, connect_without_reading, get, served
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from bayesftc.console.desk.history import Rows
@@ -16,16 +20,6 @@ from bayesftc.console.web.access import Access
 from bayesftc.console.web.server import MOST_VIEWERS
 from bayesftc.cosim.live.connections.credentials import is_loopback
 from bayesftc.scenario import load_scenario
-
-
-def get(address, path, **headers):
-    host = re.search(r"http://([^/]+)", address)[1]
-    connection = http.client.HTTPConnection(host, timeout=60)
-    connection.request("GET", path, headers=headers)
-    answer = connection.getresponse()
-    body = answer.read()
-    connection.close()
-    return answer.status, dict(answer.getheaders()), body
 
 
 def test_run_break_go_back_and_download(address, tmp_path):
@@ -65,6 +59,54 @@ def test_run_break_go_back_and_download(address, tmp_path):
         viewer.do(do="choose", name="first")
         viewer.do(do="remove", name="branch 2")
         viewer.until(lambda: len(viewer.layout["branches"]) == 1)
+
+
+def test_downloads_are_whole(tmp_path):
+    """They have all signals at all steps, of each controller, also where the file records fewer."""
+    file = tmp_path / "sparse.toml"
+    text = load_scenario("cruise_control").path.read_text()
+    file.write_text(text.replace("[simulation]", '[simulation]\nrecord = ["plant.v"]\ndecimation = 10', 1))
+    with served(str(file)) as (_, address), Viewer(address) as viewer:
+        viewer.ready()
+        viewer.do(do="step", steps=200)
+        viewer.until(lambda: viewer.header["k"] == 200)
+        with Viewer(address) as second:
+            second.ready()
+        for lane, name in enumerate(("sparse", "sparse_FixedPrecision")):
+            status, headers, body = get(address, f"/download/signals.csv?lane={lane}")
+            assert status == 200
+            assert headers["content-disposition"] == f'attachment; filename="{name}_signals.csv"'
+            table = pandas.read_csv(io.BytesIO(body))
+            assert len(table) == 201
+            assert {"controller.u[0]", "controller.precision[1]", "plant.v", "freeze_0.active"} <= {*table.columns}
+            assert np.array_equal(table["plant.v"].astype(np.float32), viewer.column("plant.v", lane))
+        table = pandas.read_parquet(io.BytesIO(get(address, "/download/signals.parquet")[2]))
+        assert len(table) == 201
+        content = tomllib.loads(get(address, "/download/scenario.toml?lane=1")[2].decode())
+        assert content["controller"]["precision"] == {"kind": "FixedPrecision"}
+        for wrong in ("2", "-1", "", "x", "9" * 100):
+            status, _, body = get(address, f"/download/signals.csv?lane={wrong}")
+            assert status == 409
+            assert body.startswith(b"There is no controller")
+        events = [*csv.DictReader(get(address, "/download/events.csv")[2].decode().splitlines())]
+        assert [(each["what"], each["event"]) for each in events if each["what"] != "alarm"] == [
+            ("viewer", "connected, 1 now"), ("viewer", "takes the controls"), ("run", "200 steps"),
+            ("viewer", "connected, 2 now"), ("viewer", "left, 1 now"),
+        ]  # fmt: skip
+
+
+def test_a_run_that_stops_is_downloaded_up_to_there():
+    with served("cruise_control", "--alone") as (_, address), Viewer(address) as viewer:
+        viewer.ready()
+        viewer.do(do="step", steps=10)
+        viewer.do(do="fault", target="force", settings={"kind": "GainFault", "factor": 1e308})
+        viewer.do(do="step", steps=50)
+        viewer.until(lambda: viewer.header["stopped"][0])
+        k = viewer.header["k"]
+        assert k < 60
+        status, _, body = get(address, "/download/signals.csv")
+        assert (status, body.count(b"\n")) == (200, k + 2)
+        assert b"stopped: " in get(address, "/download/events.csv")[2]
 
 
 def test_run_by_the_clock(address):
@@ -158,14 +200,7 @@ def test_number_of_viewers_is_bounded(address):
 
 
 def test_a_viewer_that_does_not_read_delays_nobody(address):
-    host, port = re.search(r"http://([^/]+):(\d+)", address).groups()
-    stuck = socket.socket()
-    stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    stuck.connect((host, int(port)))
-    stuck.sendall(
-        f"GET /live HTTP/1.1\r\nHost: {host}:{port}\r\nOrigin: http://{host}:{port}\r\nUpgrade: websocket\r\n"
-        "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
-    )
+    stuck = connect_without_reading(address)
     with Viewer(address) as viewer:
         viewer.ready()
         time.sleep(0.5)

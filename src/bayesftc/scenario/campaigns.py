@@ -77,6 +77,16 @@ class ScenarioLoop:
 
     def __call__(self, **factors: Any) -> Diagram:
         """Return the diagram with these factors: paths of lines, or names as in `bayesftc.cosim.varied`."""
+        return scenario_of(self.changed(factors), Path(self.path)).loop()
+
+    def changed(self, factors: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the content of the scenario file with these factors.
+
+        Raises
+        ------
+        ScenarioError
+            If two factors refer to one line, or there is no such line.
+        """
         content = deepcopy(dict(self.content))
         lines = {line_of(name, self.content): value for name, value in factors.items()}
         if len(lines) < len(factors):
@@ -85,7 +95,7 @@ class ScenarioLoop:
             )
         for line in sorted(lines, key=_depth):  # a table before its parts, in any order of the factors
             set_line(content, line, deepcopy(lines[line]))
-        return scenario_of(content, Path(self.path)).loop()
+        return content
 
 
 def load_campaign(path: str | os.PathLike[str]) -> Campaign:

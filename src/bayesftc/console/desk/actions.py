@@ -52,6 +52,22 @@ class Action:
     value: float = 0.0
 
 
+def words_of(action: Action) -> str:
+    """Return an action in words."""
+    if action.what == "fault":
+        numbers = [
+            f"{n} {v:g}" for n, v in action.settings.items() if isinstance(v, float | int) and n not in ("sensor",)
+        ]
+        where = (
+            f"sensor {action.settings.get('sensor', 0)}" if action.target == SENSORS else f"actuator {action.target}"
+        )
+        return f"{action.settings.get('kind')} of {where}" + (f" ({', '.join(numbers)})" if numbers else "")
+    if action.what == "repair":
+        return f"end of {action.target}"
+    name = f"reference {action.target}" if action.what == "goal" else action.target
+    return f"{name} set to {action.value:g}"
+
+
 def time_of(k: int, step: Fraction) -> float:
     """Return the time of a step: the double nearest to it, with which a run compares times."""
     return k * step.numerator / step.denominator
@@ -305,4 +321,5 @@ __all__ = [
     "time_of",
     "with_absolute_paths",
     "with_actions",
+    "words_of",
 ]

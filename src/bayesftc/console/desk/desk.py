@@ -10,7 +10,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from bayesftc.console.desk.actions import Action, time_of, with_absolute_paths, with_actions
+from bayesftc.console.desk.actions import Action, faults_of, time_of, with_absolute_paths, with_actions, words_of
+from bayesftc.console.desk.events import Events, What
 from bayesftc.console.desk.lane import Lane
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
@@ -21,7 +22,10 @@ from bayesftc.scenario._written import toml
 MOST_LANES = 3
 MOST_BRANCHES = 8
 MOST_ACTIONS = 200
+MOST_STATES = 1600
 MEMORY = 512 * 2**20
+
+Progress = Callable[[int], None]
 
 
 @dataclass(eq=False)
@@ -62,11 +66,49 @@ class Branch:
         """Whether no lane can continue."""
         return all(lane.stopped is not None for lane in self.lanes)
 
-    def advance_to(self, k: int, progress: Callable[[int], None] | None = None) -> None:
-        """Continue all lanes to a step."""
+    def actions_until(self, k: int) -> tuple[Action, ...]:
+        """Return the actions that were made up to step `k`."""
+        return tuple(action for action in self.actions if action.k <= k + 1)
+
+    def advance_to(self, k: int, progress: Progress | None = None) -> None:
+        """Continue all lanes to a step, with all actions of the branch."""
         for lane in self.lanes:
             lane.advance_to(k, progress)
         self.furthest = max(self.furthest, self.k)
+
+
+@dataclass(frozen=True)
+class Served:
+    """The scenario that a desk begins with.
+
+    Attributes
+    ----------
+    file : Path
+        Its file, for messages and for relative paths.
+    content : mapping
+        The content of the file, or one that was changed.
+    name : str
+        What the page shows.
+    duration : Fraction
+        Seconds that have run when the desk opens.
+    """
+
+    file: Path
+    content: Mapping[str, Any]
+    name: str
+    duration: Fraction = Fraction(0)
+
+    @classmethod
+    def of(cls, path: str | Path) -> Served:
+        """Return a scenario file, or a shipped scenario.
+
+        Raises
+        ------
+        ScenarioError
+            If there is none.
+        """
+        file = find_scenario(path)
+        return cls(file, read_toml(file), file.stem)
 
 
 @dataclass
@@ -79,12 +121,14 @@ class Desk:
 
     Parameters
     ----------
-    path : str or Path
-        The scenario file, or the name of a shipped scenario.
+    scenario_file : str, Path or Served
+        The scenario file, the name of a shipped scenario, or its content.
     beside : sequence of str
         Kinds of precision learners: the scenario's controller runs beside itself with each of them.
     memory : int
-        Bound of memory in bytes for recorded rows and saved states of each branch.
+        Bound of memory in bytes for recorded rows and saved states of all branches together.
+    events : Events
+        Where actions, alarms and branches are noted.
 
     Raises
     ------
@@ -102,16 +146,18 @@ class Desk:
     {'kind': 'Dropout', 'sensor': 1, 'duration': 0.5, 'start': 2.02, 'name': 'dropout_1'}
     """
 
-    path: str | Path
+    scenario_file: str | Path | Served
     beside: Sequence[str] = ("FixedPrecision",)
     memory: int = MEMORY
+    events: Events = field(default_factory=Events)
     branches: dict[str, Branch] = field(default_factory=dict, init=False)
     epoch: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self.file = find_scenario(self.path)
-        self.content = read_toml(self.file)
-        first = Lane("", self.content, self.file, self.memory // (1 + len(self.beside)))
+        given = self.scenario_file
+        served = given if isinstance(given, Served) else Served.of(given)
+        self.file, self.content, self.name = served.file, served.content, served.name
+        first = Lane("", self.content, self.file, self.memory)
         try:
             self.scenario: Scenario = first.scenario  # the one without actions
             self.variants = _variants(self.content, self.scenario, self.beside)
@@ -122,8 +168,10 @@ class Desk:
             raise
         self.branch = Branch("first", None, 0, (), lanes)
         self.branches["first"] = self.branch
+        self._share()
         self.compared: Branch | None = None
         self.epoch = 1
+        self.advance_to(int(served.duration / self.step))
 
     @property
     def step(self) -> Fraction:
@@ -140,9 +188,18 @@ class Desk:
         """The time of the present step in seconds."""
         return time_of(self.k, self.step)
 
+    @property
+    def actions(self) -> tuple[Action, ...]:
+        """What was done by hand in the present branch up to the present moment."""
+        return self.branch.actions_until(self.k)
+
     def advance_to(self, k: int) -> None:
-        """Continue to step `k`, the compared branch too."""
+        """Continue to step `k`, the compared branch too; see `go_on`."""
+        if k > self.k:
+            self.go_on()
+        before = self.k, self.branch.stopped
         self.branch.advance_to(k)
+        self._note_alarms(*before)
         if self.compared is not None:
             self.compared.advance_to(self.branch.k)
 
@@ -152,7 +209,7 @@ class Desk:
         target: str,
         settings: Mapping[str, Any] | None = None,
         value: float = 0.0,
-        progress: Callable[[int], None] | None = None,
+        progress: Progress | None = None,
     ) -> Branch:
         """Do something by hand, from the next step on; see `Action`.
 
@@ -165,19 +222,37 @@ class Desk:
         """
         if what not in ("fault", "repair", "goal", "input"):
             raise ModelError(f"There is no action {brief(what)}; use fault, repair, goal or input.")
-        k = self.k
-        if k < 0:
+        if self.k < 0:
             raise ModelError("The run has not begun; advance it first.")
-        before = tuple(action for action in self.branch.actions if action.k <= k + 1)
-        if len(before) >= MOST_ACTIONS:
+        if len(self.actions) >= MOST_ACTIONS:
             raise ModelError(
-                f"There are {len(before)} actions, which is the most. Save the scenario, and serve that file."
+                f"There are {len(self.actions)} actions, which is the most. Save the scenario, and serve that file."
             )
-        action = Action(k + 1, what, target, dict(settings or {}), value)  # type: ignore[arg-type]
-        is_new = k < self.branch.furthest
+        action = Action(self.k + 1, what, target, dict(settings or {}), value)  # type: ignore[arg-type]
+        self._begin_again((*self.actions, action), progress)
+        self.note("action", words_of(action))
+        return self.branch
+
+    def go_on(self, progress: Progress | None = None) -> None:
+        """Leave the actions of later moments to the branch in which they were made.
+
+        After `go_back` to a moment before some of them, the run continues without them, as a new branch.
+
+        Raises
+        ------
+        ModelError
+            If there are too many branches.
+        """
+        if len(self.actions) < len(self.branch.actions):
+            self._begin_again(self.actions, progress)
+
+    def _begin_again(self, actions: tuple[Action, ...], progress: Progress | None) -> None:
+        """Let the run begin again with these actions, up to the present step; as a new branch if this one came further."""
+        k, branch = self.k, self.branch
+        is_new = k < branch.furthest
         if is_new:
             self._check_room()
-        lanes = self._lanes((*before, action))
+        lanes = self._lanes(actions)
         try:
             for lane in lanes:
                 lane.advance_to(k, progress)
@@ -186,15 +261,16 @@ class Desk:
             raise
         if is_new:
             name = next(n for i in range(2, 10**6) if (n := f"branch {i}") not in self.branches)
-            self.branch = self.branches[name] = Branch(name, self.branch.name, k, (*before, action), lanes, k)
+            self.branch = self.branches[name] = Branch(name, branch.name, k, actions, lanes, k)
+            self.note("branch", f"{name} begins, from {branch.name}")
         else:
-            _close(self.branch.lanes)
-            self.branch.actions, self.branch.lanes = (*before, action), lanes
+            _close(branch.lanes)
+            branch.actions, branch.lanes = actions, lanes
+        self._share()
         self.epoch += 1
-        return self.branch
 
     def go_back(self, k: int) -> None:
-        """Return to an earlier step of this branch.
+        """Return to an earlier step of this branch; see `go_on`.
 
         Raises
         ------
@@ -207,14 +283,18 @@ class Desk:
             if k < lane.k or lane.stopped:
                 lane.go_back(min(k, lane.k))
             lane.advance_to(k)
+        self.note("action", "back to this time")
         self.epoch += 1
 
-    def choose(self, name: str) -> None:
-        """Continue with another branch. If it is the compared one, the two change places."""
-        before, self.branch = self.branch, self._named(name)
+    def choose(self, name: str, progress: Progress | None = None) -> None:
+        """Continue with another branch, where it came furthest. If it is the compared one, the two change places."""
+        chosen = self._named(name)
+        chosen.advance_to(chosen.furthest, progress)
+        before, self.branch = self.branch, chosen
         if self.compared is self.branch:
             self.compared = None if before is self.branch else before
             before.advance_to(self.branch.k)
+        self.note("branch", f"{name} is shown")
         self.epoch += 1
 
     def compare(self, name: str | None) -> None:
@@ -225,6 +305,7 @@ class Desk:
         if branch is not None:
             branch.advance_to(self.branch.k)
         self.compared = branch
+        self.note("branch", "the comparison ends" if name is None else f"{name} is compared")
         self.epoch += 1
 
     def rename(self, name: str, new: str) -> None:
@@ -237,6 +318,7 @@ class Desk:
         self.branches = {each.name: each for each in self.branches.values()}
         for each in self.branches.values():
             each.parent = new if each.parent == name else each.parent
+        self.note("branch", f"{name} has the new name {new}")
         self.epoch += 1
 
     def remove(self, name: str) -> None:
@@ -248,15 +330,34 @@ class Desk:
             self.compared = None
         del self.branches[name]
         _close(branch.lanes)
+        self._share()
+        self.note("branch", f"{name} is removed")
         self.epoch += 1
+
+    def note(self, what: What, words: str) -> None:
+        """Note an event at the present moment."""
+        self.events.add(what, words, self.branch.name, self.time)
+
+    def _note_alarms(self, k: int, was_stopped: bool) -> None:
+        """Note the alarms after step `k`, and a run that has stopped since."""
+        branch = self.branch
+        several = len(branch.lanes) > 1
+        for lane in branch.lanes:
+            controller = f" ({lane.name})" if several else ""
+            for alarm in lane.alarms_after(k):
+                self.events.add("alarm", lane.words_of(alarm) + controller, branch.name, time_of(alarm.k, self.step))
+        if branch.stopped and not was_stopped:
+            self.note("run", f"stopped: {branch.lanes[0].stopped}")
 
     def toml(self) -> str:
         """Return the scenario of the present branch up to the present step, as the text of a file."""
         return toml(self.scenario_content())
 
     def scenario_content(self, lane: int = 0) -> dict[str, Any]:
-        """Return the content of a lane's scenario, with the present time as its duration."""
-        content = with_absolute_paths(self.branch.lanes[lane].content, self.file.absolute().parent)
+        """Return the content of a lane's scenario up to the present step, with the present time as its duration."""
+        content = with_absolute_paths(
+            self._content(self.actions, list(self.variants)[lane]), self.file.absolute().parent
+        )
         end = max(self.k, 1)
         content["simulation"] = {**content["simulation"], "duration": time_of(end, self.step)}
         return content
@@ -279,14 +380,31 @@ class Desk:
         lanes: list[Lane] = []
         try:
             for name in self.variants if names is None else names:
-                content = self.variants[name]
-                if actions:
-                    content = with_actions(content, actions, self.step, self.scenario)
-                lanes.append(Lane(name, content, self.file, self.memory // len(self.variants)))
+                lanes.append(Lane(name, self._content(actions, name), self.file, self._part(len(self.variants))))
         except BaseException:
             _close(lanes)
             raise
         return lanes
+
+    def _part(self, more: int = 0) -> int:
+        """Return the memory of each lane of all branches, and of some more."""
+        return self.memory // (sum(len(branch.lanes) for branch in self.branches.values()) + more)
+
+    def _share(self) -> None:
+        """Give each lane of all branches the same part of memory, and of the number of states."""
+        part = self._part()
+        for branch in self.branches.values():
+            for lane in branch.lanes:
+                lane.bound(part, MOST_STATES * part // self.memory)
+
+    def _content(self, actions: Sequence[Action], name: str) -> dict[str, Any]:
+        """Return the content of a variant's scenario with actions."""
+        content = self.variants[name]
+        return with_actions(content, actions, self.step, self.scenario) if actions else content
+
+    def faults(self) -> list[tuple[str, str, dict[str, Any]]]:
+        """Return the faults that are known at the present moment; see `faults_of`."""
+        return faults_of(self._content(self.actions, next(iter(self.variants))))
 
     def _named(self, name: str) -> Branch:
         if name not in self.branches:
@@ -322,4 +440,4 @@ def _variants(content: Mapping[str, Any], scenario: Scenario, beside: Sequence[s
     return lanes
 
 
-__all__ = ["MEMORY", "Branch", "Desk"]
+__all__ = ["MEMORY", "Branch", "Desk", "Served"]

@@ -12,6 +12,7 @@ from typing import Any
 
 from bayesftc.console.desk.ahead import compile_ahead
 from bayesftc.console.desk.desk import Desk
+from bayesftc.console.desk.events import Events
 from bayesftc.cosim.errors import ModelError, brief
 
 SLICE = 0.02
@@ -29,13 +30,15 @@ class Engine:
     Parameters
     ----------
     make : callable
-        Returns the desk. It is called in the thread, because a scenario may take seconds to load.
+        Called with `events`, where the desk notes what happens; returns the desk. It is called in the thread, because a scenario
+        may take seconds to load.
     show : callable, optional
         Returns what others may read of a desk. It is called in the thread at each change of `Desk.epoch`; `view` has the result.
     """
 
-    def __init__(self, make: Callable[[], Desk], show: Callable[[Desk], Any] | None = None):
+    def __init__(self, make: Callable[[Events], Desk], show: Callable[[Desk], Any] | None = None):
         self._make, self._show = make, show
+        self.events = Events()
         self.view: Any = None
         self.desk: Desk | None = None
         self.failure: str | None = None
@@ -100,7 +103,7 @@ class Engine:
 
     def _work(self) -> None:
         try:
-            desk = self._make()
+            desk = self._make(self.events)
         except Exception as error:  # noqa: BLE001 - the page shows it
             self.failure = str(error) or type(error).__name__
             self._refuse_all()

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import pickle
+from bisect import bisect_right
+from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from bayesftc.cosim.run.session import RunState
 
-FEWEST_ROWS = 1024
+BLOCK = 8 * 2**20
+"""Bytes of a block of rows. Blocks are never copied to a larger place, and so large that huge pages hold them (Linux)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of consecutive steps; row i is step ``first + i``. They never change, so that any thread can read them."""
+    """Rows of consecutive steps; row i is step ``first + i``."""
 
     values: Floats
     first: int
@@ -27,10 +35,50 @@ class Rows:
         """The step of the last row; ``first - 1`` without rows."""
         return self.first + len(self.values) - 1
 
-    def of(self, begin: int, end: int) -> Rows:
-        """Return the rows of the steps from `begin` to `end`, as far as they are here."""
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """All rows of a run at one moment, in blocks. They never change, so that any thread can read them.
+
+    Attributes
+    ----------
+    blocks : tuple of Rows
+        One after the other, none of them empty.
+    first : int
+        The step of the first row.
+    columns : int
+        Numbers in a row.
+    """
+
+    blocks: tuple[Rows, ...]
+    first: int
+    columns: int
+
+    @property
+    def last(self) -> int:
+        """The step of the last row; ``first - 1`` without rows."""
+        return self.blocks[-1].last if self.blocks else self.first - 1
+
+    @property
+    def newest(self) -> Floats | None:
+        """The last row; None without rows."""
+        return self.blocks[-1].values[-1] if self.blocks else None
+
+    @property
+    def values(self) -> Floats:
+        """All rows side by side, as a copy."""
+        return self.of(self.first, self.last).values
+
+    def of(self, begin: int, end: int, columns: Sequence[int] | slice = slice(None)) -> Rows:
+        """Return the rows of the steps from `begin` to `end`, as far as they are here, or some of their columns."""
         begin = max(begin, self.first)
-        return Rows(self.values[begin - self.first : max(end + 1 - self.first, 0)], begin)
+        first = max(bisect_right(self.blocks, begin, key=lambda block: block.first) - 1, 0)
+        parts = [np.empty((0, self.columns))[:, columns]]
+        for block in self.blocks[first:]:
+            if block.first > end:
+                break
+            parts.append(block.values[max(begin - block.first, 0) : max(end + 1 - block.first, 0)][:, columns])
+        return Rows(parts[1] if len(parts) == 2 else np.concatenate(parts), begin)
 
 
 class History:
@@ -41,50 +89,80 @@ class History:
     columns : int
         Numbers in a row.
     most_bytes : int
-        Bound of memory. Beyond it the older half is dropped.
+        Bound of memory. Beyond it the oldest rows are dropped.
     """
 
     def __init__(self, columns: int, most_bytes: int):
-        self._most = max(most_bytes // (8 * max(columns, 1)), FEWEST_ROWS)
-        self._buffer = np.empty((min(FEWEST_ROWS, self._most), columns))
-        self.rows = Rows(self._buffer[:0], 0)
+        self._columns, self._most = columns, most_bytes
+        self._blocks: deque[tuple[Rows, int]] = deque()
+        self._open, self._used = np.empty((0, columns)), 0
+        self.bytes = 0
+        self.rows = Recorded((), 0, columns)
+
+    def room(self, rows: int, columns: int) -> Floats:
+        """Return an array for the next rows. If they are written there, `append` does not copy them."""
+        if self._used + rows > len(self._open):
+            return np.empty((rows, columns))
+        return self._open[self._used : self._used + rows]
 
     def append(self, values: Floats, first: int) -> None:
         """Add the rows from step `first` on; rows of these and of later steps are replaced."""
-        rows = self.rows
-        if first != rows.last + 1:
-            kept = rows.of(rows.first, first - 1).values if rows.first <= first <= rows.last else rows.values[:0]
-            self._buffer = np.concatenate([kept, np.empty_like(self._buffer)])  # readers keep the old buffer
-            rows = Rows(self._buffer[: len(kept)], rows.first if len(kept) else first)
-        if len(values) > self._most:
-            first += len(values) - self._most
-            values = values[-self._most :]
-            rows = Rows(rows.values[:0], first)
-        start, needed = rows.first, len(rows.values) + len(values)
-        kept = rows.values
-        if needed > self._most:
-            drop = max(needed - self._most, len(kept) // 2)
-            kept, start = kept[drop:], start + drop
-        if kept is not rows.values or needed > len(self._buffer):
-            room = min(max(2 * (len(kept) + len(values)), FEWEST_ROWS), max(self._most, len(kept) + len(values)))
-            self._buffer = np.empty((room, self._buffer.shape[1]))
-            self._buffer[: len(kept)] = kept
-        self._buffer[len(kept) : len(kept) + len(values)] = values
-        self.rows = Rows(self._buffer[: len(kept) + len(values)], start)
+        if first != self.rows.last + 1:
+            self._cut(first)
+        size = max(min(BLOCK, self._most // 4) // (8 * max(self._columns, 1)), 1)
+        at = first
+        while len(values):
+            if self._used == len(self._open):
+                self._open, self._used = np.empty((size, self._columns)), 0
+                self._add(Rows(self._open[:0], at), self._open.nbytes)
+            part = values[: len(self._open) - self._used]
+            if part.base is not self._open:
+                self._open[self._used : self._used + len(part)] = part
+            self._used += len(part)
+            block, used = self._blocks[-1]
+            self._blocks[-1] = Rows(self._open[: self._used], block.first), used
+            values, at = values[len(part) :], at + len(part)
+        self._publish(first)
 
-    @property
-    def bytes(self) -> int:
-        """Memory in use."""
-        return int(self._buffer.nbytes)
+    def bound(self, most_bytes: int) -> None:
+        """Set another bound of memory."""
+        self._most = most_bytes
+        self._drop()
+        self._publish(self.rows.first)
+
+    def _add(self, rows: Rows, size: int) -> None:
+        self._blocks.append((rows, size))
+        self.bytes += size
+        self._drop()
+
+    def _drop(self) -> None:
+        while len(self._blocks) > 1 and self.bytes > self._most:
+            self.bytes -= self._blocks.popleft()[1]
+
+    def _cut(self, first: int) -> None:
+        """Drop the rows from step `first` on; all of them, if the step before it has no row."""
+        if not self.rows.first <= first <= self.rows.last:
+            first = self.rows.first
+        while self._blocks and self._blocks[-1][0].last >= first:
+            block, size = self._blocks.pop()
+            self.bytes -= size
+            if block.first < first:
+                kept = block.values[: first - block.first].copy()  # readers keep the old block
+                self._add(Rows(kept, block.first), kept.nbytes)
+        self._open, self._used = np.empty((0, self._columns)), 0
+
+    def _publish(self, first: int) -> None:
+        blocks = tuple(block for block, _ in self._blocks)
+        self.rows = Recorded(blocks, blocks[0].first if blocks else first, self._columns)
 
 
 class SavedStates:
-    """States of a run at regular steps, within a bound of memory: beyond it every second one is dropped.
+    """States of a run, within a bound of memory: beyond it every second one is dropped.
 
     Parameters
     ----------
     interval : int
-        Steps between two states at the beginning. It doubles each time that states are dropped.
+        Fewest steps between two states at the beginning. It doubles each time that states are dropped.
     most_bytes, most : int
         Bounds of their memory and number.
     """
@@ -92,17 +170,34 @@ class SavedStates:
     def __init__(self, interval: int, most_bytes: int, most: int = 400):
         self.interval = max(interval, 1)
         self._most_bytes, self._most = most_bytes, max(most, 2)
-        self._states: dict[int, RunState] = {}
+        self._states: dict[int, RunState] = {}  # with rising steps
+        self._size: int | None = None
 
     def is_due(self, k: int) -> bool:
         """Return whether a state of step `k` is missing."""
-        return k - max((s for s in self._states if s <= k), default=-self.interval) >= self.interval
+        newest = next(reversed(self._states), None)
+        if newest is not None and newest > k:  # after going back
+            newest = max((s for s in self._states if s <= k), default=None)
+        return newest is None or k - newest >= self.interval
 
     def add(self, state: RunState) -> None:
         """Keep a state."""
+        if self._size is None:
+            self._size = _size(state)
+        is_last = not self._states or next(reversed(self._states)) < state.k
         self._states[state.k] = state
+        if not is_last:
+            self._states = dict(sorted(self._states.items()))
+        self._thin()
+
+    def bound(self, most_bytes: int, most: int) -> None:
+        """Set other bounds of memory and number."""
+        self._most_bytes, self._most = most_bytes, max(most, 2)
+        self._thin()
+
+    def _thin(self) -> None:
         while len(self._states) > 2 and (len(self._states) > self._most or self.bytes > self._most_bytes):
-            self._states = {k: self._states[k] for k in sorted(self._states)[::2]}
+            self._states = {k: self._states[k] for k in [*self._states][::2]}
             self.interval *= 2
 
     def before(self, k: int) -> RunState | None:
@@ -111,16 +206,19 @@ class SavedStates:
 
     @property
     def bytes(self) -> int:
-        """Memory of the states, without what FMUs keep in themselves."""
-        return sum(state.memory.nbytes + sum(map(_size, state.instances.values())) for state in self._states.values())
+        """Memory of the states: that of the first one, for each. FMUs that cannot write their states count nothing."""
+        return len(self._states) * (self._size or 0)
 
     def __len__(self) -> int:
         return len(self._states)
 
 
-def _size(saved: object) -> int:
-    data = getattr(saved, "data", None)
-    return len(data) if isinstance(data, bytes | bytearray) else 0
+def _size(state: RunState) -> int:
+    size = state.memory.nbytes
+    for saved in state.instances.values():
+        with suppress(FMUError):
+            size += len(pickle.dumps(saved))
+    return size
 
 
-__all__ = ["History", "Rows", "SavedStates"]
+__all__ = ["History", "Recorded", "Rows", "SavedStates"]

@@ -101,6 +101,7 @@ function onLayout(message) {
   showChoices();
   showCards();
   showBranches();
+  showDownloads();
   shownLog = "";
   enable(layout.operator);
   if (extra.length) act({ do: "show", columns: extra });
@@ -118,6 +119,18 @@ function addStrip(name) {
   };
   strip.element.querySelector("h3").append(" ", close);
   strips.push(strip);
+}
+
+function showDownloads() {
+  const own = layout.lanes.filter((lane) => lane.branch === layout.lanes[0].branch), chosen = $("lane").value;
+  $("of-lane").hidden = own.length < 2;
+  $("lane").replaceChildren(...own.map((lane, i) => make("option", { value: String(i) }, lane.name)));
+  $("lane").value = Number(chosen) < own.length ? chosen : "0";
+  $("lane").onchange = () => document.querySelectorAll(".links a").forEach((link) => {
+    const path = new URL(link.href).pathname;
+    link.setAttribute("href", $("lane").value === "0" ? path : `${path}?lane=${$("lane").value}`);
+  });
+  $("lane").onchange();
 }
 
 function showChoices() {
@@ -336,7 +349,7 @@ function updateTime() {
 
 function updateLog() {
   const words = { true: "alarm", false: "alarm ends" };
-  const events = [...layout.actions.map((a) => [a.t, `by hand: ${a.words}`, "hand"]),
+  const events = [...layout.actions.map((a) => [a.t, `by hand: ${a.words}`, a.later ? "later" : "hand"]),
     ...state.alarms.map((a) => [a.t, `${a.device} ${a.device === "sensor" ? a.number : (layout.devices.find((d) => d.id === `actuator:${a.number}`) || { name: a.number }).name.replace("actuator ", "")}: ${words[a.begins]}`, a.begins ? "alarm" : "end"])]
     .sort((a, b) => a[0] - b[0]).slice(-200);
   const text = JSON.stringify(events) + state.furthest;
@@ -345,16 +358,16 @@ function updateLog() {
   shownLog = text;
   const end = Math.max(state.furthest * layout.step, layout.step);
   $("marks").setAttribute("viewBox", "0 0 1000 10");
-  const colours = { hand: "var(--accent)", alarm: "var(--bad)", end: "var(--good)" };
+  const colours = { hand: "var(--accent)", later: "var(--accent)", alarm: "var(--bad)", end: "var(--good)" };
   $("marks").replaceChildren(...events.map(([t, , kind]) => {
     const mark = document.createElementNS("http://www.w3.org/2000/svg", "rect");
-    for (const [key, value] of Object.entries({ x: 1000 * t / end - 1.5, y: kind === "hand" ? 0 : 3, width: 3, height: kind === "hand" ? 10 : 7 })) mark.setAttribute(key, value);
+    for (const [key, value] of Object.entries({ x: 1000 * t / end - 1.5, y: colours[kind] === colours.hand ? 0 : 3, width: 3, height: colours[kind] === colours.hand ? 10 : 7 })) mark.setAttribute(key, value);
     mark.style.fill = colours[kind];
     return mark;
   }));
   if (!isNew) return;
   const list = $("log"), below = list.scrollHeight - list.scrollTop - list.clientHeight < 30;
-  list.replaceChildren(...events.map(([t, sentence]) => make("li", {}, make("time", {}, `${t.toFixed(2)} s`), " ", sentence)));
+  list.replaceChildren(...events.filter((e) => e[2] !== "later").map(([t, sentence]) => make("li", {}, make("time", {}, `${t.toFixed(2)} s`), " ", sentence)));
   if (below) list.scrollTop = list.scrollHeight;
 }
 

@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.console.desk.actions import time_of
 from bayesftc.console.desk.desk import Desk
 from bayesftc.console.desk.engine import Engine
-from bayesftc.console.desk.history import Rows
+from bayesftc.console.desk.history import Recorded, Rows
 from bayesftc.console.desk.lane import Lane
 from bayesftc.console.shown.frames import packed, thinned
 from bayesftc.console.shown.layout import layout
@@ -78,12 +78,12 @@ class Broadcast:
     def _names(self, view: View, cursor: Cursor, lane: int) -> list[str]:
         return [name for name in (*view.shown, *cursor.extra) if name in view.lanes[lane].place]
 
-    def _chosen(self, view: View, cursor: Cursor, rows: list[Rows], begin: int, last: int) -> Floats:
+    def _chosen(self, view: View, cursor: Cursor, rows: list[Recorded], begin: int, last: int) -> Floats:
         """Return the shown columns of all lanes side by side; missing (NaN) where a lane has no row."""
         parts = []
         for i, (lane, each) in enumerate(zip(view.lanes, rows, strict=True)):
-            new = each.of(begin, last)
-            values = new.values[:, [lane.place[name] for name in self._names(view, cursor, i)]]
+            new = each.of(begin, last, [lane.place[name] for name in self._names(view, cursor, i)])
+            values = new.values
             if len(values) != max(last - begin + 1, 0):
                 padded = np.full((max(last - begin + 1, 0), values.shape[1]), np.nan)
                 padded[new.first - begin : new.first - begin + len(values)] = values

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.console.desk.actions import SENSORS, Action, faults_of, free_inputs, goals_of, time_of
+from bayesftc.console.desk.actions import SENSORS, free_inputs, goals_of, time_of, words_of
 from bayesftc.console.desk.desk import Desk
 from bayesftc.console.desk.lane import Lane
 from bayesftc.cosim.blocks.faults.base import COMMON
@@ -35,7 +35,7 @@ def layout(desk: Desk) -> dict[str, Any]:
     return {
         "type": "layout",
         "epoch": desk.epoch,
-        "scenario": desk.file.stem,
+        "scenario": desk.name,
         "step": float(step),
         "lanes": [{"name": each.name, "columns": each.columns, "branch": branch.name} for each in branch.lanes]
         + ([_compared(desk)] if desk.compared else []),
@@ -54,9 +54,11 @@ def layout(desk: Desk) -> dict[str, Any]:
         "faults": [
             {"target": target, "name": name, "kind": str(table.get("kind")), "sensor": table.get("sensor", 0),
              "words": _window(table), "stop": _stop(table)}
-            for target, name, table in faults_of(lane.content)
+            for target, name, table in desk.faults()
         ],
-        "actions": [{"t": time_of(a.k, step), "words": _words(a)} for a in branch.actions],
+        "actions": [
+            {"t": time_of(a.k, step), "words": words_of(a), "later": a not in desk.actions} for a in branch.actions
+        ],
     }  # fmt: skip
 
 
@@ -195,21 +197,6 @@ def _stop(table: dict[str, Any]) -> float | None:
     if isinstance(start, int | float) and isinstance(duration, int | float):
         ends.append(start + duration)
     return min((end for end in ends if isfinite(end)), default=None)
-
-
-def _words(action: Action) -> str:
-    if action.what == "fault":
-        numbers = [
-            f"{n} {v:g}" for n, v in action.settings.items() if isinstance(v, float | int) and n not in ("sensor",)
-        ]
-        where = (
-            f"sensor {action.settings.get('sensor', 0)}" if action.target == SENSORS else f"actuator {action.target}"
-        )
-        return f"{action.settings.get('kind')} of {where}" + (f" ({', '.join(numbers)})" if numbers else "")
-    if action.what == "repair":
-        return f"end of {action.target}"
-    name = f"reference {action.target}" if action.what == "goal" else action.target
-    return f"{name} set to {action.value:g}"
 
 
 __all__ = ["MADE", "devices", "label_of", "layout", "strips"]

@@ -8,6 +8,7 @@ import numpy as np
 
 from bayesftc.console.desk.lane import Lane
 from bayesftc.cosim.judging.pictures import PICTURES, Line, Picture
+from bayesftc.cosim.types import Floats
 
 
 class Scene:
@@ -44,10 +45,10 @@ class Scene:
 
     def lines(self) -> dict[str, Any] | None:
         """Return the lines at the present step, and the window that they fit into; None without a picture or rows."""
-        picture, rows = self._picture, self._lane.rows
-        if picture is None or not len(rows.values):
+        picture, row = self._picture, self._lane.rows.newest
+        if picture is None or row is None:
             return None
-        state = {name: float(rows.values[-1, self._lane.place[f"{self._block}.{name}"]]) for name in picture.variables}
+        state = {name: float(row[self._lane.place[f"{self._block}.{name}"]]) for name in picture.variables}
         if not all(map(np.isfinite, state.values())):
             return None
         size = max([abs(state[name]) for name in picture.sized], default=0.0)
@@ -56,7 +57,7 @@ class Scene:
             self._turn(picture)
             state["turned"] = self._angle
         layers = {"truth": picture.moving({**state, **self._constants})}
-        if picture.compared and (belief := self._belief(picture, state)):
+        if picture.compared and (belief := self._belief(picture, state, row)):
             layers["belief"] = picture.moving({**belief, **self._constants})
         fixed = picture.fixed(self._constants)
         window = picture.window(self._constants) if picture.window else self._around()
@@ -66,14 +67,11 @@ class Scene:
         """Turn what turns: by the distance that was covered since the last picture."""
         rows, seen = self._lane.rows, self._seen
         column = self._lane.place[f"{self._block}.{picture.turning}"]
-        new = (
-            rows.of(max(seen + 1, rows.first), rows.last).values[:, column] if rows.last > seen else rows.values[:0, 0]
-        )
-        self._angle += float(np.nansum(new)) * float(self._lane.step)
+        self._angle += float(np.nansum(rows.of(seen + 1, rows.last, [column]).values)) * float(self._lane.step)
         self._angle %= 2e4 * np.pi
         self._seen = rows.last
 
-    def _belief(self, picture: Picture, truth: dict[str, float]) -> dict[str, float] | None:
+    def _belief(self, picture: Picture, truth: dict[str, float], row: Floats) -> dict[str, float] | None:
         """Return the state with what the controller estimates in place of what is true."""
         lane, known = self._lane, {}
         for quantity in lane.roles.quantities:
@@ -84,7 +82,7 @@ class Scene:
                 (w, lane.place.get(f"{lane.roles.controller}.x_hat[{j}]")) for j, w in enumerate(quantity.belief) if w
             ]
             if name in picture.variables and all(place is not None for _, place in terms):
-                known[name] = float(sum(w * lane.rows.values[-1, place] for w, place in terms))
+                known[name] = float(sum(w * row[place] for w, place in terms))
         return {**truth, **known} if known and all(map(np.isfinite, known.values())) else None
 
     def _around(self) -> tuple[float, float, float, float]:

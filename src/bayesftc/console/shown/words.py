@@ -33,9 +33,9 @@ OFFSETS = ("Offset", "Drifting", "Ramping")
 def cards(lane: Lane) -> list[dict[str, Any]]:
     """Return for each sensor and actuator the probability of a fault, its kind, size and onset, and a sentence."""
     rows = lane.rows
-    if not len(rows.values):
+    row, t = rows.newest, rows.last * float(lane.step)
+    if row is None:
         return []
-    row, t = rows.values[-1], rows.last * float(lane.step)
     found = [_sensor(lane, row, i, t) for i in range(len(lane.roles.sensors))]
     return found + [_actuator(lane, row, j, t) for j in range(len(lane.roles.controls))]
 

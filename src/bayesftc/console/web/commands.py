@@ -113,19 +113,24 @@ def carry_out(engine: Engine, command: Command) -> Callable[[Desk], None]:
     """Return a function that does what a command says, for `Engine.call`."""
 
     def act(desk: Desk) -> None:
+        progress = engine.progress("recomputing", desk.k)
         if isinstance(command, Run):
+            if command.on:
+                desk.go_on(progress)
             engine.set_running(command.on)
+            desk.note("run", "run" if command.on else "pause")
         elif isinstance(command, Step):
             engine.set_running(False)
+            desk.note("run", "1 step" if command.steps == 1 else f"{command.steps} steps")
             desk.advance_to(desk.k + command.steps)
         elif isinstance(command, Pace):
             engine.set_pace(inf if command.pace is None else command.pace)
+            desk.note("run", "as fast as possible" if command.pace is None else f"pace {command.pace:g}")
         elif isinstance(command, Fault):
-            desk.act("fault", command.target, command.settings, progress=engine.progress("recomputing", desk.k))
+            desk.act("fault", command.target, command.settings, progress=progress)
         elif isinstance(command, Repair):
-            desk.act("repair", command.name, progress=engine.progress("recomputing", desk.k))
+            desk.act("repair", command.name, progress=progress)
         elif isinstance(command, Set):
-            progress = engine.progress("recomputing", desk.k)
             desk.act(command.do, command.target, value=command.value, progress=progress)
         elif isinstance(command, Back):
             engine.set_running(False)
@@ -137,7 +142,7 @@ def carry_out(engine: Engine, command: Command) -> Callable[[Desk], None]:
         elif command.name is None:
             raise ModelError(f"The command {command.do!r} needs the name of a branch.")
         elif command.do == "choose":
-            desk.choose(command.name)
+            desk.choose(command.name, progress)
         else:
             desk.remove(command.name)
 

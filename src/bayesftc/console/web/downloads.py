@@ -4,52 +4,104 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.console.desk.events import Event, as_csv
 from bayesftc.cosim.base.extras import extra
+from bayesftc.cosim.errors import ModelError, SimulationError, brief
 from bayesftc.scenario._scenario import scenario_of
 from bayesftc.scenario._written import toml
 
 if TYPE_CHECKING:
+    from bayesftc.console.desk.desk import Desk
     from bayesftc.cosim.run.result import Result
 
 
-def _run(content: Mapping[str, Any], file: Path) -> Result:
-    return scenario_of(content, file).simulate()
+@dataclass(frozen=True)
+class Kept:
+    """What downloads are made of.
+
+    Attributes
+    ----------
+    name : str
+        Beginning of the names of files.
+    content : mapping
+        The scenario up to the present step.
+    file : Path
+        The scenario's file, for messages.
+    events : tuple of Event
+        The events of the session.
+    """
+
+    name: str
+    content: Mapping[str, Any]
+    file: Path
+    events: tuple[Event, ...]
+
+    def run(self) -> Result:
+        """Run once more, with all signals at all steps; a run that stops has its signals up to there."""
+        try:
+            return scenario_of(self.content, self.file).simulate(record=["*"], decimation=1)
+        except SimulationError as error:
+            if error.result is None:
+                raise
+            return error.result
 
 
-def _toml(content: Mapping[str, Any], file: Path) -> bytes:
+def kept_of(desk: Desk, lane: str) -> Kept:
+    """Return what there is to download of one controller; call it in the engine's thread.
+
+    Raises
+    ------
+    ModelError
+        If there is no such lane.
+    """
+    lanes = desk.branch.lanes
+    if not (lane.isascii() and lane.isdecimal() and int(lane) < len(lanes)):
+        raise ModelError(f"There is no controller {brief(lane)}; use lane=0 to lane={len(lanes) - 1}.")
+    number = int(lane)
+    name = f"{desk.name}_{lanes[number].name}" if number else desk.name
+    return Kept(name, desk.scenario_content(number), desk.file, desk.events.all())
+
+
+def _toml(kept: Kept) -> bytes:
     head = (
-        f"# The scenario {file.stem} with what was done by hand. The same run once more:\n#\n#   bayesftc run FILE\n\n"
+        f"# The scenario {kept.name} with what was done by hand. The same run once more:\n#\n#   bayesftc run FILE\n\n"
     )
-    return (head + toml(content)).encode()
+    return (head + toml(kept.content)).encode()
 
 
-def _csv(content: Mapping[str, Any], file: Path) -> bytes:
-    text: str = _run(content, file).to_pandas().to_csv()
+def _csv(kept: Kept) -> bytes:
+    text: str = kept.run().to_pandas().to_csv()
     return text.encode()
 
 
-def _parquet(content: Mapping[str, Any], file: Path) -> bytes:
+def _parquet(kept: Kept) -> bytes:
     extra("pyarrow.parquet", "A Parquet file")
     data = io.BytesIO()
-    _run(content, file).to_pandas().to_parquet(data)
+    kept.run().to_pandas().to_parquet(data)
     return data.getvalue()
 
 
-def _figure(content: Mapping[str, Any], file: Path) -> bytes:
+def _figure(kept: Kept) -> bytes:
     data = io.BytesIO()
-    _run(content, file).plot().savefig(data, dpi=150, format="png")
+    kept.run().plot().savefig(data, dpi=150, format="png")
     return data.getvalue()
 
 
-DOWNLOADS: Mapping[str, tuple[str, Callable[[Mapping[str, Any], Path], bytes]]] = {
+def _events(kept: Kept) -> bytes:
+    return as_csv(kept.events).encode()
+
+
+DOWNLOADS: Mapping[str, tuple[str, Callable[[Kept], bytes]]] = {
     "scenario.toml": ("application/toml", _toml),
     "signals.csv": ("text/csv; charset=utf-8", _csv),
     "signals.parquet": ("application/vnd.apache.parquet", _parquet),
     "figure.png": ("image/png", _figure),
+    "events.csv": ("text/csv; charset=utf-8", _events),
 }
-"""For each file its type, and the function that returns its content, given the content of the scenario and its file."""
+"""For each file its type, and the function that returns its content."""
 
-__all__ = ["DOWNLOADS"]
+__all__ = ["DOWNLOADS", "Kept", "kept_of"]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import Future
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,7 @@ from bayesftc.console.desk.engine import Engine
 from bayesftc.console.shown.broadcast import MOST_EXTRA, Broadcast, Cursor, View
 from bayesftc.console.web.access import Access, Guard
 from bayesftc.console.web.commands import LONGEST, carry_out, read_command
-from bayesftc.console.web.downloads import DOWNLOADS
+from bayesftc.console.web.downloads import DOWNLOADS, kept_of
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 FRAMES = 30
@@ -97,15 +99,19 @@ class Server:
         name = request.path_params["name"]
         if name not in DOWNLOADS or self._engine.desk is None:
             return PlainTextResponse("There is no such file.", status_code=404)
+        lane = request.query_params.get("lane", "0")
         kind, make = DOWNLOADS[name]
-        async with self._downloads:
-            try:
-                future = self._engine.call(lambda desk: (desk.scenario_content(), desk.file))
-                content, file = await asyncio.wrap_future(future)
-                data = await asyncio.to_thread(make, content, file)
-            except BayesFTCError as error:
-                return PlainTextResponse(str(error), status_code=409)
-        shown = f'attachment; filename="{_safe(file.stem)}_{name}"'
+        try:
+            async with self._downloads:
+                kept = await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane)))
+                data = await _in_thread(lambda: make(kept))
+        except BayesFTCError as error:
+            return PlainTextResponse(str(error), status_code=409)
+        except asyncio.CancelledError:
+            if not self._closing:
+                raise
+            return PlainTextResponse("The console has ended.", status_code=503)
+        shown = f'attachment; filename="{_safe(kept.name)}_{name}"'
         return Response(data, media_type=kind, headers={"content-disposition": shown})
 
     async def _live(self, socket: WebSocket) -> None:
@@ -115,14 +121,16 @@ class Server:
             return
         self._viewers[socket] = asyncio.Lock()
         cursor = Cursor()
+        self._note(f"connected, {len(self._viewers)} now")
         if self._operator is None:
-            self._operator = socket
+            self._operate(socket)
         sender = asyncio.create_task(self._send_frames(socket, cursor))
         reader = asyncio.create_task(self._read(socket, cursor))
         try:
             await asyncio.wait({sender, reader}, return_when=asyncio.FIRST_COMPLETED)
         finally:
             del self._viewers[socket]
+            self._note(f"left, {len(self._viewers)} now{', with the controls' if self._operator is socket else ''}")
             if self._operator is socket:
                 self._operator = None
             for task in (sender, reader):
@@ -131,6 +139,18 @@ class Server:
                 await asyncio.gather(sender, reader, return_exceptions=True)
             with suppress(Exception):
                 await socket.close(1001 if self._closing else 1000)
+
+    def _operate(self, socket: WebSocket) -> None:
+        if self._operator is not socket:
+            self._operator = socket
+            self._note("takes the controls")
+
+    def _note(self, words: str) -> None:
+        desk = self._engine.desk
+        if desk is None:
+            self._engine.events.add("viewer", words)
+        else:
+            desk.note("viewer", words)
 
     async def _send_frames(self, socket: WebSocket, cursor: Cursor) -> None:
         """Send what is new, up to `FRAMES` times a second; a slow viewer gets fewer and coarser frames."""
@@ -180,7 +200,7 @@ class Server:
             if content.get("do") == "claim":
                 if self._operator not in (None, socket):
                     raise ModelError("Another page has the controls. Close it first.")
-                self._operator = socket
+                self._operate(socket)
             elif content.get("do") == "show":
                 self._show(cursor, content.get("columns"))
             elif socket is not self._operator:
@@ -205,6 +225,21 @@ class Server:
     async def _send(self, socket: WebSocket, content: dict[str, Any]) -> None:
         async with self._viewers[socket]:
             await socket.send_text(json.dumps(content, separators=(",", ":")))
+
+
+def _in_thread(function: Callable[[], bytes]) -> asyncio.Future[bytes]:
+    """Call a function in a thread that does not delay the end of the process."""
+    future: Future[bytes] = Future()
+    future.set_running_or_notify_cancel()
+
+    def work() -> None:
+        try:
+            future.set_result(function())
+        except BaseException as error:  # noqa: BLE001 - whoever waits gets it
+            future.set_exception(error)
+
+    threading.Thread(target=work, name="bayesftc-download", daemon=True).start()
+    return asyncio.wrap_future(future)
 
 
 def _safe(name: str) -> str:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
 import socket
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import uvicorn
 
-from bayesftc.console.desk.desk import Desk
+from bayesftc.console.desk.desk import Desk, Served
 from bayesftc.console.desk.engine import Engine
 from bayesftc.console.shown.broadcast import view_of
 from bayesftc.console.web.access import Access, new_token
@@ -20,14 +20,13 @@ from bayesftc.console.web.commands import LONGEST
 from bayesftc.console.web.server import Server
 from bayesftc.cosim.errors import BayesFTCError
 from bayesftc.cosim.live.connections.credentials import is_loopback
-from bayesftc.scenario import find_scenario
 
 PATIENCE = 2
 """Seconds that open connections have to end."""
 
 
 class _Uvicorn(uvicorn.Server):
-    """A server that leaves signals to `serve_scenario`."""
+    """A server that leaves signals to `serve`."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -35,46 +34,45 @@ class _Uvicorn(uvicorn.Server):
         yield
 
 
-def serve_scenario(
-    scenario: str | os.PathLike[str],
-    host: str,
-    port: int,
-    beside: Sequence[str],
-    *,
-    say: Callable[[str], None],
-    open_page: bool = False,
-) -> None:
+@dataclass(frozen=True)
+class Where:
+    """Where the page is: the address and the port to listen on, and whether to open it in a browser."""
+
+    host: str
+    port: int
+    open_page: bool = False
+
+
+def serve(served: Served, beside: Sequence[str], where: Where, say: Callable[[str], None]) -> None:
     """Serve the page of a scenario until the process gets SIGINT or SIGTERM.
 
     Parameters
     ----------
-    scenario : str or path
-        The scenario file, or the name of a shipped one.
-    host, port : str, int
-        Where to listen.
+    served : Served
+        The scenario.
     beside : sequence of str
         Precision learners to compare with; see `Desk`.
+    where : Where
+        Where to listen.
     say : callable
         Called with sentences for the user.
-    open_page : bool
-        Whether to open the page in a browser.
 
     Raises
     ------
     BayesFTCError
-        If there is no such scenario, or the address cannot be used.
+        If the address cannot be used.
     """
-    find_scenario(scenario)
-    with _listening(host, port) as listener:
+    host = where.host
+    with _listening(host, where.port) as listener:
         port = listener.getsockname()[1]
         access = Access(host, port, None if is_loopback(host) else new_token())
-        engine = Engine(lambda: Desk(str(scenario), tuple(beside)), view_of)
+        engine = Engine(lambda events: Desk(served, tuple(beside), events=events), view_of)
         shown = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
         if access.token is not None:
             shown += f"?token={access.token}"
             say("Only who has this address can see and move the run. It is not encrypted.")
         say(f"The console is at {shown} (Ctrl-C ends it)")
-        asyncio.run(_serve(Server(engine, access), listener, shown if open_page else None))
+        asyncio.run(_serve(Server(engine, access), listener, shown if where.open_page else None))
     say("The console has ended.")
 
 
@@ -128,4 +126,4 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
         yield listener
 
 
-__all__ = ["serve_scenario"]
+__all__ = ["Where", "serve"]

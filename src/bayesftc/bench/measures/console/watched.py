@@ -145,7 +145,7 @@ def _server() -> Iterator[tuple[int, Any]]:
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         port = listener.getsockname()[1]
-        engine = Engine(lambda: Desk("cruise_control"), view_of)
+        engine = Engine(lambda events: Desk("cruise_control", events=events), view_of)
         server = Server(engine, Access("127.0.0.1", port, None))
         config = uvicorn.Config(
             server.app,

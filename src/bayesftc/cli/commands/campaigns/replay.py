@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,10 +14,14 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.options import Json, Quiet, RunFolder, Store
+from bayesftc.cli.page import HOST, PORT, Host, OpenPage, PagePort, need_console, serve_page
 from bayesftc.cosim.campaign.designs.plan import FAILED
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 
 if TYPE_CHECKING:
+    from bayesftc.console.desk.desk import Served
+    from bayesftc.cosim.campaign.runs.job import Job
+    from bayesftc.cosim.campaign.store.reading import StoredCampaign
     from bayesftc.cosim.run.result import Result
 
 
@@ -26,25 +31,86 @@ def replay(
     out: RunFolder = None,
     json: Json = False,
     quiet: Quiet = False,
+    serve: Annotated[bool, typer.Option("--serve", help="Then show the run on a page, as bayesftc serve.")] = False,
+    host: Host = HOST,
+    port: PagePort = PORT,
+    open_page: OpenPage = False,
 ) -> None:
     """Repeat a run of a campaign, compare it with the store, print its figures and write its files.
 
     A run that stopped in the campaign may stop again, which is no error. There is no time limit here.
     """
+    if serve:
+        need_console("bayesftc replay --serve")
+    stored = _StoredRun.of(store, run)
+    served = stored.served() if serve else None
+    if out is not None:
+        output.check_folder(out, silent=quiet or json)
+    _repeat(stored, out, json, quiet)
+    if served is not None:
+        serve_page(served, host, port, open_page)
+
+
+@dataclass(frozen=True)
+class _StoredRun:
+    store: StoredCampaign
+    job: Job
+    number: int
+
+    @classmethod
+    def of(cls, folder: Path, number: int) -> _StoredRun:
+        from bayesftc.cosim.campaign.store.folder import CampaignStore
+        from bayesftc.cosim.campaign.store.repeating import kept_job
+
+        store = CampaignStore.open(folder)
+        job = kept_job(store)
+        count = len(job.plan.of_runs()[0])
+        if not 0 <= number < count:
+            raise ModelError(f"There is no run {number}. The campaign in {folder} has the runs 0 to {count - 1}.")
+        return cls(store, job, number)
+
+    @property
+    def point(self) -> int:
+        return int(self.job.plan.of_runs()[0][self.number])
+
+    @property
+    def seed(self) -> int:
+        return int(self.job.plan.of_runs()[1][self.number])
+
+    @property
+    def name(self) -> str:
+        return f"{self.store.path.name} run {self.number}"
+
+    def served(self) -> Served:
+        """Return the run as a scenario that has run to its end.
+
+        Raises
+        ------
+        ModelError
+            If the campaign is not one of a scenario file.
+        """
+        from bayesftc.console.desk.desk import Served
+        from bayesftc.scenario.campaigns import ScenarioLoop
+
+        loop, duration = self.job.loop, self.job.step * self.job.steps
+        if not isinstance(loop, ScenarioLoop):
+            raise ModelError(
+                f"The page shows runs of a scenario file, but the loop of the campaign in {self.store.path} is made in Python. "
+                "Leave --serve out; --out writes the signals and a figure."
+            )
+        content = loop.changed(self.job.plan.points[self.point])
+        content["simulation"] = {**content["simulation"], "seed": self.seed}
+        return Served(Path(loop.path), content, self.name, duration)
+
+
+def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> None:
+    """Repeat the run, print its figures, and write its files."""
     from bayesftc import __version__
-    from bayesftc.cosim.campaign.store.folder import CampaignStore
-    from bayesftc.cosim.campaign.store.repeating import kept_job
     from bayesftc.cosim.judging.metrics import figures
     from bayesftc.cosim.judging.roles import loop_signals
 
-    kept = CampaignStore.open(store)
-    job = kept_job(kept)
-    points, seeds = job.plan.of_runs()
-    if not 0 <= run < len(points):
-        raise ModelError(f"There is no run {run}. The campaign in {store} has the runs 0 to {len(points) - 1}.")
-    if out is not None:
-        output.check_folder(out, silent=quiet or json)
-    diagram, seed = job.diagram(int(points[run])), int(seeds[run])
+    kept, job = stored.store, stored.job
+    diagram, seed = job.diagram(stored.point), stored.seed
     try:
         result = diagram.simulate(job.duration, seed=seed)
     except SimulationError as error:
@@ -53,15 +119,15 @@ def replay(
         result = error.result
     steps = max(len(result.time) - 1, 0)
     numbers: dict[str, Any] = {
-        "scenario": f"{Path(store).name} run {run}",
+        "scenario": stored.name,
         "bayesftc": __version__,
         "seed": seed,
         "engine": result.metadata.get("engine"),
-        "factors": dict(kept.plan.points[int(points[run])]),
+        "factors": dict(kept.plan.points[stored.point]),
         "duration": float(steps * job.step),
         "steps": steps,
         "stopped": result.stopped,
-        "notes": [_same(kept, job.decimation, run, result)],
+        "notes": [_same(kept, job.decimation, stored.number, result)],
     }
     try:
         signals = loop_signals(diagram, result)

@@ -1,0 +1,49 @@
+"""The options and the start of commands that serve the page of the console."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from bayesftc.cosim.base.extras import why_missing
+from bayesftc.cosim.errors import BayesFTCError
+
+if TYPE_CHECKING:
+    from bayesftc.console.desk.desk import Served
+
+Host = Annotated[
+    str, typer.Option(help="Address of the page. Any other than this machine's own needs the printed token.")
+]
+PagePort = Annotated[int, typer.Option("--port", help="Port of the page; 0 for a free one.", min=0, max=65535)]
+OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
+HOST, PORT = "127.0.0.1", 8765
+
+
+def need_console(command: str) -> None:
+    """Refuse a command without the extra ``console``.
+
+    Raises
+    ------
+    BayesFTCError
+        If a package is not installed.
+    """
+    if missing := why_missing("starlette", "uvicorn", "websockets", purpose=command, of="console"):
+        raise BayesFTCError(missing)
+
+
+def serve_page(served: Served, host: str, port: int, open_page: bool, beside: Sequence[str] = ()) -> None:
+    """Serve the page of a scenario until Ctrl-C.
+
+    Raises
+    ------
+    BayesFTCError
+        If the address cannot be used.
+    """
+    from bayesftc.console.web.serving import Where, serve
+
+    serve(served, beside, Where(host, port, open_page), lambda text: typer.echo(text, err=True))
+
+
+__all__ = ["HOST", "PORT", "Host", "OpenPage", "PagePort", "need_console", "serve_page"]
