@@ -32,7 +32,7 @@ def check_recording(recording: Recording, y: Floats) -> None:
     if len(names) < 2:
         raise RecordingError(
             f"A fit needs two or more sensors of the same quantity, but there is only {names[0]!r}. With one sensor, noise and "
-            "the quantity's motion cannot be separated. Write a model file."
+            "the quantity's motion cannot be separated. Write a model file (bayesftc example model)."
         )
     for name, count in zip(names, np.isfinite(y).sum(axis=0), strict=True):
         if count < FIT.fewest:
