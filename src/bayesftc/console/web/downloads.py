@@ -95,13 +95,15 @@ def _events(kept: Kept) -> bytes:
     return as_csv(kept.events).encode()
 
 
+EVENTS = "events.csv"
+
 DOWNLOADS: Mapping[str, tuple[str, Callable[[Kept], bytes]]] = {
     "scenario.toml": ("application/toml", _toml),
     "signals.csv": ("text/csv; charset=utf-8", _csv),
     "signals.parquet": ("application/vnd.apache.parquet", _parquet),
     "figure.png": ("image/png", _figure),
-    "events.csv": ("text/csv; charset=utf-8", _events),
+    EVENTS: ("text/csv; charset=utf-8", _events),
 }
 """For each file its type, and the function that returns its content."""
 
-__all__ = ["DOWNLOADS", "Kept", "kept_of"]
+__all__ = ["DOWNLOADS", "EVENTS", "Kept", "kept_of"]

@@ -19,10 +19,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bayesftc.console.desk.engine import Engine
+from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import MOST_EXTRA, Broadcast, Cursor, View
 from bayesftc.console.web.access import Access, Guard
 from bayesftc.console.web.commands import LONGEST, carry_out, read_command
-from bayesftc.console.web.downloads import DOWNLOADS, kept_of
+from bayesftc.console.web.downloads import DOWNLOADS, EVENTS, Kept, kept_of
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 FRAMES = 30
@@ -50,7 +51,7 @@ class Server:
         Who may connect.
     """
 
-    def __init__(self, engine: Engine, access: Access):
+    def __init__(self, engine: Engine | LiveRun, access: Access):
         self._engine, self._access = engine, access
         self._broadcast = Broadcast(engine)
         self._viewers: dict[WebSocket, asyncio.Lock] = {}
@@ -97,13 +98,13 @@ class Server:
 
     async def _download(self, request: Request) -> Response:
         name = request.path_params["name"]
-        if name not in DOWNLOADS or self._engine.desk is None:
+        if name not in DOWNLOADS or (self._engine.desk is None and name != EVENTS):
             return PlainTextResponse("There is no such file.", status_code=404)
         lane = request.query_params.get("lane", "0")
         kind, make = DOWNLOADS[name]
         try:
             async with self._downloads:
-                kept = await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane)))
+                kept = await self._kept(lane)
                 data = await _in_thread(lambda: make(kept))
         except BayesFTCError as error:
             return PlainTextResponse(str(error), status_code=409)
@@ -114,6 +115,11 @@ class Server:
         shown = f'attachment; filename="{_safe(kept.name)}_{name}"'
         return Response(data, media_type=kind, headers={"content-disposition": shown})
 
+    async def _kept(self, lane: str) -> Kept:
+        if isinstance(self._engine, LiveRun):
+            return Kept(self._engine.name, {}, Path(), self._engine.events.all())
+        return await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane)))
+
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept()
         if len(self._viewers) >= MOST_VIEWERS:
@@ -122,7 +128,7 @@ class Server:
         self._viewers[socket] = asyncio.Lock()
         cursor = Cursor()
         self._note(f"connected, {len(self._viewers)} now")
-        if self._operator is None:
+        if self._operator is None and not self._engine.only_shows:
             self._operate(socket)
         sender = asyncio.create_task(self._send_frames(socket, cursor))
         reader = asyncio.create_task(self._read(socket, cursor))
@@ -197,6 +203,8 @@ class Server:
                 raise ModelError("A command must be an object.")
             number = content.pop("id", None)
             number = number if isinstance(number, int) else None
+            if isinstance(self._engine, LiveRun) and content.get("do") != "show":
+                raise ModelError("A live run is only shown: it has no controls.")
             if content.get("do") == "claim":
                 if self._operator not in (None, socket):
                     raise ModelError("Another page has the controls. Close it first.")
@@ -205,7 +213,7 @@ class Server:
                 self._show(cursor, content.get("columns"))
             elif socket is not self._operator:
                 raise ModelError("This page only watches: another one has the controls.")
-            else:
+            elif isinstance(self._engine, Engine):
                 began = time.perf_counter()
                 await asyncio.wrap_future(self._engine.call(carry_out(self._engine, read_command(content))))
                 seconds = round(time.perf_counter() - began, 3)
