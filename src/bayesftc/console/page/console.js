@@ -123,7 +123,7 @@ function addStrip(name) {
 }
 
 function showDownloads() {
-  const own = layout.lanes.filter((lane) => lane.branch === layout.lanes[0].branch), chosen = $("lane").value;
+  const own = layout.lanes.filter((lane) => lane.branch === layout.lanes[0].branch), chosen = $("lane").value || "0";
   $("of-lane").hidden = own.length < 2;
   $("lane").replaceChildren(...own.map((lane, i) => make("option", { value: String(i) }, lane.name)));
   $("lane").value = Number(chosen) < own.length ? chosen : "0";
@@ -315,7 +315,7 @@ function showBranches() {
     if (branch.active) buttons.append(make("span", {}, "shown now"));
     else {
       button("show", "Show", { do: "choose", name: branch.name });
-      button(branch.compared ? "end comparison" : "compare", branch.compared ? "End the comparison with" : "Compare with", { do: "compare", name: branch.compared ? null : branch.name });
+      button(branch.compared ? "end comparison" : "compare", branch.compared ? "End comparison with" : "Compare with", { do: "compare", name: branch.compared ? null : branch.name });
       button("remove", "Remove", { do: "remove", name: branch.name });
     }
     const rename = make("button", { type: "button", "aria-label": `Rename ${branch.name}` }, "rename");

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import threading
 import time
-from collections.abc import AsyncIterator, Callable
-from concurrent.futures import Future
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -105,9 +103,9 @@ class Server:
         try:
             async with self._downloads:
                 kept = await self._kept(lane)
-                data = await _in_thread(lambda: make(kept))
+                data = await asyncio.to_thread(make, kept)
         except BayesFTCError as error:
-            return PlainTextResponse(str(error), status_code=409)
+            return PlainTextResponse(str(error), status_code=503 if self._closing else 409)
         except asyncio.CancelledError:
             if not self._closing:
                 raise
@@ -115,10 +113,13 @@ class Server:
         shown = f'attachment; filename="{_safe(kept.name)}_{name}"'
         return Response(data, media_type=kind, headers={"content-disposition": shown})
 
+    def _is_closing(self) -> bool:
+        return self._closing
+
     async def _kept(self, lane: str) -> Kept:
         if isinstance(self._engine, LiveRun):
-            return Kept(self._engine.name, {}, Path(), self._engine.events.all())
-        return await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane)))
+            return Kept(self._engine.name, {}, Path(), self._engine.events.all(), self._is_closing)
+        return await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane, self._is_closing)))
 
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept()
@@ -233,21 +234,6 @@ class Server:
     async def _send(self, socket: WebSocket, content: dict[str, Any]) -> None:
         async with self._viewers[socket]:
             await socket.send_text(json.dumps(content, separators=(",", ":")))
-
-
-def _in_thread(function: Callable[[], bytes]) -> asyncio.Future[bytes]:
-    """Call a function in a thread that does not delay the end of the process."""
-    future: Future[bytes] = Future()
-    future.set_running_or_notify_cancel()
-
-    def work() -> None:
-        try:
-            future.set_result(function())
-        except BaseException as error:  # noqa: BLE001 - whoever waits gets it
-            future.set_exception(error)
-
-    threading.Thread(target=work, name="bayesftc-download", daemon=True).start()
-    return asyncio.wrap_future(future)
 
 
 def _safe(name: str) -> str:
