@@ -72,6 +72,8 @@ def test_break_go_back_branch_and_download(page, downloads):
 
     page.set("#moment", "100")
     page.until(lambda: page.seconds() == 2.0)
+    page.until(lambda: "freeze from" not in page.text("[aria-label='sensor 1'] .faults"))  # it was made later
+    assert "Freeze of sensor 1" not in page.text("#log")
     page.click("[aria-label='actuator force'] > button")
     page.set("#kind-actuator-0", "GainFault")
     page.set("#actuator-0-factor", "0.3")
@@ -93,6 +95,13 @@ def test_break_go_back_branch_and_download(page, downloads):
     assert np.array_equal(result["force_gain_fault_0.active"] > 0, result.time >= 2.01)
     page.click("a[href='/download/figure.png']")
     page.until((downloads / "cruise_control_figure.png").is_file)
+    page.click("a[href='/download/events.csv']")
+    page.until((downloads / "cruise_control_events.csv").is_file)
+    assert "Freeze of sensor 1" in (downloads / "cruise_control_events.csv").read_text()
+    page.set("#lane", "1")
+    page.click("a[href='/download/scenario.toml?lane=1']")
+    page.until((downloads / "cruise_control_FixedPrecision_scenario.toml").is_file)
+    page.set("#lane", "0")
     page.click("[aria-label='Show first']")
     page.until(lambda: "freeze from" in page.text("[aria-label='sensor 1'] .faults"))
     page.click("[aria-label='Remove branch 2']")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -12,6 +13,7 @@ from bayesftc.cosim.errors import BayesFTCError
 
 if TYPE_CHECKING:
     from bayesftc.console.desk.desk import Served
+    from bayesftc.console.desk.live import LiveRun
 
 Host = Annotated[
     str, typer.Option(help="Address of the page. Any other than this machine's own needs the printed token.")
@@ -46,4 +48,17 @@ def serve_page(served: Served, host: str, port: int, open_page: bool, beside: Se
     serve(served, beside, Where(host, port, open_page), lambda text: typer.echo(text, err=True))
 
 
-__all__ = ["HOST", "PORT", "Host", "OpenPage", "PagePort", "need_console", "serve_page"]
+def page_beside(run: LiveRun, host: str, port: int, open_page: bool) -> AbstractContextManager[None]:
+    """Return the context in which the page of a live run is served.
+
+    Raises
+    ------
+    BayesFTCError
+        If the address cannot be used.
+    """
+    from bayesftc.console.web.serving import Where, shown_beside
+
+    return shown_beside(run, Where(host, port, open_page), lambda text: typer.echo(text, err=True))
+
+
+__all__ = ["HOST", "PORT", "Host", "OpenPage", "PagePort", "need_console", "page_beside", "serve_page"]

@@ -344,8 +344,10 @@ class Desk:
         several = len(branch.lanes) > 1
         for lane in branch.lanes:
             controller = f" ({lane.name})" if several else ""
-            for alarm in lane.alarms_after(k):
-                self.events.add("alarm", lane.words_of(alarm) + controller, branch.name, time_of(alarm.k, self.step))
+            for alarm in lane.watch.after(k):
+                self.events.add(
+                    "alarm", lane.watch.words_of(alarm) + controller, branch.name, time_of(alarm.k, self.step)
+                )
         if branch.stopped and not was_stopped:
             self.note("run", f"stopped: {branch.lanes[0].stopped}")
 

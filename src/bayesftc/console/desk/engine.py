@@ -36,6 +36,8 @@ class Engine:
         Returns what others may read of a desk. It is called in the thread at each change of `Desk.epoch`; `view` has the result.
     """
 
+    only_shows = False
+
     def __init__(self, make: Callable[[Events], Desk], show: Callable[[Desk], Any] | None = None):
         self._make, self._show = make, show
         self.events = Events()
@@ -96,6 +98,10 @@ class Engine:
                 raise ModelError("The console ends.")
 
         return show
+
+    def wires(self) -> list[dict[str, Any]]:
+        """Return no wires; see `LiveRun`."""
+        return []
 
     def _set_clock(self) -> None:
         if self.desk is not None:

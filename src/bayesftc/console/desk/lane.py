@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from fractions import Fraction
-from itertools import takewhile
 from math import inf, prod
 from pathlib import Path
 from time import perf_counter
@@ -13,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.console.desk.alarms import Alarm, Alarms
 from bayesftc.console.desk.history import History, Recorded, SavedStates
 from bayesftc.cosim.diagram.roles import LoopRoles, find_roles
 from bayesftc.cosim.errors import FMUError, SimulationError
-from bayesftc.cosim.judging.signals import ALARM
 from bayesftc.cosim.ports import labels
-from bayesftc.cosim.types import Floats
 from bayesftc.scenario._scenario import Scenario, scenario_of
 
 if TYPE_CHECKING:
@@ -31,16 +28,6 @@ BETWEEN = 200
 """Fewest steps between two saved states at the beginning."""
 SHARE = 200.0
 """Seconds of computing for each second of saving a state. To go back computes so much again."""
-
-
-@dataclass(frozen=True)
-class Alarm:
-    """The beginning or the end of an alarm: at step `k`, of a ``"sensor"`` or an ``"actuator"`` with a number."""
-
-    k: int
-    device: str
-    number: int
-    begins: bool
 
 
 class Lane:
@@ -65,7 +52,6 @@ class Lane:
         self.roles: LoopRoles = find_roles(loop)
         self.step: Fraction = loop.step
         self.stopped: str | None = None
-        self.alarms: tuple[Alarm, ...] = ()
         self._session: Session = loop.start(seed=self.scenario.simulation.seed, engine=self.scenario.simulation.engine)
         first = self._session.advance(0)
         self.shapes = {signal: first[signal].shape[1:] for signal in first}
@@ -79,13 +65,7 @@ class Lane:
         self._session.record_into(self._history.room)
         self._can_save = True
         self._computed, self._cost = 0.0, inf
-        self._watched = self._alarm_columns()
-        self._groups = [
-            slice(min(columns), max(columns) + 1)  # the devices of one output are neighbours
-            for device in ("sensor", "actuator")
-            if (columns := [column for of, _, column in self._watched if of == device])
-        ]
-        self._alarmed = np.zeros(len(self._watched), dtype=bool)
+        self.watch = Alarms(self.roles, self.place, self._empty())
         self._take(first, 0)
 
     @property
@@ -141,11 +121,15 @@ class Lane:
         rows = self.rows
         if reached <= rows.last:
             self._history.append(np.empty((0, self._width)), reached + 1)
-        self.alarms = tuple(alarm for alarm in self.alarms if alarm.k <= reached)
-        self._alarmed = np.array([self._was_alarmed(device, number) for device, number, _ in self._watched], dtype=bool)
+        self.watch.forget_after(reached)
         if self.rows.last != reached:  # the rows of that time were dropped: the step itself has no row any more
             self._reached_without_row(reached)
         self.advance_to(k)
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """The last alarms."""
+        return self.watch.found
 
     @property
     def bytes(self) -> int:
@@ -156,16 +140,6 @@ class Lane:
         """Set other bounds of memory, half for rows and half for states, and of the number of states."""
         self._history.bound(memory // 2)
         self._states.bound(memory // 2, states)
-
-    def alarms_after(self, k: int) -> list[Alarm]:
-        """Return the alarms that began or ended after step `k`."""
-        return [*takewhile(lambda alarm: alarm.k > k, reversed(self.alarms))][::-1]
-
-    def words_of(self, alarm: Alarm) -> str:
-        """Return an alarm in words."""
-        number = alarm.number
-        device = f"sensor {number}" if alarm.device == "sensor" else f"actuator {self.roles.controls[number].name}"
-        return f"{device}: {'alarm' if alarm.begins else 'the alarm ends'}"
 
     def close(self) -> None:
         """End the run."""
@@ -189,50 +163,13 @@ class Lane:
             self._states.add(state)
 
     def _take(self, result: Result, first: int) -> None:
-        values = result.table
-        self._history.append(values, first)
-        if len(values) and not self._is_quiet(values):
-            self._find_alarms(values, first)
+        self._history.append(result.table, first)
+        self.watch.take(result.table, first)
 
-    def _is_quiet(self, values: Floats) -> bool:
-        """Return whether there is no alarm, in a fraction of the time that it takes to find alarms."""
-        return not self._alarmed.any() and all(values[:, columns].max() < ALARM for columns in self._groups)
-
-    def _find_alarms(self, values: Floats, first: int) -> None:
-        with np.errstate(invalid="ignore"):
-            now = values[:, [column for *_, column in self._watched]] >= ALARM
-        changes = np.argwhere(now != np.vstack([self._alarmed, now[:-1]]))
-        if len(changes):
-            self.alarms += tuple(
-                Alarm(first + int(i), self._watched[j][0], self._watched[j][1], bool(now[i, j]))
-                for i, j in changes[:1000]
-            )
-            self.alarms = self.alarms[-1000:]
-        self._alarmed = now[-1]
-
-    def _alarm_columns(self) -> list[tuple[str, int, int]]:
-        """Return each device with a fault probability, or with the flag of an explicit detection, and its column."""
-        found = []
-        name = self.roles.controller
-        for device, count, outputs in (
-            ("sensor", len(self.roles.sensors), ("fault_probability", "detected")),
-            ("actuator", len(self.roles.controls), ("actuator_fault_probability",)),
-        ):
-            for output in outputs:
-                if self.shapes.get(f"{name}.{output}") == (count,) and not self._is_empty(
-                    f"{name}.{output}[0]", output
-                ):
-                    found += [(device, i, self.place[f"{name}.{output}[{i}]"]) for i in range(count)]
-                    break
-        return found
-
-    def _is_empty(self, label: str, output: str) -> bool:
+    def _empty(self) -> tuple[str, ...]:
+        """Return the outputs of the controller that never have a value."""
         precision = getattr(self.scenario.controller, "precision", None)
-        return output == "fault_probability" and bool(getattr(precision, "why_no_probability", None))
-
-    def _was_alarmed(self, device: str, number: int) -> bool:
-        last = [alarm for alarm in self.alarms if (alarm.device, alarm.number) == (device, number)][-1:]
-        return bool(last) and last[0].begins
+        return ("fault_probability",) if getattr(precision, "why_no_probability", None) else ()
 
 
-__all__ = ["Alarm", "Lane"]
+__all__ = ["Lane"]

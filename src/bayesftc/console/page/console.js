@@ -14,7 +14,7 @@ const make = (name, attributes = {}, ...children) => {
 };
 
 let socket, layout, buffer, state, loop, scenes, strips = [], extra = [], cards = new Map(), waiting = new Map(), number = 0;
-let dragging = false, dirty = false, shownLog = "";
+let dragging = false, dirty = false, shownLog = "", shownWires = "";
 const memory = { forms: new Map() };
 
 function connect() {
@@ -92,6 +92,7 @@ function onLayout(message) {
   layout.lanes.forEach((lane, i) => { lane.title = titleOf(lane, i); });
   document.title = `${layout.scenario}: bayesftc console`;
   $("scenario").textContent = layout.scenario;
+  document.body.classList.toggle("only-shown", Boolean(layout.only_shown));
   loop = new Loop($("loop"), layout);
   scenes = new Scenes($("scenes"), layout);
   strips.forEach((strip) => strip.remove());
@@ -122,7 +123,7 @@ function addStrip(name) {
 }
 
 function showDownloads() {
-  const own = layout.lanes.filter((lane) => lane.branch === layout.lanes[0].branch), chosen = $("lane").value;
+  const own = layout.lanes.filter((lane) => lane.branch === layout.lanes[0].branch), chosen = $("lane").value || "0";
   $("of-lane").hidden = own.length < 2;
   $("lane").replaceChildren(...own.map((lane, i) => make("option", { value: String(i) }, lane.name)));
   $("lane").value = Number(chosen) < own.length ? chosen : "0";
@@ -144,6 +145,7 @@ function enable(on) {
   document.querySelectorAll("#run, #step, #pace, #moment, #cards button, #cards input, #cards select, #settings button, #settings input, #branch-list button")
     .forEach((each) => { each.disabled = !may; });
   if (!layout) return;
+  if (layout.only_shown) { if (on) $("status").textContent = "A live run: faults are shown, not made."; return; }
   $("status").textContent = may ? "You have the controls." : on || !layout.free ? "You are watching. Another page has the controls." : "You are watching.";
   if (!may && socket.readyState === WebSocket.OPEN) {
     const claim = make("button", { type: "button" }, "take the controls");
@@ -164,7 +166,7 @@ function card(device, isOpen) {
   const p = make("span", { class: "p" }), bar = make("div"), words = make("p", { class: "words" });
   const details = make("dl"), list = make("ul", { class: "faults" }), ends = [];
   const toggle = make("button", { type: "button", "aria-expanded": String(isOpen) }, `Break ${device.name}`);
-  const form = breakForm(device);
+  const form = layout.only_shown ? make("form") : breakForm(device);
   form.hidden = !isOpen;
   form.id = `form-${device.id.replace(":", "-")}`;
   toggle.setAttribute("aria-controls", form.id);
@@ -272,7 +274,7 @@ function updateCards() {
     if (each.kind) rows.push(["kind", each.kind]);
     if (each.size) rows.push(["size", each.size]);
     if (each.since !== null) rows.push(["since", `${each.since.toFixed(2)} s`]);
-    rows.push(["in truth", each.present.length ? `${each.present.join(", ")} is present` : "no fault"]);
+    if (!layout.only_shown) rows.push(["in truth", each.present.length ? `${each.present.join(", ")} is present` : "no fault"]);
     const text = JSON.stringify(rows);
     if (card.said !== text) {
       card.said = text;
@@ -313,7 +315,7 @@ function showBranches() {
     if (branch.active) buttons.append(make("span", {}, "shown now"));
     else {
       button("show", "Show", { do: "choose", name: branch.name });
-      button(branch.compared ? "end comparison" : "compare", branch.compared ? "End the comparison with" : "Compare with", { do: "compare", name: branch.compared ? null : branch.name });
+      button(branch.compared ? "end comparison" : "compare", branch.compared ? "End comparison with" : "Compare with", { do: "compare", name: branch.compared ? null : branch.name });
       button("remove", "Remove", { do: "remove", name: branch.name });
     }
     const rename = make("button", { type: "button", "aria-label": `Rename ${branch.name}` }, "rename");
@@ -333,6 +335,17 @@ function showBranches() {
 }
 
 // --- Time, log -------------------------------------------------------------------------------------------------------
+
+function updateWires() {
+  $("wires").hidden = !state.wires.length;
+  const text = JSON.stringify(state.wires);
+  if (text === shownWires) return;
+  shownWires = text;
+  $("wire-list").replaceChildren(...state.wires.map((wire) => make("li", {},
+    make("span", {}, `${wire.name}: ${wire.is_input ? "to" : "from"} ${wire.signals}`),
+    make("span", { class: wire.connected ? "ok" : "bad" }, wire.connected ? "connected" : "not connected"),
+    ...(wire.problem ? [make("small", {}, wire.problem)] : []))));
+}
 
 function updateTime() {
   put($("clock"), `${state.t.toFixed(2)} s`);
@@ -378,6 +391,7 @@ function draw() {
   updateTime();
   updateCards();
   updateLog();
+  updateWires();
   loop.show(buffer, state.cards);
   scenes.show(state.scenes, buffer, state.stopped);
   const seconds = Number($("window").value);

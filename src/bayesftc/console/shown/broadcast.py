@@ -13,9 +13,9 @@ from bayesftc.console.desk.actions import time_of
 from bayesftc.console.desk.desk import Desk
 from bayesftc.console.desk.engine import Engine
 from bayesftc.console.desk.history import Recorded, Rows
-from bayesftc.console.desk.lane import Lane
+from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.frames import packed, thinned
-from bayesftc.console.shown.layout import layout
+from bayesftc.console.shown.layout import AnyLane, layout
 from bayesftc.console.shown.moving import Scene
 from bayesftc.console.shown.words import cards
 from bayesftc.cosim.types import Floats
@@ -32,7 +32,7 @@ class View:
     """The lanes at one epoch, with their layout; made in the engine's thread, read by others."""
 
     epoch: int
-    lanes: tuple[Lane, ...]
+    lanes: tuple[AnyLane, ...]
     layout: dict[str, Any]
     scenes: tuple[Scene, ...]
     shown: tuple[str, ...]
@@ -47,7 +47,7 @@ class Broadcast:
         The engine, whose desk is shown.
     """
 
-    def __init__(self, engine: Engine):
+    def __init__(self, engine: Engine | LiveRun):
         self._engine = engine
         self._header: tuple[Any, dict[str, Any]] = (None, {})
         self._frames: OrderedDict[Any, bytes] = OrderedDict()
@@ -103,11 +103,12 @@ class Broadcast:
                     "epoch": view.epoch,
                     "k": k,
                     "t": time_of(k, lane.step),
-                    "furthest": max(k, engine.desk.branch.furthest if engine.desk else 0),
+                    "furthest": max(k, engine.desk.branch.furthest if engine.desk is not None else 0),
                     "running": engine.running,
                     "pace": engine.pace if isfinite(engine.pace) else None,
                     "late": engine.late,
                     "busy": engine.busy,
+                    "wires": engine.wires(),
                     "cards": cards(lane),
                     "scenes": [scene.lines() for scene in view.scenes],
                     "stopped": [each.stopped for each in view.lanes],

@@ -12,16 +12,19 @@ import numpy as np
 from bayesftc.console.desk.actions import SENSORS, free_inputs, goals_of, time_of, words_of
 from bayesftc.console.desk.desk import Desk
 from bayesftc.console.desk.lane import Lane
+from bayesftc.console.desk.live import LiveLane
 from bayesftc.cosim.blocks.faults.base import COMMON
 from bayesftc.cosim.blocks.faults.kinds import FAULTS, Dropout, Fault, RandomFaults
 from bayesftc.cosim.diagram.roles import Place
 from bayesftc.cosim.ports import labels
 
+AnyLane = Lane | LiveLane
+
 MADE = tuple(fault for fault in FAULTS if fault is not RandomFaults)
 """The kinds of faults with a form. A mixture has no form of its own: its kinds have."""
 
 
-def label_of(lane: Lane, place: Place | None) -> str | None:
+def label_of(lane: AnyLane, place: Place | None) -> str | None:
     """Return the name of the column of a signal's element; None if it is not recorded."""
     if place is None or place[0] not in lane.shapes:
         return None
@@ -39,7 +42,7 @@ def layout(desk: Desk) -> dict[str, Any]:
         "step": float(step),
         "lanes": [{"name": each.name, "columns": each.columns, "branch": branch.name} for each in branch.lanes]
         + ([_compared(desk)] if desk.compared else []),
-        "units": {label: unit for name, unit in lane.units.items() for label in labels(name, lane.shapes.get(name, ()))},
+        "units": units_of(lane),
         "strips": strips(lane),
         "devices": devices(lane),
         "goals": _goals(lane),
@@ -68,7 +71,12 @@ def _compared(desk: Desk) -> dict[str, Any]:
     return {"name": lane.name, "columns": lane.columns, "branch": desk.compared.name}
 
 
-def strips(lane: Lane) -> list[dict[str, Any]]:
+def units_of(lane: AnyLane) -> dict[str, str]:
+    """Return the unit of each column that has one."""
+    return {label: unit for name, unit in lane.units.items() for label in labels(name, lane.shapes.get(name, ()))}
+
+
+def strips(lane: AnyLane) -> list[dict[str, Any]]:
     """Return the strips of a loop: each quantity, the fault probabilities, and each control."""
     roles = lane.roles
     found: list[dict[str, Any]] = []
@@ -112,7 +120,7 @@ def strips(lane: Lane) -> list[dict[str, Any]]:
     return found
 
 
-def _series(lane: Lane, place: Place | None, label: str, look: str, **more: Any) -> dict[str, Any] | None:
+def _series(lane: AnyLane, place: Place | None, label: str, look: str, **more: Any) -> dict[str, Any] | None:
     if place is not None and place[1] >= int(np.prod(lane.shapes.get(place[0], ()))):
         return None
     column = label_of(lane, place)
@@ -199,4 +207,4 @@ def _stop(table: dict[str, Any]) -> float | None:
     return min((end for end in ends if isfinite(end)), default=None)
 
 
-__all__ = ["MADE", "devices", "label_of", "layout", "strips"]
+__all__ = ["MADE", "AnyLane", "devices", "label_of", "layout", "strips", "units_of"]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.console.desk.lane import Lane
+from bayesftc.console.shown.layout import AnyLane
 from bayesftc.cosim.judging.pictures import PICTURES, Line, Picture
 from bayesftc.cosim.types import Floats
 
@@ -20,7 +20,7 @@ class Scene:
         The lane.
     """
 
-    def __init__(self, lane: Lane):
+    def __init__(self, lane: AnyLane):
         self._lane = lane
         self._block, self._picture, lengths = "", None, {}
         for block, plant in lane.plants.items():

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.console.desk.lane import Lane
+from bayesftc.console.shown.layout import AnyLane
 from bayesftc.cosim.judging.signals import ALARM
 from bayesftc.cosim.types import Floats
 
@@ -30,7 +30,7 @@ PAST = {
 OFFSETS = ("Offset", "Drifting", "Ramping")
 
 
-def cards(lane: Lane) -> list[dict[str, Any]]:
+def cards(lane: AnyLane) -> list[dict[str, Any]]:
     """Return for each sensor and actuator the probability of a fault, its kind, size and onset, and a sentence."""
     rows = lane.rows
     row, t = rows.newest, rows.last * float(lane.step)
@@ -40,7 +40,7 @@ def cards(lane: Lane) -> list[dict[str, Any]]:
     return found + [_actuator(lane, row, j, t) for j in range(len(lane.roles.controls))]
 
 
-def _sensor(lane: Lane, row: Floats, i: int, t: float) -> dict[str, Any]:
+def _sensor(lane: AnyLane, row: Floats, i: int, t: float) -> dict[str, Any]:
     name, role = lane.roles.controller, lane.roles.sensors[i]
 
     def value(output: str) -> float | None:
@@ -83,7 +83,7 @@ def _sensor(lane: Lane, row: Floats, i: int, t: float) -> dict[str, Any]:
     return {**card, "words": f"{words}: {what}probability {_chance(chance)}"}
 
 
-def _actuator(lane: Lane, row: Floats, j: int, t: float) -> dict[str, Any]:
+def _actuator(lane: AnyLane, row: Floats, j: int, t: float) -> dict[str, Any]:
     name, role = lane.roles.controller, lane.roles.controls[j]
     chance = _value(lane, row, f"{name}.actuator_fault_probability[{j}]")
     card: dict[str, Any] = {
@@ -112,7 +112,7 @@ def _actuator(lane: Lane, row: Floats, j: int, t: float) -> dict[str, Any]:
     return {**card, "words": f"compensating {device}{when}: {what}probability {_chance(chance)}"}
 
 
-def _value(lane: Lane, row: Floats, label: str) -> float | None:
+def _value(lane: AnyLane, row: Floats, label: str) -> float | None:
     place = lane.place.get(label)
     if place is None:
         return None
@@ -120,7 +120,7 @@ def _value(lane: Lane, row: Floats, label: str) -> float | None:
     return value if isfinite(value) else None
 
 
-def _weight(lane: Lane, row: Floats, i: int) -> float | None:
+def _weight(lane: AnyLane, row: Floats, i: int) -> float | None:
     """Return the share of a sensor in the precision of all sensors of its quantity."""
     name = f"{lane.roles.controller}.precision"
     group = next((q.sensors for q in lane.roles.quantities if i in q.sensors), (i,))
@@ -133,7 +133,7 @@ def _weight(lane: Lane, row: Floats, i: int) -> float | None:
     return values[group.index(i)] / total if total > 0 else None  # type: ignore[operator]
 
 
-def _present(lane: Lane, row: Floats, faults: tuple[str, ...]) -> list[str]:
+def _present(lane: AnyLane, row: Floats, faults: tuple[str, ...]) -> list[str]:
     """Return the names of the faults that are present: the truth, which the controller does not know."""
     return [name for name in faults if (_value(lane, row, f"{name}.active") or 0.0) > 0.5]
 
@@ -144,7 +144,7 @@ def _kind(kinds: tuple[str, ...], number: float | None) -> str:
     return kinds[int(number) - 1]
 
 
-def _alarm_since(lane: Lane, device: str, number: int) -> float | None:
+def _alarm_since(lane: AnyLane, device: str, number: int) -> float | None:
     last = [a for a in lane.alarms if (a.device, a.number) == (device, number)][-1:]
     return last[0].k * float(lane.step) if last and last[0].begins else None
 

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.result import Result
 
 
+PART = 10_000
+"""Rows of a CSV file between two looks whether anybody waits for it."""
+
+
 @dataclass(frozen=True)
 class Kept:
     """What downloads are made of.
@@ -33,24 +37,38 @@ class Kept:
         The scenario's file, for messages.
     events : tuple of Event
         The events of the session.
+    is_over : callable
+        Returns whether nobody waits for the file any more.
     """
 
     name: str
     content: Mapping[str, Any]
     file: Path
     events: tuple[Event, ...]
+    is_over: Callable[[], bool]
 
     def run(self) -> Result:
         """Run once more, with all signals at all steps; a run that stops has its signals up to there."""
         try:
-            return scenario_of(self.content, self.file).simulate(record=["*"], decimation=1)
+            return scenario_of(self.content, self.file).simulate(record=["*"], decimation=1, progress=self.check)
         except SimulationError as error:
             if error.result is None:
                 raise
             return error.result
 
+    def check(self, *progress: int) -> None:
+        """Stop the work if nobody waits for it.
 
-def kept_of(desk: Desk, lane: str) -> Kept:
+        Raises
+        ------
+        ModelError
+            If that is so.
+        """
+        if self.is_over():
+            raise ModelError("The console has ended.")
+
+
+def kept_of(desk: Desk, lane: str, is_over: Callable[[], bool]) -> Kept:
     """Return what there is to download of one controller; call it in the engine's thread.
 
     Raises
@@ -63,7 +81,7 @@ def kept_of(desk: Desk, lane: str) -> Kept:
         raise ModelError(f"There is no controller {brief(lane)}; use lane=0 to lane={len(lanes) - 1}.")
     number = int(lane)
     name = f"{desk.name}_{lanes[number].name}" if number else desk.name
-    return Kept(name, desk.scenario_content(number), desk.file, desk.events.all())
+    return Kept(name, desk.scenario_content(number), desk.file, desk.events.all(), is_over)
 
 
 def _toml(kept: Kept) -> bytes:
@@ -74,8 +92,12 @@ def _toml(kept: Kept) -> bytes:
 
 
 def _csv(kept: Kept) -> bytes:
-    text: str = kept.run().to_pandas().to_csv()
-    return text.encode()
+    table = kept.run().to_pandas()
+    text = io.StringIO()
+    for begin in range(0, len(table), PART):
+        kept.check()
+        table[begin : begin + PART].to_csv(text, header=begin == 0)
+    return text.getvalue().encode()
 
 
 def _parquet(kept: Kept) -> bytes:
@@ -95,13 +117,15 @@ def _events(kept: Kept) -> bytes:
     return as_csv(kept.events).encode()
 
 
+EVENTS = "events.csv"
+
 DOWNLOADS: Mapping[str, tuple[str, Callable[[Kept], bytes]]] = {
     "scenario.toml": ("application/toml", _toml),
     "signals.csv": ("text/csv; charset=utf-8", _csv),
     "signals.parquet": ("application/vnd.apache.parquet", _parquet),
     "figure.png": ("image/png", _figure),
-    "events.csv": ("text/csv; charset=utf-8", _events),
+    EVENTS: ("text/csv; charset=utf-8", _events),
 }
 """For each file its type, and the function that returns its content."""
 
-__all__ = ["DOWNLOADS", "Kept", "kept_of"]
+__all__ = ["DOWNLOADS", "EVENTS", "Kept", "kept_of"]

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-import threading
 import time
-from collections.abc import AsyncIterator, Callable
-from concurrent.futures import Future
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,10 +17,11 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from bayesftc.console.desk.engine import Engine
+from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import MOST_EXTRA, Broadcast, Cursor, View
 from bayesftc.console.web.access import Access, Guard
 from bayesftc.console.web.commands import LONGEST, carry_out, read_command
-from bayesftc.console.web.downloads import DOWNLOADS, kept_of
+from bayesftc.console.web.downloads import DOWNLOADS, EVENTS, Kept, kept_of
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 FRAMES = 30
@@ -50,7 +49,7 @@ class Server:
         Who may connect.
     """
 
-    def __init__(self, engine: Engine, access: Access):
+    def __init__(self, engine: Engine | LiveRun, access: Access):
         self._engine, self._access = engine, access
         self._broadcast = Broadcast(engine)
         self._viewers: dict[WebSocket, asyncio.Lock] = {}
@@ -97,22 +96,30 @@ class Server:
 
     async def _download(self, request: Request) -> Response:
         name = request.path_params["name"]
-        if name not in DOWNLOADS or self._engine.desk is None:
+        if name not in DOWNLOADS or (self._engine.desk is None and name != EVENTS):
             return PlainTextResponse("There is no such file.", status_code=404)
         lane = request.query_params.get("lane", "0")
         kind, make = DOWNLOADS[name]
         try:
             async with self._downloads:
-                kept = await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane)))
-                data = await _in_thread(lambda: make(kept))
+                kept = await self._kept(lane)
+                data = await asyncio.to_thread(make, kept)
         except BayesFTCError as error:
-            return PlainTextResponse(str(error), status_code=409)
+            return PlainTextResponse(str(error), status_code=503 if self._closing else 409)
         except asyncio.CancelledError:
             if not self._closing:
                 raise
             return PlainTextResponse("The console has ended.", status_code=503)
         shown = f'attachment; filename="{_safe(kept.name)}_{name}"'
         return Response(data, media_type=kind, headers={"content-disposition": shown})
+
+    def _is_closing(self) -> bool:
+        return self._closing
+
+    async def _kept(self, lane: str) -> Kept:
+        if isinstance(self._engine, LiveRun):
+            return Kept(self._engine.name, {}, Path(), self._engine.events.all(), self._is_closing)
+        return await asyncio.wrap_future(self._engine.call(lambda desk: kept_of(desk, lane, self._is_closing)))
 
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept()
@@ -122,7 +129,7 @@ class Server:
         self._viewers[socket] = asyncio.Lock()
         cursor = Cursor()
         self._note(f"connected, {len(self._viewers)} now")
-        if self._operator is None:
+        if self._operator is None and not self._engine.only_shows:
             self._operate(socket)
         sender = asyncio.create_task(self._send_frames(socket, cursor))
         reader = asyncio.create_task(self._read(socket, cursor))
@@ -197,6 +204,8 @@ class Server:
                 raise ModelError("A command must be an object.")
             number = content.pop("id", None)
             number = number if isinstance(number, int) else None
+            if isinstance(self._engine, LiveRun) and content.get("do") != "show":
+                raise ModelError("A live run is only shown: it has no controls.")
             if content.get("do") == "claim":
                 if self._operator not in (None, socket):
                     raise ModelError("Another page has the controls. Close it first.")
@@ -205,7 +214,7 @@ class Server:
                 self._show(cursor, content.get("columns"))
             elif socket is not self._operator:
                 raise ModelError("This page only watches: another one has the controls.")
-            else:
+            elif isinstance(self._engine, Engine):
                 began = time.perf_counter()
                 await asyncio.wrap_future(self._engine.call(carry_out(self._engine, read_command(content))))
                 seconds = round(time.perf_counter() - began, 3)
@@ -225,21 +234,6 @@ class Server:
     async def _send(self, socket: WebSocket, content: dict[str, Any]) -> None:
         async with self._viewers[socket]:
             await socket.send_text(json.dumps(content, separators=(",", ":")))
-
-
-def _in_thread(function: Callable[[], bytes]) -> asyncio.Future[bytes]:
-    """Call a function in a thread that does not delay the end of the process."""
-    future: Future[bytes] = Future()
-    future.set_running_or_notify_cancel()
-
-    def work() -> None:
-        try:
-            future.set_result(function())
-        except BaseException as error:  # noqa: BLE001 - whoever waits gets it
-            future.set_exception(error)
-
-    threading.Thread(target=work, name="bayesftc-download", daemon=True).start()
-    return asyncio.wrap_future(future)
 
 
 def _safe(name: str) -> str:

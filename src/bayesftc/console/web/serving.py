@@ -5,16 +5,20 @@ from __future__ import annotations
 import asyncio
 import signal
 import socket
+import threading
 import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import uvicorn
 
 from bayesftc.console.desk.desk import Desk, Served
 from bayesftc.console.desk.engine import Engine
+from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import view_of
+from bayesftc.console.shown.live import view_of_live
 from bayesftc.console.web.access import Access, new_token
 from bayesftc.console.web.commands import LONGEST
 from bayesftc.console.web.server import Server
@@ -62,21 +66,63 @@ def serve(served: Served, beside: Sequence[str], where: Where, say: Callable[[st
     BayesFTCError
         If the address cannot be used.
     """
-    host = where.host
-    with _listening(host, where.port) as listener:
-        port = listener.getsockname()[1]
-        access = Access(host, port, None if is_loopback(host) else new_token())
+    with _listening(where.host, where.port) as listener:
         engine = Engine(lambda events: Desk(served, tuple(beside), events=events), view_of)
-        shown = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
-        if access.token is not None:
-            shown += f"?token={access.token}"
-            say("Only who has this address can see and move the run. It is not encrypted.")
-        say(f"The console is at {shown} (Ctrl-C ends it)")
-        asyncio.run(_serve(Server(engine, access), listener, shown if where.open_page else None))
+        server, shown = _announced(engine, where, listener, say)
+        asyncio.run(_serve(server, listener, shown if where.open_page else None))
     say("The console has ended.")
 
 
-async def _serve(server: Server, listener: socket.socket, page: str | None) -> None:
+@contextmanager
+def shown_beside(run: LiveRun, where: Where, say: Callable[[str], None]) -> Iterator[None]:
+    """Serve the page of a live run from another thread, as long as the run goes on.
+
+    Parameters
+    ----------
+    run : LiveRun
+        The run.
+    where : Where
+        Where to listen.
+    say : callable
+        Called with sentences for the user.
+
+    Raises
+    ------
+    BayesFTCError
+        If the address cannot be used.
+    """
+    with _listening(where.host, where.port) as listener:
+        run.view = view_of_live(run)
+        server, shown = _announced(run, where, listener, say)
+        running = _uvicorn(server)
+        work = partial(asyncio.run, running.serve(sockets=[listener]))
+        thread = threading.Thread(target=work, name="bayesftc-page", daemon=True)
+        thread.start()
+        if where.open_page:
+            webbrowser.open(shown)
+        try:
+            yield
+        finally:
+            running.should_exit = True
+            server.close()
+            thread.join(PATIENCE + 3.0)
+
+
+def _announced(
+    engine: Engine | LiveRun, where: Where, listener: socket.socket, say: Callable[[str], None]
+) -> tuple[Server, str]:
+    """Return the server and its address, after telling the user."""
+    host, port = where.host, listener.getsockname()[1]
+    access = Access(host, port, None if is_loopback(host) else new_token())
+    shown = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+    if access.token is not None:
+        shown += f"?token={access.token}"
+        say("Only who has this address can see and move the run. It is not encrypted.")
+    say(f"The console is at {shown} (Ctrl-C ends it)")
+    return Server(engine, access), shown
+
+
+def _uvicorn(server: Server) -> _Uvicorn:
     config = uvicorn.Config(
         server.app,
         log_level="warning",
@@ -88,7 +134,11 @@ async def _serve(server: Server, listener: socket.socket, page: str | None) -> N
         timeout_graceful_shutdown=PATIENCE,
         limit_concurrency=200,
     )
-    running = _Uvicorn(config)
+    return _Uvicorn(config)
+
+
+async def _serve(server: Server, listener: socket.socket, page: str | None) -> None:
+    running = _uvicorn(server)
 
     def end() -> None:
         running.should_exit = True
@@ -126,4 +176,4 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
         yield listener
 
 
-__all__ = ["Where", "serve"]
+__all__ = ["Where", "serve", "shown_beside"]

@@ -86,12 +86,15 @@ class LiveController:
         Names of the sensors, for alarms.
     modes : sequence of FaultMode
         The modes of the controller's precision learner; empty if it has none.
+    learner : str
+        The kind of its precision learner, or of the controller itself.
     """
 
     diagram: Diagram
     names: Mapping[str, str]
     sensors: Sequence[str]
     modes: Sequence[Any]
+    learner: str
 
     @contextmanager
     def stepper(self) -> Iterator[SessionStepper]:
@@ -152,8 +155,9 @@ def live_controller(path: str | os.PathLike[str], received: Collection[str] = ()
             dt=parts.dt,
         )
     sensors = tuple(f"sensor {i}" for i in range(ports["y"].size))
-    modes = getattr(getattr(parts.controller, "precision", None), "modes", ())
-    return LiveController(diagram, names, sensors, modes)
+    precision = getattr(parts.controller, "precision", None)
+    learner = type(parts.controller if precision is None else precision).__name__
+    return LiveController(diagram, names, sensors, getattr(precision, "modes", ()), learner)
 
 
 @dataclass(frozen=True)

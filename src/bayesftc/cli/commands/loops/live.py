@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +12,9 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, print_alarms, print_summary
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
-from bayesftc.cosim.live.run import LiveSettings, run_live
+from bayesftc.cli.page import HOST, PORT, Host, OpenPage, PagePort, need_console, page_beside
+from bayesftc.cosim.live.run import LiveSettings, Watcher, run_live
+from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.watching import AlarmWatch
 from bayesftc.scenario.live import live_controller, load_wires
 
@@ -35,18 +39,31 @@ def live(
     ] = 1.0,
     json: Json = False,
     quiet: Quiet = False,
+    serve: Annotated[bool, typer.Option("--serve", help="Show the run on a page, as bayesftc serve.")] = False,
+    host: Host = HOST,
+    port: PagePort = PORT,
+    open_page: OpenPage = False,
 ) -> None:
     """Run a controller against a real plant, or one in another process, and print deadlines, missing samples and alarms.
 
     Ctrl-C and SIGTERM end the run: the safe values are sent, and the recording is completed.
     """
+    if serve:
+        need_console("bayesftc live --serve")
     wires = load_wires(bridge)
     received = [name for wire in wires.wires.values() if wire.is_input for name in wire.names]
     loaded = live_controller(controller, received)
-    with loaded.stepper() as stepper:
+    with loaded.stepper() as stepper, ExitStack() as stack:
         stepper.prepare()
         alarms = Alarms([AlarmWatch(loaded.sensors, loaded.modes, stepper.step)], "controller.", shown=not quiet)
-        settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), alarms.watcher(stepper))
+        watchers = [alarms.watcher(stepper)]
+        if serve:
+            from bayesftc.console.desk.live import LiveLane, LiveRun
+
+            shown = LiveRun(Path(controller).stem, LiveLane(loaded, stepper), wires.wires)
+            stack.enter_context(page_beside(shown, host, port, open_page))
+            watchers.append(shown.feed)
+        settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), _all_of(watchers))
         settings.steps(stepper.step)  # errors of the options are not those of the wires
         with wires.named():
             summary = run_live(stepper, wires.wires, settings)
@@ -57,3 +74,16 @@ def live(
         print_summary(numbers)
         if numbers["alarms"]:
             print_alarms(numbers)
+
+
+def _all_of(watchers: Sequence[Watcher | None]) -> Watcher | None:
+    """Return a watcher that calls those that there are."""
+    present = [each for each in watchers if each is not None]
+    if len(present) < 2:
+        return present[0] if present else None
+
+    def watch(time: float, inputs: Floats, outputs: Floats) -> None:
+        for each in present:
+            each(time, inputs, outputs)
+
+    return watch

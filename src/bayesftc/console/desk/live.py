@@ -1,0 +1,138 @@
+"""A live run between wires, for the page: its rows and alarms, which are only shown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.console.desk.alarms import Alarm, Alarms
+from bayesftc.console.desk.desk import MEMORY
+from bayesftc.console.desk.events import Events
+from bayesftc.console.desk.history import History, Recorded
+from bayesftc.cosim.diagram.roles import LoopRoles, find_roles
+from bayesftc.cosim.ports import labels
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.live.steppers import Stepper
+    from bayesftc.cosim.live.wires import Wire
+    from bayesftc.cosim.types import Floats
+    from bayesftc.scenario.live.controller import LiveController
+
+SAMPLES = "controller.y"
+
+
+class LiveLane:
+    """The rows of a live controller: its inputs and outputs at each step.
+
+    Parameters
+    ----------
+    controller : LiveController
+        The controller.
+    stepper : Stepper
+        What runs; it is prepared.
+    """
+
+    stopped: str | None = None
+    plants: Mapping[str, Any] = {}
+
+    def __init__(self, controller: LiveController, stepper: Stepper):
+        ports = {**stepper.inputs, **stepper.outputs}
+        self.step: Fraction = stepper.step
+        self.roles = _without_plant(find_roles(controller.diagram))
+        self.shapes = {name: port.shape for name, port in ports.items()}
+        self.units = {name: port.unit for name, port in ports.items() if port.unit}
+        self.columns = [label for name, shape in self.shapes.items() for label in labels(name, shape)]
+        self.place = {label: i for i, label in enumerate(self.columns)}
+        self.name = controller.learner
+        self.watch = Alarms(self.roles, self.place)
+        self._history = History(len(self.columns), MEMORY)
+
+    @property
+    def rows(self) -> Recorded:
+        """The recorded rows."""
+        return self._history.rows
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """The last alarms."""
+        return self.watch.found
+
+    def add(self, k: int, inputs: Floats, outputs: Floats) -> None:
+        """Add the row of a step."""
+        row = np.concatenate((inputs, outputs))[None]
+        self._history.append(row, k)
+        self.watch.take(row, k)
+
+
+class LiveRun:
+    """What the server shows of a live run, in place of an `Engine`: there are no commands.
+
+    Parameters
+    ----------
+    name : str
+        Name of the controller's file.
+    lane : LiveLane
+        The run.
+    wires : mapping of str to Wire
+        Its wires.
+    """
+
+    only_shows = True
+    failure: str | None = None
+    desk = None
+    busy = None
+    late = 0
+    running = True
+
+    def __init__(self, name: str, lane: LiveLane, wires: Mapping[str, Wire]):
+        self.name, self.lane, self.pace = name, lane, 1.0
+        self.events = Events()
+        self.view: Any = None
+        self._wires = wires
+
+    def start(self) -> None:
+        """Start nothing: the run has its own clock."""
+
+    def stop(self) -> None:
+        """Stop nothing: the run ends by itself."""
+
+    def feed(self, time: float, inputs: Floats, outputs: Floats) -> None:
+        """Take a step of the run; the watcher of `LiveSettings`."""
+        lane = self.lane
+        k = round(time / lane.step)
+        lane.add(k, inputs, outputs)
+        for alarm in lane.watch.after(k - 1):
+            self.events.add("alarm", lane.watch.words_of(alarm), "live", time)
+
+    def wires(self) -> list[dict[str, Any]]:
+        """Return the state of each wire."""
+        return [
+            {"name": name, "signals": ", ".join(wire.names), "is_input": wire.is_input,
+             "connected": wire.bridge.connected, "problem": wire.bridge.problem}
+            for name, wire in self._wires.items()
+        ]  # fmt: skip
+
+
+def _without_plant(roles: LoopRoles) -> LoopRoles:
+    """Return the roles of a loop whose samples come from outside: nothing is known of what is true.
+
+    Sensors that are compared with one element of the goal, and with the same belief, measure one quantity.
+    """
+    sensors = tuple(replace(role, samples=(SAMPLES, i)) for i, role in enumerate(roles.sensors))
+    of: dict[Any, Any] = {}
+    for each in roles.quantities:
+        key = each.reference, each.belief, each.unit
+        known = of.get(key)
+        of[key] = (
+            replace(known, sensors=known.sensors + each.sensors)
+            if known
+            else replace(each, truth=None, name=f"quantity {len(of)}")
+        )
+    return replace(roles, sensors=sensors, quantities=tuple(of.values()))
+
+
+__all__ = ["LiveLane", "LiveRun"]
