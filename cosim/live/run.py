@@ -349,9 +349,11 @@ class _Loop:
             was_behind, behind = behind, max(int((begin - due) / self.deadlines.period), 0)
             if behind and not was_behind:
                 time.sleep(CATCH * self.deadlines.period)
+            # Samples wait only while the run catches up. If each step takes too long, they would only become old.
+            waits = behind if behind <= was_behind or not was_behind else 0
             waiting = False
             for each in self._ins:
-                each.read(inputs, begin - due, behind)
+                each.read(inputs, begin - due, waits)
                 waiting |= each.waiting
             outputs = stepper.advance(inputs)
             self.time = stepper.time

@@ -140,6 +140,31 @@ def test_late_steps_use_the_samples_that_came_while_the_process_had_stopped(memo
     assert summary.wires_in["in"]["replaced"] == 0
 
 
+def test_steps_that_always_take_too_long_use_new_samples(memory):
+    diagram = cosim.Diagram(dt=0.02)
+    diagram.add(live.Received(1), "received")
+    source, lags, sent, ended = memory(), [], [0], threading.Event()
+
+    def feed():
+        while not ended.wait(0.02):
+            sent[0] += 1
+            if source.inbox is not None:
+                source.inbox.put(float(sent[0]))
+
+    def slow(now, inputs, outputs):
+        lags.append(sent[0] - inputs[0])
+        time.sleep(0.03)
+
+    with diagram.start(engine="interpreted") as session:
+        thread = threading.Thread(target=feed)
+        thread.start()
+        wires = {"in": live.Wire(source, to="received.u")}
+        live.run_live(session, wires, live.LiveSettings(duration=0.8, watcher=slow))
+        ended.set()
+        thread.join()
+    assert np.nanmedian(lags[-15:]) <= 3  # ten, if they waited for all late steps
+
+
 def test_an_input_of_an_fmu_keeps_its_last_sample(memory):
     from bayesftc import fmus
 
