@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from browser import Page, axe, open_browser
+from browser import Page, axe, open_browser, violations
 from served import served
 
 from bayesftc.scenario import load_scenario
@@ -153,12 +153,7 @@ def test_accessible(page, tmp_path_factory, width, dark):
     page.click("[aria-label='sensor 0'] > button")
     page.click("#step")
     time.sleep(0.5)
-    page.browser.execute_cdp_cmd("Runtime.evaluate", {"expression": text})  # the page's policy lets no other script in
-    found = page.browser.execute_async_script(
-        "const done = arguments[0]; axe.run().then((r) => done(r.violations.map((v) => "
-        "[v.id, v.help, v.nodes.map((n) => n.html + ' ' + n.failureSummary)])))"
-    )
-    assert found == []
+    assert violations(page.browser, text) == []
     inner, outer = page.browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
     assert inner <= outer
 

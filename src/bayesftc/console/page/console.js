@@ -145,7 +145,10 @@ function enable(on) {
   document.querySelectorAll("#run, #step, #pace, #moment, #cards button, #cards input, #cards select, #settings button, #settings input, #branch-list button")
     .forEach((each) => { each.disabled = !may; });
   if (!layout) return;
-  if (layout.only_shown) { if (on) $("status").textContent = "A live run: faults are shown, not made."; return; }
+  if (layout.only_shown) {
+    if (socket.readyState === WebSocket.OPEN) $("status").textContent = "A live run: faults are shown, not made.";
+    return;
+  }
   $("status").textContent = may ? "You have the controls." : on || !layout.free ? "You are watching. Another page has the controls." : "You are watching.";
   if (!may && socket.readyState === WebSocket.OPEN) {
     const claim = make("button", { type: "button" }, "take the controls");
