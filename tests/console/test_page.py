@@ -136,6 +136,19 @@ def test_keyboard(page):
     assert float(page.one("#sensor-0-duration").get_attribute("value")) > 0
 
 
+def test_strips_of_a_paused_run_follow_the_width_of_the_window(page):
+    page.click("#step")
+    for width in (1280, 800, 390, 1280):
+        page.look(width)
+        page.until(lambda: strips_fit(page))
+
+
+def strips_fit(page):
+    script = """return [...document.querySelectorAll('.strip canvas')].every((c) => Math.abs(
+        c.getBoundingClientRect().width - c.closest('.strip').getBoundingClientRect().width) < 2)"""
+    return page.browser.execute_script(script)
+
+
 def test_errors_are_shown(page):
     page.click("[aria-label='sensor 0'] > button")
     page.set("#sensor-0-when", "condition")
