@@ -54,13 +54,22 @@ def axe(tmp_path_factory) -> str:
         return archive.extractfile("package/axe.min.js").read().decode()
 
 
+def violations(browser, text):
+    """Return what axe-core finds on the page that is shown."""
+    browser.execute_cdp_cmd("Runtime.evaluate", {"expression": text})  # the page's policy lets no other script in
+    return browser.execute_async_script(
+        "const done = arguments[0]; axe.run().then((r) => done(r.violations.map((v) => "
+        "[v.id, v.help, v.nodes.map((n) => n.html + ' ' + n.failureSummary)])))"
+    )
+
+
 class Page:
     """The page of a console."""
 
-    def __init__(self, browser, address):
+    def __init__(self, browser, address, status="You have"):
         self.browser = browser
         browser.get(address)
-        self.until(lambda: self.text("#status").startswith("You have"))
+        self.until(lambda: self.text("#status").startswith(status))
         self.until(lambda: self.text("#clock") != "" and self.all(".card.healthy, .card.suspect, .card.faulty"))
 
     def until(self, condition, seconds=PATIENCE):

@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from browser import Page, axe, open_browser, violations
 from served import Viewer, get, read_address
 
 from bayesftc.console.desk.live import LiveLane, LiveRun
@@ -202,3 +203,25 @@ def test_wires_are_cut_and_restored_and_the_run_is_killed(tmp_path, how):
     finally:
         again.close()
     assert live.read_recording(tmp_path / "recording").time[-1] > 0.0
+
+
+@pytest.mark.slow
+def test_the_page_only_shows(tmp_path, tmp_path_factory):
+    text, port = axe(tmp_path_factory), free_port()
+    browser, run = open_browser(tmp_path), LiveProcess(tmp_path, port)
+    try:
+        with car(port, freeze=3.0), Cable(port):
+            page = Page(browser, run.address, status="A live run")
+            page.until(lambda: "frozen" in page.text("[aria-label='sensor 0'] .words"))
+            assert page.text("#wire-list li") == "speed0: to controller.y[0]connected"
+            shown = [each.text for each in page.all("button, .links a") if each.is_displayed()]
+            assert shown == ["Events of this session (CSV)"]
+            for width, dark in ((1280, False), (390, True)):
+                page.look(width, dark=dark)
+                assert violations(browser, text) == []
+                inner, outer = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+                assert inner <= outer
+            assert [e["message"] for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
+    finally:
+        browser.quit()
+        run.close()

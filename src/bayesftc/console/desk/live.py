@@ -132,7 +132,10 @@ def _without_plant(roles: LoopRoles) -> LoopRoles:
             if known
             else replace(each, truth=None, name=f"quantity {len(of)}")
         )
-    return replace(roles, sensors=sensors, quantities=tuple(of.values()))
+    quantities = tuple(of.values())
+    if len(quantities) == 1:
+        quantities = (replace(quantities[0], name="measured quantity"),)
+    return replace(roles, sensors=sensors, quantities=quantities)
 
 
 __all__ = ["LiveLane", "LiveRun"]

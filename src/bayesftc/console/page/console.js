@@ -145,7 +145,10 @@ function enable(on) {
   document.querySelectorAll("#run, #step, #pace, #moment, #cards button, #cards input, #cards select, #settings button, #settings input, #branch-list button")
     .forEach((each) => { each.disabled = !may; });
   if (!layout) return;
-  if (layout.only_shown) { if (on) $("status").textContent = "A live run: faults are shown, not made."; return; }
+  if (layout.only_shown) {
+    if (socket.readyState === WebSocket.OPEN) $("status").textContent = "A live run: faults are shown, not made.";
+    return;
+  }
   $("status").textContent = may ? "You have the controls." : on || !layout.free ? "You are watching. Another page has the controls." : "You are watching.";
   if (!may && socket.readyState === WebSocket.OPEN) {
     const claim = make("button", { type: "button" }, "take the controls");
@@ -303,9 +306,11 @@ function showSettings() {
   }));
 }
 
+const reach = (branch, end) => `${branch.parent === null ? "" : `from ${branch.parent} at ${branch.since.toFixed(2)} s, `}to ${end.toFixed(2)} s`;
+
 function showBranches() {
   $("branch-list").replaceChildren(...layout.branches.map((branch) => {
-    const names = make("div", { class: "names" }, make("strong", {}, branch.name), make("small", {}, branch.parent === null ? `to ${branch.furthest.toFixed(2)} s` : `from ${branch.parent} at ${branch.since.toFixed(2)} s`));
+    const names = make("div", { class: "names" }, make("strong", {}, branch.name), make("small", branch.active ? { id: "reach" } : {}, reach(branch, branch.furthest)));
     const buttons = make("div", { class: "buttons" });
     const button = (text, label, command) => {
       const made = make("button", { type: "button", "aria-label": `${label} ${branch.name}` }, text);
@@ -348,6 +353,8 @@ function updateWires() {
 }
 
 function updateTime() {
+  const active = layout.branches.find((branch) => branch.active);
+  if (active) put($("reach"), reach(active, state.furthest * layout.step));
   put($("clock"), `${state.t.toFixed(2)} s`);
   put($("run"), state.running ? "Pause" : "Run");
   const pace = state.pace === null ? "" : String(state.pace);
@@ -421,6 +428,7 @@ document.addEventListener("keydown", (event) => {
   if (event.key === " ") { event.preventDefault(); $("run").click(); }
   if (event.key === "s") $("step").click();
 });
+addEventListener("resize", () => { dirty = true; });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { strips.forEach((strip) => strip.build()); dirty = true; });
 connect();
 requestAnimationFrame(draw);
