@@ -41,6 +41,9 @@ NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE, STATUS = REASONS
 RESTART = 10
 """After so many messages in a row with old stamps that increase, the sender has restarted, and the new stamps hold."""
 
+STEADY = 2.0
+"""Seconds in which all messages are late by the same, after which the sender's clock has been set back or has stopped."""
+
 DRIFT = 2e-4
 """Largest relative difference of the rates of two clocks, by which the least delay of a message grows with time."""
 
@@ -65,7 +68,9 @@ class Limits:
     ----------
     stale_after : float, optional
         Seconds after which a sample is not used any more. Its age counts from its arrival. If the messages have time stamps, the
-        age also has the delay on the way, beyond the smallest delay so far; so the two clocks need not agree.
+        age also has the delay on the way, beyond the smallest delay so far; so the two clocks need not agree. If all messages
+        of two seconds are late by the same (to ``stale_after``), delays count from there on: the sender had stopped, or its
+        clock has been set. A lasting delay on the way cannot be told from that.
     hold : bool
         Whether a sample is used in each step until a newer one comes, or is stale. By default it is used in one step only, and
         may wait for it for one period; so `stale_after` should be at least three periods of the samples.
@@ -160,6 +165,9 @@ class Inbox:
         self._old: list[float] = []
         self._least: float | None = None
         self._least_at = 0.0
+        self._late: tuple[float, float, float] | None = (
+            None  # since when messages are late, and their least and largest delay
+        )
 
     def put(
         self,
@@ -200,7 +208,7 @@ class Inbox:
                     self._refuse(LATE, f"{LATE}: kept by the other side, and no stale_after is given")
                     return
             else:
-                delay = 0.0 if sent is None else self._delay(now, sent)
+                delay = 0.0 if sent is None else self._counted(now, self._delay(now, sent))
             if self.limits.stale_after is not None and delay > self.limits.stale_after:
                 unknown = f"{LATE}: kept by the other side, without the time in seconds since 1970"
                 self._refuse(LATE, unknown if isinf(delay) else "")
@@ -336,6 +344,20 @@ class Inbox:
         self._least = delay if self._least is None else min(self._least, delay)
         self._least_at = now
         return delay - self._least
+
+    def _counted(self, now: float, delay: float) -> float:
+        """Return the delay, or less if delays count anew because all have been large and alike for `STEADY` seconds."""
+        most = self.limits.stale_after
+        if most is None or delay <= most:
+            self._late = None
+            return delay
+        since, low, high = self._late or (now, delay, delay)
+        low, high = min(low, delay), max(high, delay)
+        self._late = (since, low, high) if high - low <= most else (now, delay, delay)
+        if high - low > most or now - since < STEADY or self._least is None:
+            return delay
+        self._least, self._late = self._least + low, None
+        return delay - low
 
 
 def _age(sent: float | None) -> float:

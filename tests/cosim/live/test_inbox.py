@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live import Inbox, Limits
-from bayesftc.cosim.live.inbox import BEHIND, CALM, REASONS, RESTART
+from bayesftc.cosim.live.inbox import BEHIND, CALM, REASONS, RESTART, STEADY
 
 
 class Clock:
@@ -183,6 +183,34 @@ def test_a_sender_that_restarts_is_heard_again():
         box.put(2.0, sequence=stamp)
     assert box.take().tolist() == [2.0]
     assert box.rejected["out of order"] == RESTART - 1
+
+
+@pytest.mark.parametrize("stop", [0.5, 30.0])
+def test_a_sender_that_stood_still_is_heard_again(stop):
+    """As a process that was stopped and goes on: its own clock lacks the time of the stop."""
+    box, clock = inbox(stale_after=0.06)
+    random = np.random.default_rng(0)
+    heard = []
+    for k in range(1000):
+        clock.now += 0.02 + (stop if k == 500 else 0.0)
+        box.put(1.0, sent=0.02 * k - random.uniform(0.0, 0.02))
+        heard.append(np.isfinite(box.take()[0]))
+    assert all(heard[:500])
+    assert not any(heard[501 : 500 + int(0.9 * STEADY / 0.02)])
+    assert all(heard[501 + int(STEADY / 0.02) + 1 :])
+
+
+def test_messages_that_come_later_and_later_stay_late():
+    """As those of a sender whose messages wait in a queue that grows."""
+    box, clock = inbox(stale_after=0.06)
+    box.put(1.0, sent=clock.now)
+    assert box.take().tolist() == [1.0]
+    for delay in np.linspace(0.1, 3.0, 1000):
+        clock.now += 0.02
+        box.put(1.0, sent=clock.now - delay)
+        assert np.isnan(box.take()[0])
+    assert set(box.rejected) == {"late", "out of order"}
+    assert box.rejected["out of order"] < 10
 
 
 def test_old_messages_in_any_order_are_no_restart():
