@@ -369,6 +369,19 @@ def test_all_branches_together_stay_within_the_memory():
         assert np.array_equal(bits(before), bits(desk.branch.lanes[0].rows.newest))
 
 
+def test_a_step_whose_row_was_dropped_has_one_again_after_going_back_to_its_state():
+    with Desk("cruise_control", beside=(), memory=400_000) as desk:
+        lane = desk.branch.lanes[0]
+        desk.advance_to(4000)
+        expected = lane.rows.newest.copy()
+        lane._states.add(lane._session.save_state())
+        desk.advance_to(8000)
+        assert lane.rows.first > 4000
+        desk.go_back(4000)
+        assert lane.rows.last == 4000
+        assert np.array_equal(bits(lane.rows.newest), bits(expected))
+
+
 def test_states_of_fmus_count():
     with Desk("cruise_control", beside=()) as desk:
         lane = desk.branch.lanes[0]

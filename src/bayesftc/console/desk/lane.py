@@ -109,6 +109,8 @@ class Lane:
     def go_back(self, k: int) -> None:
         """Return to step `k`: to the saved state before it, and on from there. The bits are the same."""
         state = self._states.before(k)
+        if state is not None and state.k == k and not self.rows.first <= k <= self.rows.last:
+            state = self._states.before(k - 1)  # a step makes the row of `k`, which was dropped
         if state is None:
             self._session.reset()
             first = self._session.advance(0)
@@ -122,7 +124,9 @@ class Lane:
         if reached <= rows.last:
             self._history.append(np.empty((0, self._width)), reached + 1)
         self.watch.forget_after(reached)
-        if self.rows.last != reached:  # the rows of that time were dropped: the step itself has no row any more
+        if (
+            not self.rows.blocks or self.rows.last != reached
+        ):  # the rows of that time were dropped: the step itself has no row any more
             self._reached_without_row(reached)
         self.advance_to(k)
 
