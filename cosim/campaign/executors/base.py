@@ -76,15 +76,17 @@ class Threads:
         workers = self.jobs or cores()
         stopped = threading.Event()
         with ThreadPoolExecutor(workers, thread_name_prefix="campaign") as pool:
-            waiting: set[Future[R]] = set()
+            waiting: list[Future[R]] = []
             try:
                 while True:
                     for piece in islice(left, AHEAD * workers - len(waiting)):
-                        waiting.add(pool.submit(job.run, piece, lambda: not stopped.is_set()))
+                        waiting.append(pool.submit(job.run, piece, lambda: not stopped.is_set()))
                     if not waiting:
                         return
-                    done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                    for future in done:
+                    done = wait(waiting, return_when=FIRST_COMPLETED).done
+                    finished = [future for future in waiting if future in done]  # in the order of the pieces
+                    waiting = [future for future in waiting if future not in done]
+                    for future in finished:
                         yield future.result()
             finally:
                 stopped.set()
