@@ -33,6 +33,8 @@ root_doc = "index"
 exclude_patterns = ["_site", "gallery_examples", "gallery/**/*.ipynb", "**/.executed"]
 default_role = "py:obj"  # what stands in single backticks in a docstring
 
+mathjax3_config = {"options": {"enableMenu": False}}  # with its menu, each formula is a stop of the Tab key
+
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
 myst_fence_as_directive = ["math"]  # as GitHub writes formulas

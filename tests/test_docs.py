@@ -5,6 +5,7 @@ import inspect
 import re
 import subprocess
 import sys
+import tomllib
 from dataclasses import is_dataclass
 from pathlib import Path
 
@@ -105,6 +106,29 @@ def test_every_page_leads_to_the_glossary():
     for page in PAGES:
         if page.name != "glossary.md":
             assert "glossary.md)" in page.read_text(encoding="utf-8"), f"{page.name} does not link to the glossary"
+
+
+def test_the_page_on_installation_has_every_extra():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    rows = re.findall(r"^\| `(\w+)` \|", (ROOT / "docs" / "install.md").read_text(encoding="utf-8"), re.M)
+    assert sorted(rows) == sorted(extras)
+
+
+def test_every_recipe_has_words_by_which_the_search_finds_it():
+    without = [p.name for p in RECIPES if "\nAlso called: " not in p.read_text(encoding="utf-8")]
+    assert not without, f"pages without a line 'Also called: ...': {without}"
+
+
+def test_code_in_a_link_is_no_link_of_its_own():
+    pytest.importorskip("sphinx")
+    from docutils import nodes
+    from linked_names import is_linked
+
+    alone, within = nodes.literal("", "FMU"), nodes.literal("", "FMU")
+    nodes.paragraph("", "", alone)
+    nodes.reference("", "", nodes.inline("", "the ", within), refuri="page.html")
+    assert is_linked(within)
+    assert not is_linked(alone)
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))

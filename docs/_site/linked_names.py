@@ -26,6 +26,15 @@ def targets() -> dict[str, str]:
     return ways | {n: next(iter(f)) for n, f in clear.items() if len(f) == 1 and n[0].isupper()}
 
 
+def is_linked(node: nodes.Node) -> bool:
+    """Return whether a node stands in a link or a heading, at any depth: a link within a link is none."""
+    while node.parent is not None:
+        node = node.parent
+        if isinstance(node, nodes.reference | pending_xref | nodes.title):
+            return True
+    return False
+
+
 class LinkNames(SphinxPostTransform):
     """Wraps a literal whose text is a public name into a link."""
 
@@ -35,7 +44,7 @@ class LinkNames(SphinxPostTransform):
         """See the class."""
         for literal in list(self.document.findall(nodes.literal)):
             text = literal.astext().partition("(")[0]
-            if text in targets() and not isinstance(literal.parent, nodes.reference | pending_xref | nodes.title):
+            if text in targets() and not is_linked(literal):
                 full = targets()[text]
                 if self.env.docname.endswith(full):
                     continue

@@ -9,7 +9,7 @@ var Scorer = {
       new RegExp(word.length < 4 ? `\\b${word}\\b` : `\\b${word.length > 5 ? word.slice(0, -2) : word}`, "i").test(title);
     const share = words.length ? words.filter(isIn).length / words.length : 0;
     const folders = {
-      "how-to/questions": 19, "how-to/": 8, "tutorials/": 6, "explanation/": 5, "reference/": 3, "gallery/": 2, "reports/": 1,
+      "how-to/questions": 19, "how-to/": 8, "install": 14, "tutorials/": 6, "explanation/": 5, "reference/": 3, "gallery/": 2, "reports/": 1,
       "reference/api/": -1, "reference/extend": -8, "project/": -10,
     };
     const folder = Object.keys(folders).filter((name) => page.startsWith(name)).sort((a, b) => b.length - a.length)[0];

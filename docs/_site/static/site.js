@@ -1,4 +1,5 @@
 // Names for controls of the theme that show only a sign, and the whole visible text for the button of the search.
+// "/" opens the search, a chosen color mode keeps the focus at its menu, and the page of results begins at its search box.
 // The empty corner of a table is no heading. Long code in a table breaks between its words, not within them.
 document.addEventListener("DOMContentLoaded", () => {
   for (const summary of document.querySelectorAll(".bd-sidebar-primary summary")) {
@@ -20,4 +21,15 @@ document.addEventListener("DOMContentLoaded", () => {
     const parts = code.textContent.split(/(?<=[/_(.,=])/);
     code.replaceChildren(...parts.flatMap((part, i) => (i ? [document.createElement("wbr"), part] : [part])));
   }
+  document.addEventListener("keydown", (event) => {
+    const isTyping = event.target.closest("input, textarea, select, [contenteditable]");
+    if (event.key === "/" && !event.ctrlKey && !event.metaKey && !event.altKey && !isTyping) {
+      event.preventDefault();
+      document.querySelector(".search-button__button")?.click();
+    }
+  });
+  for (const choice of document.querySelectorAll(".theme-change-button")) {
+    choice.addEventListener("click", () => choice.closest(".dropdown").querySelector(".theme-switch-button").focus());
+  }
+  document.querySelector("#search-results")?.parentElement.querySelector("input[type=search]")?.focus();
 });
