@@ -286,6 +286,15 @@ def test_noise_is_taken_apart_by_its_time_constant():
     assert decompose(lags, np.full(6, np.nan), white=True).variance == 0.0
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_frozen_part_is_no_bias(seed):
+    rng = np.random.default_rng(seed)
+    y = level(3000, 0.2, 0.02, rng)[:, None] + [0.5, 0.7] * rng.standard_normal((3000, 2))
+    y[2000:2600, 0] = y[1999, 0] + 1.0
+    one, two = fit_model(recording(y, 0.02)).sensors.values()
+    np.testing.assert_allclose([one.bias, two.bias], 0.0, atol=0.05)
+
+
 def test_a_bias_that_wanders_is_told_from_noise():
     rng = np.random.default_rng(8)
     y = 0.1 * rng.standard_normal((8000, 4))

@@ -13,9 +13,13 @@ from bayesftc.monitoring.fit.settings import FIT
 
 
 def biases(y: Floats) -> Floats:
-    """Return the constant difference of each sensor from the typical one; their median is 0."""
-    middle = median(y, 1)
-    bias = median(np.where((np.isfinite(y).sum(axis=1) > 1)[:, None], y - middle[:, None], np.nan), 0)
+    """Return the constant difference of each sensor from the typical one; their median is 0.
+
+    It is the median of a sensor's differences from all sensors, each the median over the steps at which both have a sample: which
+    sensors are there at a step does not matter.
+    """
+    apart = np.array([median(column[:, None] - y, 0) for column in y.T])
+    bias = median(apart, 1)
     return np.asarray(bias - np.median(bias))
 
 

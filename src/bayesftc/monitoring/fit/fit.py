@@ -139,7 +139,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
     check_recording(recording, recording.y[stretch])
-    dt, bias = float(recording.dt), biases(recording.y[stretch])
+    dt, bias = float(recording.dt), biases(awake(recording.y[stretch]))
     whole = awake(recording.y - bias)
     y = awake(recording.y[stretch] - bias)
     widths = [_width(recording.y[:, i], resolution) for i, resolution in enumerate(recording.resolution)]
