@@ -277,7 +277,9 @@ def _signals(stop: Stop) -> Iterator[None]:
         stop.request(f"The run was stopped by {name}.")
 
     try:
-        for number in (int(signal.SIGTERM), int(signal.SIGINT)):
+        for number in (
+            getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT") if hasattr(signal, name)
+        ):
             if signal.getsignal(number) != signal.SIG_IGN:
                 before[number] = signal.signal(number, request)
         yield
