@@ -112,6 +112,21 @@ def plant(port):
 
 
 @pytest.mark.slow
+def test_alarms_of_actuators_are_printed(plant, started, tmp_path):
+    text = shipped_files("scenario")["live_car"].read_text(encoding="utf-8")
+    learner = 'kind = "SwitchingPrecision"\n'
+    assert learner in text
+    with_modes = text.replace(learner, f'{learner}actuator_modes = [{{ kind = "LostEffect" }}]\n')
+    (tmp_path / "lost.toml").write_text(with_modes, encoding="utf-8")
+    run = started("bayesftc", "live", "lost.toml", "--bridge", "wires.toml", "--duration", "8", "--json")
+    printed, said = run.communicate(timeout=60)
+    assert run.returncode == 0, said
+    assert "actuator force: alarm, fault probability" in said  # the speed does not follow the force
+    alarm = next(each for each in json.loads(printed)["alarms"] if "actuator" in each)
+    assert (alarm["actuator"], alarm["kind"]) == ("force", "LostEffect")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(plant, started, tmp_path, number):
     process = started("bayesftc", "live", "live_car", "--bridge", "wires.toml", "--record", "runs", "--json")
@@ -234,6 +249,7 @@ def test_its_wires_are_those_of_the_shipped_file():
         (["live_car", "--bridge", "wrong.toml"], 5, "wrong.toml: The wire 'speed': There is no input 'controller.z'"),
         (["live_car", "--bridge", "car_by_udp", "--pace", "0"], 9, "Error: pace is 0"),
         (["live_car", "--bridge", "car_by_udp", "--duration", "0.01"], 8, "Error: The duration of 0.01 s"),
+        (["live_car", "--bridge", "car_by_udp", "--record", "wrong.toml"], 12, "Error: The folder wrong.toml/"),
     ],
 )
 def test_mistakes_end_with_a_sentence(options, code, words, tmp_path, monkeypatch):

@@ -53,6 +53,7 @@ def test_rows_alarms_and_wires_are_shown():
             "sensor:0", "sensor:1",
         ]  # fmt: skip
         assert run.wires()[0]["signals"] == "controller.y"
+        assert view.layout["units"]["controller.y[0]"] == "m/s"
         words = [event.words for event in run.events.all()]
         assert words[0] == "sensor 1: alarm"
         assert 2.0 < run.events.all()[0].time < 2.5

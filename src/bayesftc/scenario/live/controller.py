@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.diagram.closed_loop import base_step, closed_loop
+from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.steppers import Received, SessionStepper
 from bayesftc.cosim.ports import Port
@@ -86,6 +87,10 @@ class LiveController:
         Names of the sensors, for alarms.
     modes : sequence of FaultMode
         The modes of the controller's precision learner; empty if it has none.
+    actuators : sequence of str
+        Names of the actuators, for alarms.
+    actuator_modes : sequence of ActuatorMode
+        The modes of its actuators; empty if it has none.
     learner : str
         The kind of its precision learner, or of the controller itself.
     """
@@ -94,6 +99,8 @@ class LiveController:
     names: Mapping[str, str]
     sensors: Sequence[str]
     modes: Sequence[Any]
+    actuators: Sequence[str]
+    actuator_modes: Sequence[Any]
     learner: str
 
     @contextmanager
@@ -145,7 +152,7 @@ def live_controller(path: str | os.PathLike[str], received: Collection[str] = ()
             raise root.error("lacks the section [reference]. Add it, or a wire with to = 'controller.goal'.")
         controls, control = parts.controls or ((Port("u", ports["u"].shape, feedthrough=False),), "u")
         diagram = closed_loop(
-            Outside(controls, ports["y"].size),
+            Outside(controls, ports["y"].size, parts.unit),
             parts.controller,
             control=control,
             measured="samples",
@@ -157,7 +164,9 @@ def live_controller(path: str | os.PathLike[str], received: Collection[str] = ()
     sensors = tuple(f"sensor {i}" for i in range(ports["y"].size))
     precision = getattr(parts.controller, "precision", None)
     learner = type(parts.controller if precision is None else precision).__name__
-    return LiveController(diagram, names, sensors, getattr(precision, "modes", ()), learner)
+    actuators = tuple(role.name for role in find_roles(diagram).controls)
+    modes = getattr(precision, "modes", ()), actuators, getattr(precision, "actuator_modes", ())
+    return LiveController(diagram, names, sensors, *modes, learner)
 
 
 @dataclass(frozen=True)
@@ -168,6 +177,7 @@ class _Parts:
     blocks: Any
     connections: Any
     dt: Any
+    unit: str | None = None
 
 
 def _of_scenario(content: Mapping[str, Any], root: Place) -> _Parts:
@@ -181,8 +191,15 @@ def _of_scenario(content: Mapping[str, Any], root: Place) -> _Parts:
         if p.name in names
     )
     dt = _step(scenario.controller, scenario.simulation, bool(scenario.blocks), root)
+    unit = getattr(scenario.sensors, "unit", None)
     return _Parts(
-        scenario.controller, scenario.reference, (controls, wiring.control), scenario.blocks, scenario.connections, dt
+        scenario.controller,
+        scenario.reference,
+        (controls, wiring.control),
+        scenario.blocks,
+        scenario.connections,
+        dt,
+        unit if isinstance(unit, str) else None,
     )
 
 

@@ -9,11 +9,13 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from bayesftc.cli import output
-from bayesftc.cosim.live.run import LiveSummary
+from bayesftc.cosim.errors import ResultFileError
+from bayesftc.cosim.live.run import LiveSettings, LiveSummary, run_live
 from bayesftc.cosim.live.steppers import Stepper
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import ActuatorEvent, FaultEvent
 from bayesftc.monitoring.watching import AlarmWatch
+from bayesftc.scenario.live.wires import WireFile
 
 Event = FaultEvent | ActuatorEvent
 
@@ -82,6 +84,15 @@ class Alarms:
             note(f"{time:.2f} s: {name_of(event)}: {text}")
 
 
+def run_between(stepper: Stepper, wires: WireFile, settings: LiveSettings) -> LiveSummary:
+    """Run between the wires of a file; its name stands before errors of wires, not before those of the recording's folder."""
+    try:
+        with wires.named():
+            return run_live(stepper, wires.wires, settings)
+    except ResultFileError as error:
+        raise error.__cause__ or error from None
+
+
 def note(text: str) -> None:
     """Print a line on stderr at once."""
     sys.stderr.write(text + "\n")
@@ -145,9 +156,10 @@ def print_alarms(numbers: Mapping[str, Any]) -> None:
     say("\nAlarms", "bold")
     alarms = output.empty_table("kind", "onset (s)", "alarm (s)", "probability")
     for event in numbers["alarms"]:
-        onset = output.DASH if event["onset"] is None else f"{event['onset']:.2f}"
+        onset = output.DASH if event.get("onset") is None else f"{event['onset']:.2f}"
         span = f"{event['start']:.2f} to {event['end']:.2f}"
-        alarms.add_row(event["sensor"], event["kind"] or output.DASH, onset, span, f"{event['probability']:.3f}")
+        device = event["sensor"] if "sensor" in event else f"actuator {event['actuator']}"
+        alarms.add_row(device, event["kind"] or output.DASH, onset, span, f"{event['probability']:.3f}")
     console.print(alarms)
 
 

@@ -10,12 +10,18 @@ from typing import Annotated
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, print_alarms, print_summary
+from bayesftc.cli.commands.loops._live_report import (
+    Alarms,
+    as_numbers,
+    print_alarms,
+    print_summary,
+    run_between,
+)
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
 from bayesftc.cli.page import HOST, PORT, Host, OpenPage, PagePort, need_console, page_beside
-from bayesftc.cosim.live.run import LiveSettings, Watcher, run_live
+from bayesftc.cosim.live.run import LiveSettings, Watcher
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.watching import AlarmWatch
+from bayesftc.monitoring.watching import ActuatorWatch, AlarmWatch
 from bayesftc.scenario.live import live_controller, load_wires
 
 Bridges = Annotated[
@@ -55,7 +61,11 @@ def live(
     loaded = live_controller(controller, received)
     with loaded.stepper() as stepper, ExitStack() as stack:
         stepper.prepare()
-        alarms = Alarms([AlarmWatch(loaded.sensors, loaded.modes, stepper.step)], "controller.", shown=not quiet)
+        watches = [
+            AlarmWatch(loaded.sensors, loaded.modes, stepper.step),
+            ActuatorWatch(loaded.actuators, loaded.actuator_modes, stepper.step),
+        ]
+        alarms = Alarms(watches, "controller.", shown=not quiet)
         watchers = [alarms.watcher(stepper)]
         if serve:
             from bayesftc.console.desk.live import LiveLane, LiveRun
@@ -65,8 +75,7 @@ def live(
             watchers.append(shown.feed)
         settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), _all_of(watchers))
         settings.steps(stepper.step)  # errors of the options are not those of the wires
-        with wires.named():
-            summary = run_live(stepper, wires.wires, settings)
+        summary = run_between(stepper, wires, settings)
     numbers = as_numbers(summary, alarms.close())
     if json:
         typer.echo(output.as_json(numbers))

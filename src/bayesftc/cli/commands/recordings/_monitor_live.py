@@ -11,9 +11,9 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, note, print_summary
+from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, note, print_summary, run_between
 from bayesftc.cli.commands.recordings._faults import print_faults
-from bayesftc.cosim.live.run import LiveSettings, run_live
+from bayesftc.cosim.live.run import LiveSettings
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring import ActuatorWatch, AlarmWatch, Monitor, MonitorStepper, load_monitor
 from bayesftc.scenario.live import load_wires
@@ -51,8 +51,7 @@ def monitor_live(model: Path, bridges: Path, options: LiveOptions) -> None:
         watcher=watcher.watch,
     )
     settings.steps(stepper.step)  # errors of the options are not those of the wires
-    with wires.named():
-        summary = run_live(stepper, wires.wires, settings)
+    summary = run_between(stepper, wires, settings)
     events = alarms.close()
     numbers: dict[str, Any] = {
         **as_numbers(summary, events),
