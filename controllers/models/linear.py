@@ -112,7 +112,7 @@ class LinearModel:
                 "LinearModel takes matrices. For a system of python-control use LinearModel.from_control(system, "
                 "process_covariance=..., sensor_covariance=..., dt=...), which also samples a continuous one."
             )
-        changed = isinstance(self.A, np.ndarray) and not self.A.flags.writeable  # the matrix of another model
+        of_a_model = isinstance(self.A, np.ndarray) and not self.A.flags.writeable  # which has warned already
         A = as_matrix("The model's A", self.A)
         n = A.shape[0]
         if A.shape != (n, n):
@@ -148,10 +148,7 @@ class LinearModel:
                         f"The model has names for {len(given)} {kind}, but it has {size} {kind}; give each a name."
                     )
 
-        made = (
-            changed or self.names is not None or self.disturbances or self.delays is not None
-        )  # not given as matrices
-        if not made:
+        if not (of_a_model or self.names is not None or self.disturbances or self.delays is not None):
             _warn_of_continuous_time(A, self.step)
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 from bayesftc.cosim.live.inbox import Inbox  # at run time: files of wires evaluate the annotations
@@ -180,7 +181,8 @@ class Reconnecting(Bridge):
                     self._note(error)
                 finally:
                     self.connected = False
-                    connection.close()
+                    with suppress(Exception):  # otherwise the thread would end, and never connect again
+                        connection.close()
             with self._news:
                 if not self._ended:
                     self._news.wait_for(lambda: self._ended, pause)

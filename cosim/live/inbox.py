@@ -166,7 +166,7 @@ class Inbox:
         self._least: float | None = None
         self._least_at = 0.0
         self._late: tuple[float, float, float] | None = (
-            None  # since when messages are late, and their least and largest delay
+            None  # since when messages are, and their least and largest delay
         )
 
     def put(

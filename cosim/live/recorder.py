@@ -30,6 +30,9 @@ STEP, TIME, CLOCK = FIRST = ("step", "time", "clock")
 HEADER = b"bayesftc"
 MOST = 16e6
 """Largest size of a piece in memory, in bytes."""
+OURS = "[0-9][0-9][0-9][0-9]-[0-9][0-9]-[0-9][0-9]T*/*.parquet"
+"""The pieces of runs in the folder of a recording. Other files there belong to somebody else, and are never deleted."""
+
 BUFFERS = 6
 """Pieces in memory: one is filled, the others are written or wait for it."""
 
@@ -239,7 +242,9 @@ class Recorder:
         write_whole(path, sink.getvalue(), path.with_name(f".{path.name}.tmp"))
         sync_folder(self.folder)
         if self._recording.keep is not None:
-            for old in pieces_of(self._root)[: -self._recording.keep]:
+            ours = [path for path in self._root.glob(OURS) if path.stem.isdecimal()]
+            ours.sort(key=lambda path: (path.parent == self.folder, _order(path)))  # also if the clock was set back
+            for old in ours[: -self._recording.keep]:
                 old.unlink(missing_ok=True)
                 with suppress(OSError):  # there are other files in it
                     if old.parent != self.folder:
@@ -248,9 +253,13 @@ class Recorder:
 
 def pieces_of(folder: Path) -> list[Path]:
     """Return the pieces in a folder, or in the folders in it, in the order of time."""
-    return sorted(
-        path for pattern in ("*.parquet", "*/*.parquet") for path in folder.glob(pattern) if path.name[0] != "."
-    )
+    found = (path for pattern in ("*.parquet", "*/*.parquet") for path in folder.glob(pattern) if path.name[0] != ".")
+    return sorted(found, key=_order)
+
+
+def _order(path: Path) -> Path:
+    """Return what sorts pieces by time: their numbers may have more than six digits."""
+    return path.with_stem(path.stem.zfill(12)) if path.stem.isdecimal() else path
 
 
 def read_recording(folder: str | os.PathLike[str]) -> Result:

@@ -5,9 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
+from math import inf
 
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.wires import Outgoing
+
+LOOK = 1.0
+"""Most seconds between two looks at the steps."""
 
 
 class Watchdog:
@@ -32,8 +36,8 @@ class Watchdog:
     """
 
     def __init__(self, limit: float, wires: Sequence[Outgoing], clock: Callable[[], float] = time.monotonic):
-        if not limit > 0:
-            raise ModelError(f"The watchdog has a limit of {limit!r} s; it must be positive.")
+        if not 0 < limit < inf:
+            raise ModelError(f"The watchdog has a limit of {limit!r} s; it must be positive and finite.")
         self.trips = 0
         self._limit, self._wires, self._clock = limit, wires, clock
         self._fed = clock()
@@ -66,5 +70,5 @@ class Watchdog:
                 wire.make_safe(timeout=self._limit)
 
     def _run(self) -> None:
-        while not self._ended.wait(self._limit / 4):
+        while not self._ended.wait(min(self._limit / 4, LOOK)):
             self.check()

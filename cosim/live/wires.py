@@ -92,6 +92,10 @@ class Wire:
             raise ModelError(f"safe is {self.safe!r}; it must be a number or 'last'.")
         if isinstance(self.safe, int | float) and not isfinite(self.safe):
             raise ModelError(f"safe is {self.safe!r}; it must be a finite number or 'last'.")
+        if isinstance(self.safe, int | float) and not self.low <= self.safe <= self.high:
+            raise ModelError(
+                f"safe is {self.safe!r}; it must not be below low = {self.low:g} or above high = {self.high:g}."
+            )
         self.limits(hold=False)
 
     @property
@@ -176,13 +180,19 @@ class Outgoing:
             wire.bridge.send(clipped.tolist(), time)
 
     def make_safe(self, time: float | None = None, timeout: float = 2.0) -> None:
-        """Send the safe value, if it has one; give up after `timeout` seconds in which another thread sends."""
+        """Send the safe value, if it has one; give up after `timeout` seconds in which another thread sends.
+
+        An error of the bridge is noted and not raised, because other wires have safe values to send too.
+        """
         if not isinstance(self.wire.safe, int | float) or not self._lock.acquire(timeout=timeout):
             return
         try:
             self.safes += 1
             self._time = self._time if time is None else time
             self.wire.bridge.send([float(self.wire.safe)] * len(self.places), self._time)
+        except Exception as error:  # noqa: BLE001 - a bridge of one's own may raise anything
+            self.wire.bridge.lost += 1
+            self.wire.bridge.problem = f"{type(error).__name__}: {error}"
         finally:
             self._lock.release()
 

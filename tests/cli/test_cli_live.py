@@ -127,7 +127,7 @@ def test_alarms_of_actuators_are_printed(plant, started, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT])
 def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(plant, started, tmp_path, number):
     process = started("bayesftc", "live", "live_car", "--bridge", "wires.toml", "--record", "runs", "--json")
     until(lambda: process.poll() is None and len(plant.controls()) > 60, 120)
@@ -136,7 +136,7 @@ def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(plant, started
     numbers = json.loads(process.stdout.read())
     until(lambda: plant.forces[-1][1] == SAFE)
     assert [force for _, force in plant.forces[:1]] == [SAFE]  # before the first control
-    name = "Ctrl-C" if number == signal.SIGINT else "SIGTERM"
+    name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
     assert numbers["stopped"] == f"The run was stopped by {name}."
     assert numbers["lost_rows"] == 0
     result = live.read_recording(tmp_path / "runs")

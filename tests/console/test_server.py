@@ -7,6 +7,7 @@ import re
 import socket
 import time
 import tomllib
+from contextlib import ExitStack, suppress
 
 import numpy as np
 import pandas
@@ -18,6 +19,7 @@ from bayesftc.console.desk.history import Rows
 from bayesftc.console.shown.frames import thinned
 from bayesftc.console.web.access import Access
 from bayesftc.console.web.server import MOST_VIEWERS
+from bayesftc.console.web.serving import MOST_CONNECTIONS, SILENT
 from bayesftc.cosim.live.connections.credentials import is_loopback
 from bayesftc.scenario import load_scenario
 
@@ -84,7 +86,7 @@ def test_downloads_are_whole(tmp_path):
         assert len(table) == 201
         content = tomllib.loads(get(address, "/download/scenario.toml?lane=1")[2].decode())
         assert content["controller"]["precision"] == {"kind": "FixedPrecision"}
-        for wrong in ("2", "-1", "", "x", "9" * 100):
+        for wrong in ("2", "-1", "", "x", "9" * 5000):
             status, _, body = get(address, f"/download/signals.csv?lane={wrong}")
             assert status == 409
             assert body.startswith(b"There is no controller")
@@ -199,6 +201,41 @@ def test_number_of_viewers_is_bounded(address):
             viewer.socket.close()
 
 
+def test_idle_connections_are_bounded_and_closed(address):
+    name, port = re.search(r"http://([^/]+)", address)[1].split(":")
+    with ExitStack() as stack:
+        idle = [stack.enter_context(socket.create_connection((name, int(port)))) for _ in range(MOST_CONNECTIONS + 50)]
+        began = time.monotonic()
+        for each in idle:
+            each.settimeout(SILENT + 10.0)
+            with suppress(ConnectionError):
+                assert each.recv(1) == b""  # it has ended
+        assert time.monotonic() - began < SILENT + 10.0
+        with Viewer(address) as viewer:
+            viewer.ready()
+            time.sleep(SILENT + 1.0)  # a viewer that asks for nothing stays
+            viewer.claim()
+            assert viewer.ask(do="step")["type"] == "done"
+
+
+@pytest.mark.slow
+def test_an_operator_that_does_not_read_loses_the_controls():
+    with served("cruise_control") as (_, address):
+        stuck = connect_without_reading(address)
+        assert stuck.recv(100).startswith(b"HTTP/1.1 101")  # and nothing more
+        for command in ('{"do": "pace", "pace": 20}', '{"do": "run", "on": true}'):
+            stuck.sendall(bytes([0x81, 0x80 | len(command), 0, 0, 0, 0]) + command.encode())
+        with Viewer(address) as viewer:
+            viewer.until(lambda: viewer.header is not None and viewer.header["t"] > 1.0)
+            assert "controls" in viewer.ask(do="claim")["sentence"]
+            end = time.monotonic() + 45.0
+            while viewer.ask(do="claim")["type"] != "done":
+                assert time.monotonic() < end
+                time.sleep(0.2)
+            assert viewer.ask(do="run", on=False)["type"] == "done"
+        stuck.close()
+
+
 def test_a_viewer_that_does_not_read_delays_nobody(address):
     stuck = connect_without_reading(address)
     with Viewer(address) as viewer:
@@ -228,6 +265,9 @@ def test_other_origins_and_hosts_are_refused(address):
         assert caught.value.response.status_code == 403
     assert get(address, "/", Host="evil.example")[0] == 403  # a name that was bound to this address
     assert get(address, "/download/scenario.toml", Host="evil.example:80")[0] == 403
+    for site in ("cross-site", "same-site"):  # a link or an image of another page
+        assert get(address, "/download/scenario.toml", **{"Sec-Fetch-Site": site})[0] == 403
+        assert get(address, "/", **{"Sec-Fetch-Site": site})[0] == 200
     connection = http.client.HTTPConnection(host, timeout=60)
     connection.request("POST", "/", body=b"do=run")
     assert connection.getresponse().status == 403

@@ -33,7 +33,8 @@ def check_url(kind: str, url: str) -> tuple[str, int]:
     ModelError
         If it is not one.
     """
-    wrong = ModelError(f'{kind} has url={url!r}; it must have the form "opc.tcp://host:4840".')
+    shown = url.rpartition("@")[2]  # without a login
+    wrong = ModelError(f'{kind} has url={shown!r}; it must have the form "opc.tcp://host:4840".')
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port

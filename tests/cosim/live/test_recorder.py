@@ -93,6 +93,33 @@ def test_a_slow_disk_costs_rows_but_no_time_and_no_memory(tmp_path, monkeypatch)
     recorder.close()
 
 
+def test_only_pieces_of_runs_are_deleted(tmp_path):
+    """Also if files of others sort before or after them, and if the clock was set back since an earlier run."""
+    others = [
+        tmp_path / name for name in ("runs.parquet", "00-study/000000.parquet", "9999-12-31T00-00-00/own.parquet")
+    ]
+    later = tmp_path / "9998-12-31T00-00-00" / "000000.parquet"
+    for path in (*others, later):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"of others")
+    recorder = filled(tmp_path, 50, rows=10, keep=3)
+    assert all(path.exists() for path in others)
+    assert not later.exists()
+    assert len(list(recorder.folder.iterdir())) == 3
+
+
+def test_the_order_of_pieces_is_that_of_their_numbers(tmp_path):
+    recorder = Recorder(Recording(tmp_path, rows=10, keep=2), SIGNALS, 0.01)
+    recorder.pieces = 999_998
+    for k in range(40):
+        while not recorder.add(k, 0.01 * k, [k, k, k]):
+            recorder.lost -= 1
+            time.sleep(0.001)
+    recorder.close()
+    assert sorted(path.stem for path in recorder.folder.iterdir()) == ["1000000", "1000001"]
+    assert read_recording(tmp_path)["car.v"].tolist() == list(range(20, 40))
+
+
 def test_a_full_disk_is_reported(tmp_path, monkeypatch):
     recorder = Recorder(Recording(tmp_path, rows=10), SIGNALS, 0.01)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -250,6 +251,7 @@ def test_wires_that_do_not_fit_are_refused(memory, wires, error, text):
         ({"to": "u", "safe": 1.0}, "safe has no effect"),
         ({"source": "y", "safe": "zero"}, "safe is 'zero'"),
         ({"source": "y", "safe": np.inf}, "safe is inf"),
+        ({"source": "y", "safe": 5.0, "low": -1.0, "high": 1.0}, "safe is 5.0; it must not be below low = -1"),
         ({"to": "u", "low": 2.0, "high": 1.0}, "low must be less"),
     ],
 )
@@ -262,6 +264,7 @@ def test_settings_without_sense_are_refused(memory):
     for settings, text in (
         ({"pace": 0.0}, "pace is 0"),
         ({"watchdog": 0.0}, "watchdog"),
+        ({"watchdog": np.inf}, "watchdog"),
         ({"duration": 0.0123}, "step"),
     ):
         with pytest.raises(Exception, match=text):
@@ -290,6 +293,52 @@ def test_the_watchdog_sends_the_safe_value_until_there_is_a_step(memory):
     dog.check()
     assert dog.trips == 2
     assert sink.sent[-1][1] == [-5.0]
+
+
+def test_a_bridge_that_raises_keeps_no_other_from_its_safe_value(memory):
+    class Raises(type(memory())):
+        def send(self, values, time):
+            raise RuntimeError("no cable")
+
+    broken, sink = Raises(), memory()
+    wires = [Outgoing("broken", live.Wire(broken, source="u", safe=0.0), [0])]
+    wires.append(Outgoing("out", live.Wire(sink, source="u", safe=-7.0), [0]))
+    dog = Watchdog(0.1, wires, iter([0.0, 1.0]).__next__)
+    dog.check()
+    assert [values for _, values in sink.sent] == [[-7.0]]
+    assert (broken.problem, broken.lost) == ("RuntimeError: no cable", 1)
+    with pytest.raises(RuntimeError, match="no cable"):  # but the error of a step ends the run
+        live.run_live(
+            cosim.Ramp(1.0).online(dt=0.01, compiled=False),
+            {
+                "broken": live.Wire(Raises(), source="y", safe=0.0),
+                "out": live.Wire(sink, source="y", safe=-8.0),
+            },
+            live.LiveSettings(duration=0.1),
+        )
+    assert sink.sent[-1][1] == [-8.0]
+
+
+def test_a_connection_that_cannot_be_closed_is_made_anew(until):
+    class Connection:
+        def close(self):
+            raise RuntimeError("closed already")
+
+    @dataclass(eq=False)
+    class Breaks(live.Reconnecting):
+        made: int = 0
+
+        def connect(self):
+            self.made += 1
+            return Connection()
+
+        def read(self, connection):
+            raise OSError("broken")
+
+    bridge = Breaks()
+    bridge.open(live.Inbox(1))
+    until(lambda: bridge.made > 1)
+    bridge.close()
 
 
 def test_a_step_that_hangs_trips_the_watchdog(memory, until):
@@ -363,7 +412,7 @@ print(summary.lost_rows)
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL])
 def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(tmp_path, until, number):
     out, folder = tmp_path / "out.csv", tmp_path / "recording"
     process = subprocess.Popen(
@@ -380,7 +429,7 @@ def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(tmp_path, unti
         assert steps >= 40
         return
     assert process.returncode == 0
-    name = "Ctrl-C" if number == signal.SIGINT else "SIGTERM"
+    name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
     assert f"The run was stopped by {name}." in text
     assert rows[-1].endswith(",-1.0")
     assert steps + int(text.split()[-1]) >= len(rows) - 3 > 50

@@ -112,6 +112,8 @@ class Guard:
             if not (access.has_token(headers) or opens)
             else "Only the console's own page may connect."
             if scope["type"] == "websocket" and not access.knows_origin(headers)
+            else "Only the console's own page may load this."
+            if scope["path"] != "/" and _one(headers, b"sec-fetch-site") in ("cross-site", "same-site")
             else "There is nothing to send here."
             if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD")
             else ""

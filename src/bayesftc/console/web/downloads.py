@@ -77,7 +77,7 @@ def kept_of(desk: Desk, lane: str, is_over: Callable[[], bool]) -> Kept:
         If there is no such lane.
     """
     lanes = desk.branch.lanes
-    if not (lane.isascii() and lane.isdecimal() and int(lane) < len(lanes)):
+    if lane not in map(str, range(len(lanes))):
         raise ModelError(f"There is no controller {brief(lane)}; use lane=0 to lane={len(lanes) - 1}.")
     number = int(lane)
     name = f"{desk.name}_{lanes[number].name}" if number else desk.name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,10 @@ from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 FRAMES = 30
 """Frames a second."""
+UNREAD = 10.0
+"""Seconds after which a connection ends whose page reads nothing."""
+CLOSING = 1.0
+"""Seconds for the end of a connection to be sent."""
 MOST_VIEWERS = 32
 PAGE = Path(__file__).parent.parent / "page"
 FILES = {
@@ -145,7 +149,7 @@ class Server:
             with suppress(Exception):
                 await asyncio.gather(sender, reader, return_exceptions=True)
             with suppress(Exception):
-                await socket.close(1001 if self._closing else 1000)
+                await asyncio.wait_for(socket.close(1001 if self._closing else 1000), CLOSING)
 
     def _operate(self, socket: WebSocket) -> None:
         if self._operator is not socket:
@@ -176,8 +180,7 @@ class Server:
                 await self._send(socket, {**view.layout, "operator": may, "free": free, "viewers": len(self._viewers)})
             frame = self._broadcast.frame(view, cursor)
             if frame is not None:
-                async with self._viewers[socket]:
-                    await socket.send_bytes(frame)
+                await self._sent(socket, socket.send_bytes, frame)
             due = max(due + 1.0 / FRAMES, time.perf_counter())
             await asyncio.sleep(max(due - time.perf_counter(), 0.001))
 
@@ -232,8 +235,12 @@ class Server:
         cursor.epoch = -1
 
     async def _send(self, socket: WebSocket, content: dict[str, Any]) -> None:
+        await self._sent(socket, socket.send_text, json.dumps(content, separators=(",", ":")))
+
+    async def _sent(self, socket: WebSocket, send: Callable[[Any], Awaitable[None]], content: Any) -> None:
+        """Send, or raise a TimeoutError: a page that reads nothing for so long loses its connection, and its controls."""
         async with self._viewers[socket]:
-            await socket.send_text(json.dumps(content, separators=(",", ":")))
+            await asyncio.wait_for(send(content), UNREAD)
 
 
 def _safe(name: str) -> str:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bayesftc.console.desk.desk import Desk, Served
 from bayesftc.console.desk.engine import Engine
@@ -27,6 +28,29 @@ from bayesftc.cosim.live.connections.credentials import is_loopback
 
 PATIENCE = 2
 """Seconds that open connections have to end."""
+
+
+MOST_CONNECTIONS = 100
+"""Open connections beyond which new ones are closed: a live run needs file descriptors too."""
+
+SILENT = 5.0
+"""Seconds after which a connection is closed that has not asked for anything."""
+
+
+class _Connection(H11Protocol):
+    """A connection that is closed if there are too many, or if nothing is asked for."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take the connection, or close it."""
+        super().connection_made(transport)
+        if len(self.connections) > MOST_CONNECTIONS:
+            transport.abort()
+        else:
+            self.loop.call_later(SILENT, self._close_if_silent)
+
+    def _close_if_silent(self) -> None:
+        if self.cycle is None and self.transport.get_protocol() is self:  # a WebSocket has a protocol of its own by now
+            self.transport.abort()
 
 
 class _Uvicorn(uvicorn.Server):
@@ -125,6 +149,7 @@ def _announced(
 def _uvicorn(server: Server) -> _Uvicorn:
     config = uvicorn.Config(
         server.app,
+        http=_Connection,
         log_level="warning",
         access_log=False,
         ws="websockets-sansio",
@@ -132,7 +157,6 @@ def _uvicorn(server: Server) -> _Uvicorn:
         ws_per_message_deflate=False,  # it would cost more than it saves on most networks
         server_header=False,
         timeout_graceful_shutdown=PATIENCE,
-        limit_concurrency=200,
     )
     return _Uvicorn(config)
 

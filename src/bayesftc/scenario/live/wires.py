@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields, is_dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -103,8 +104,8 @@ def load_wires(path: str | os.PathLike[str]) -> WireFile:
         )
     tables = as_table(content["bridge"], root / "bridge")
     watchdog = convert(content.get("watchdog", FEWEST), float, root / "watchdog")
-    if not watchdog > 0:
-        raise (root / "watchdog").error(f"is {watchdog:g}; it must be a positive number of periods.")
+    if not 0 < watchdog < inf:
+        raise (root / "watchdog").error(f"is {watchdog:g}; it must be a positive number of periods, and finite.")
     wires = {name: _wire(table, root / "bridge" / name, file.absolute().parent) for name, table in tables.items()}
     pieces: Pieces = build(Pieces, content.get("recording", {}), root / "recording")
     return WireFile(file, wires, float(watchdog), pieces)
@@ -112,6 +113,8 @@ def load_wires(path: str | os.PathLike[str]) -> WireFile:
 
 def _wire(table: object, place: Place, folder: Path) -> Wire:
     rest = dict(as_table(table, place))
+    if not isinstance(rest.get("password", ""), str):
+        raise (place / "password").error("is no text; put it in quotes.")  # the usual message would print it
     kind = rest.get("kind")
     if isinstance(kind, str) and ":" in kind:
         with (place / "kind").named():

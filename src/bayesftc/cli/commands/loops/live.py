@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.commands.loops._live_report import (
+from bayesftc.cli.live_report import (
     Alarms,
     as_numbers,
     print_alarms,

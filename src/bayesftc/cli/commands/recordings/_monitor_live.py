@@ -11,8 +11,8 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.commands.loops._live_report import Alarms, as_numbers, note, print_summary, run_between
 from bayesftc.cli.commands.recordings._faults import print_faults
+from bayesftc.cli.live_report import Alarms, as_numbers, note, print_summary, run_between
 from bayesftc.cosim.live.run import LiveSettings
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring import ActuatorWatch, AlarmWatch, Monitor, MonitorStepper, load_monitor
