@@ -11,6 +11,7 @@ import numpy as np
 
 from bayesftc.cosim.block import External
 from bayesftc.cosim.diagram.schedule import NOT_FINITE, Call, Schedule
+from bayesftc.cosim.isolation.guard import guard_of
 from bayesftc.cosim.random import CHUNK, compiled_fill, draw_chunk, stream_key
 from bayesftc.cosim.run.coupled.engines import CompiledGroup, GroupRun, InterpretedGroup, address_of, step_function
 from bayesftc.cosim.run.state_functions import StateFunctions
@@ -73,6 +74,9 @@ class Run:
     ended: bool = False
     state_functions: dict[int, StateFunctions] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self.guard = guard_of(self.instances)
+
     def streams(self) -> np.ndarray[Any, np.dtype[np.uint64]]:
         """Return the table of random streams."""
         rows = [(stream_key(d.stream), d.channel, d.draw, int(d.uniform)) for d in self.schedule.draws]
@@ -124,6 +128,7 @@ class CompiledEngine:
     def __init__(self, run: Run):
         from bayesftc.cosim.run import loop as _loop
 
+        self._failed_at = slice(_loop.FAILED, _loop.TABLES)
         self._run = run
         schedule = run.schedule
         self._groups: dict[int, CompiledGroup] = {}
@@ -153,18 +158,21 @@ class CompiledEngine:
         clock = schedule.step.numerator, schedule.step.denominator
         self._common = program, noise, (run.recorded, run.decimation), clock, run.memory
         self._failed = np.array([-1, 0], dtype=np.int64)
-        self._entry = compiled_loop("run")
+        self._words = _loop.words(program, noise, (run.recorded, run.decimation), clock)
+        self._arrays = noise[0], noise[2], run.memory
+        self._seed = run.seed, np.uint64(run.seed)
+        self._entry = compiled_loop("advance")
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
         run = self._run
-        failed = np.array([-1, 0], dtype=np.int64)
-        last = self._entry(
-            *self._common, run.recording, np.uint64(run.seed), run.before, int(first), begin, end, failed
-        )
+        if run.seed != self._seed[0]:
+            self._seed = run.seed, np.uint64(run.seed)
+        last = self._entry(self._words, *self._arrays, run.recording, self._seed[1], run.before, int(first), begin, end)
+        failed = self._words[self._failed_at]
         if failed[0] < 0:
-            return int(last), None
-        return int(last), self._failure(failed, int(last) + (failed[0] < len(run.schedule.evaluate)))
+            return last, None
+        return last, self._failure(failed, last + int(failed[0] < len(run.schedule.evaluate)))
 
     def advance_many(
         self,

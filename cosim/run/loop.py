@@ -20,9 +20,14 @@ BEGINNING = (
     "Tuple((float64[::1], int64[:, ::1], int64))"  # memory, saved states of FMUs, whether these are there already
 )
 
+# The first words of the table of `advance`; the tables of integers follow, one after the other.
+CALLS, EVALUATIONS, GATHERS, DRAWN, RECORDED, DECIMATION, NUMERATOR, DENOMINATOR, FAILED, STATUS, TABLES = range(11)
+
+TABLES_OF_RUN = "uint64[:, ::1], float64[:, ::1], float64[::1]"  # streams, buffer, memory
+
 _COMMON = f"{PROGRAM}, {NOISE}, {RECORDER}, {CLOCK}, float64[::1]"
 SIGNATURES = {
-    "run": f"int64({_COMMON}, float64[:, ::1], uint64, int64, int64, int64, int64, int64[::1])",
+    "advance": f"int64(int64[::1], {TABLES_OF_RUN}, float64[:, ::1], uint64, int64, int64, int64, int64)",
     "run_many": f"int64({_COMMON}, float64[:, :, ::1], uint64[::1], {BEGINNING}, int64, int64[::1], int64[::1])",
     "phase": "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])",
 }
@@ -102,6 +107,25 @@ def run(program, noise, recorder, clock, memory, recording, seed, before, first,
 
 
 @callee
+def advance(words, streams, buffer, memory, recording, seed, before, first, begin, end):
+    """Run the loop as `run` does, with its tables in `words`, in which FAILED and STATUS get a failure.
+
+    A step of a live run is one call: to pass the arrays and tuples of `run` one by one took longer than all the rest.
+    """
+    gathers_at = TABLES + words[CALLS] * COLUMNS
+    drawn_at = gathers_at + 2 * words[GATHERS]
+    recorded_at = drawn_at + words[DRAWN]
+    calls = words[TABLES:gathers_at].reshape((words[CALLS], COLUMNS))
+    gathers = words[gathers_at:drawn_at].reshape((words[GATHERS], 2))
+    recorder = words[recorded_at : recorded_at + words[RECORDED]], words[DECIMATION]
+    program, noise = (calls, words[EVALUATIONS], gathers), (streams, words[drawn_at:recorded_at], buffer)
+    clock = words[NUMERATOR], words[DENOMINATOR]
+    words[FAILED] = -1
+    failed = words[FAILED:TABLES]
+    return run(program, noise, recorder, clock, memory, recording, seed, before, first, begin, end, failed)
+
+
+@callee
 def run_many(program, noise, recorder, clock, memory, recordings, seeds, beginning, end, reached, failed):
     """Make a run to t_end for each seed, each from the same `beginning`; return how many are done.
 
@@ -129,3 +153,11 @@ def run_many(program, noise, recorder, clock, memory, recordings, seeds, beginni
 def empty_chunk(numbers):
     """Return a buffer of random numbers for `run`."""
     return np.empty((numbers, CHUNK))
+
+
+def words(program, noise, recorder, clock):
+    """Return the table of `advance` for these arguments of `run`."""
+    (calls, evaluations, gathers), (_, drawn, _), (recorded, decimation) = program, noise, recorder
+    sizes = len(calls), evaluations, len(gathers), len(drawn), len(recorded)
+    tables = calls.ravel(), gathers.ravel(), drawn, recorded
+    return np.concatenate([np.array([*sizes, decimation, *clock, -1, 0], dtype=np.int64), *tables])

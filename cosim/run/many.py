@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +17,7 @@ import numpy as np
 
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.diagram.schedule import NOT_FINITE, Schedule
-from bayesftc.cosim.fmi.binaries.surroundings import kept
-from bayesftc.cosim.fmi.reading.embedded import interrupts
 from bayesftc.cosim.isolation.spares import Spares
-from bayesftc.cosim.isolation.turns import one_processor
 from bayesftc.cosim.run.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.run.raised import reason_of
 from bayesftc.cosim.run.recording import Selection
@@ -221,16 +218,12 @@ class ManyRuns:
             seeds = seeds[:1]
         states = np.empty((0, 3), dtype=np.int64) if self._states is None else self._states
         recording, reached = self._room(len(seeds)), np.empty(len(seeds), dtype=np.int64)
-        with (
-            one_processor(run.instances.values()),
-            kept() if run.instances else nullcontext() as changed,
-            interrupts() as interrupted,
-        ):
+        with run.guard as guard:
             done, failure = engine.advance_many(
                 seeds, self._initial, states, recording, reached, self._steps, fresh=self._fresh
             )
         self._fresh = False
-        if changed:
+        if guard.changed:
             warn_of_arithmetic(run)
         reasons = [""] * done
         if failure is not None:
@@ -241,7 +234,7 @@ class ManyRuns:
                 reasons.append(explain(failure, run))
                 recording[done, reached[done] // self._decimation + 1 :] = np.nan
                 self._shut(broken=failure.status < NOT_FINITE)
-        if interrupted:
+        if guard.interrupted:
             raise KeyboardInterrupt
         if not reasons:
             raise _NotPutBackError

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +18,8 @@ from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.diagram.memory import TABLE
 from bayesftc.cosim.diagram.schedule import NOT_FINITE, Schedule
 from bayesftc.cosim.errors import FMUCrashed, KernelError, ModelError, SimulationError
-from bayesftc.cosim.fmi.binaries.surroundings import kept
-from bayesftc.cosim.fmi.reading.embedded import interrupts
+from bayesftc.cosim.fmi.binaries.surroundings import Surroundings
 from bayesftc.cosim.fmi.running.rounding import Roundable, warn_of_rounding
-from bayesftc.cosim.isolation.turns import one_processor
 from bayesftc.cosim.run.coupled.engines import check_groups, place_words
 from bayesftc.cosim.run.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
 from bayesftc.cosim.run.pacing import Pacer
@@ -51,7 +49,7 @@ def open_run(schedule: Schedule, stack: ExitStack, seed: int, selection: Selecti
     memory = schedule.initial.copy()
     for i, node in enumerate(schedule.nodes):
         if isinstance(node.block, ExternalBlock):
-            with kept():
+            with Surroundings():
                 instance = node.block.instantiate(schedule.step * node.every, node.name)
             stack.callback(getattr(instance, "close", lambda: None))  # before the check, which may raise
             _check_instance(node.block, instance)
@@ -187,20 +185,16 @@ def advance(
         if pacer:
             pacer.wait(until)
         run.sound, run.ended = False, False
-        with (
-            one_processor(run.instances.values()),
-            kept() if run.instances else nullcontext() as changed,
-            interrupts() as interrupted,
-        ):
+        with run.guard as guard:
             run.k, failure = engine.advance(begin, until, first=run.k < 0)
-        if changed:
+        if guard.changed:
             warn_of_arithmetic(run)
         now = time.perf_counter()
         if failure:
             reason = explain(
                 failure, run
             )  # also after Ctrl-C: the failed FMU notes which functions it must not call any more
-            if interrupted:
+            if guard.interrupted:
                 raise KeyboardInterrupt
             return reason
         run.sound = True

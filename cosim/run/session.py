@@ -141,6 +141,7 @@ class Session:
             if (source := diagram.source_of(node, port, 0))
         }
         self._engine_name = engine
+        self._metadata: dict[str, Any] = {}  # what all pieces have in common
         self._engine: Engine
         self._run: Run | None = None
         self._is_running = False
@@ -213,15 +214,7 @@ class Session:
             stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
         finally:
             self._is_running = False
-        metadata: dict[str, Any] = {
-            "seed": run.seed,
-            "duration": float(steps * self._schedule.step),
-            "step": str(self._schedule.step),
-            "engine": self.engine,
-            "blocks": {node.name: type(node.block).__name__ for node in self._schedule.nodes},
-        }
-        if plants := _plants(self._schedule):
-            metadata["plants"] = plants
+        metadata = {"seed": run.seed, "duration": steps * step.numerator / step.denominator, **self._metadata}
         if self._pacer:
             metadata["pace"] = self._pacer.report()
         result = Result(
@@ -435,6 +428,13 @@ class Session:
             self._stack.close()
             raise
         self._run = run
+        self._metadata = {
+            "step": str(self._schedule.step),
+            "engine": self.engine,
+            "blocks": {node.name: type(node.block).__name__ for node in self._schedule.nodes},
+        }
+        if plants := _plants(self._schedule):
+            self._metadata["plants"] = plants
 
     def _opened(self) -> Run:
         if self._run is None:

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from bayesftc.cosim.errors import FMUError, FMUPlatformError
 from bayesftc.cosim.fmi.binaries.library import Library, Library2, Library3
-from bayesftc.cosim.fmi.binaries.surroundings import kept
+from bayesftc.cosim.fmi.binaries.surroundings import Surroundings
 from bayesftc.cosim.fmi.reading.archive import Archive, extract
 from bayesftc.cosim.fmi.reading.description import FMUDescription
 from bayesftc.cosim.fmi.reading.messages import logger
@@ -123,7 +123,7 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
         settings["modelIdentifier"] = PurePosixPath(entry).stem
     folder_before = os.getcwd()
     try:
-        with kept():
+        with Surroundings():
             slave = binding(**settings)
             keep = ctypes.CDLL(str(folder / entry))
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError for a missing function

@@ -47,11 +47,16 @@ def in_this_python(resources: Path, binary: Any) -> Iterator[None]:
             sys.path[:] = [*path, *dict.fromkeys(folder for folder in sys.path if folder not in path)]
 
 
+def in_use() -> bool:
+    """Return whether the model of an FMU has run in this Python interpreter."""
+    return bool(_modules_of)
+
+
 @contextmanager
 def interrupts() -> Iterator[list[int]]:
     """Record each Ctrl-C: an interrupt raised in an FMU's Python code is only an error of the FMU to its binary."""
     signals: list[int] = []
-    is_main = _modules_of and threading.current_thread() is threading.main_thread()
+    is_main = in_use() and threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield signals
         return

@@ -1,0 +1,65 @@
+"""What surrounds every piece of a run, whoever makes it: settings of this process that FMUs may change, and where it computes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import Self
+
+from bayesftc.cosim.block import External
+from bayesftc.cosim.fmi.binaries.surroundings import Surroundings
+from bayesftc.cosim.fmi.reading import embedded
+from bayesftc.cosim.isolation.turns import one_processor
+
+
+class Guard:
+    """A ``with`` around the steps of a run without FMUs, which needs nothing; it can be used repeatedly, but not nested.
+
+    Attributes
+    ----------
+    changed : bool
+        Whether an FMU has changed this thread's arithmetic, which was restored.
+    interrupted : bool
+        Whether Ctrl-C arrived in an FMU's Python code.
+    """
+
+    changed = False
+    interrupted = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+
+class _OfFMUs(Surroundings, Guard):
+    """The guard of a run with FMUs in this process."""
+
+
+class _OfOthers(_OfFMUs):
+    """The guard of a run with FMUs in processes of their own, or in this Python interpreter."""
+
+    def __init__(self, isolated: list[External]):
+        super().__init__()
+        self._isolated, self._stack = isolated, ExitStack()
+        self._interrupts: list[int] = []
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        self._stack.enter_context(one_processor(self._isolated))
+        self._interrupts = self._stack.enter_context(embedded.interrupts())
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+        super().__exit__()
+        self.interrupted = bool(self._interrupts)
+
+
+def guard_of(instances: Mapping[int, External]) -> Guard:
+    """Return the guard of a run with these FMUs: most need little of it, and live runs enter it at every step."""
+    if not instances:
+        return Guard()
+    isolated = [instance for instance in instances.values() if hasattr(instance, "follows")]
+    return _OfOthers(isolated) if isolated or embedded.in_use() else _OfFMUs()
