@@ -1,6 +1,6 @@
-"""The shipped car under proportional control: the compiled engine, a loop in C, and a plain fmpy loop.
+"""The shipped car under proportional control: the compiled engine in one call and step by step, a loop in C, a plain fmpy loop.
 
-All three make the same calls of the same binary in the same order, and record every `EVERY`-th speed.
+All make the same calls of the same binary in the same order, and record every `EVERY`-th speed.
 """
 
 from __future__ import annotations
@@ -11,13 +11,16 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
 from bayesftc.bench._slave import CAR, Unpacked, unpacked_fmu
 from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.diagram.diagram import Diagram
 
 STEP = 0.02
 GAIN, OFFSET = -800.0, 16_000.0  # force = 800 (20 m/s - v)
@@ -27,8 +30,8 @@ Loop = Callable[[int], tuple[Floats, float]]
 """Makes the given number of steps; returns the recorded speeds and the time in seconds."""
 
 
-def engine_loop() -> Loop:
-    """Return the loop in the compiled engine; its time includes making and freeing the FMU's instance."""
+def loop_diagram() -> Diagram:
+    """Return the loop as a diagram."""
     from bayesftc import cosim, fmus
 
     diagram = cosim.Diagram(STEP)
@@ -36,12 +39,36 @@ def engine_loop() -> Loop:
     controller = diagram.add(cosim.Gain(GAIN, offset=OFFSET), "controller")
     diagram.connect(car["v"], controller["u"])
     diagram.connect(controller["y"], car["force"])
+    return diagram
+
+
+def engine_loop() -> Loop:
+    """Return the loop in the compiled engine; its time includes making and freeing the FMU's instance."""
+    diagram = loop_diagram()
     diagram.build()
 
     def run(steps: int) -> tuple[Floats, float]:
         started = time.perf_counter()
         result = diagram.simulate(steps * diagram.step, record=["car.v"], decimation=EVERY)
         return result["car.v"], time.perf_counter() - started
+
+    return run
+
+
+def live_loop() -> Loop:
+    """Return the loop as a live run, which Python advances by one step a call, as in front of real time."""
+    diagram = loop_diagram()
+
+    def run(steps: int) -> tuple[Floats, float]:
+        speeds = np.empty(steps // EVERY + 1)
+        with diagram.start(record=["car.v"]) as session:
+            speeds[0] = session.advance(0)["car.v"][0]
+            started = time.perf_counter()
+            for k in range(1, steps + 1):
+                piece = session.advance(STEP)
+                if k % EVERY == 0:
+                    speeds[k // EVERY] = piece["car.v"][-1]
+            return speeds, time.perf_counter() - started
 
     return run
 
@@ -116,7 +143,7 @@ def measure(quick: bool = False) -> Section:
     fast, slow, rounds = (20_000, 2_000, 2) if quick else (10_000_000, 100_000, 7)
     with ExitStack() as stack:
         car = stack.enter_context(unpacked_fmu())
-        loops, reason = {"engine": engine_loop(), "fmpy": fmpy_loop(car)}, None
+        loops, reason = {"engine": engine_loop(), "live": live_loop(), "fmpy": fmpy_loop(car)}, None
         try:
             folder = stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
             loops["c"] = c_loop(car, compile_c_loop(Path(folder)))
@@ -124,7 +151,7 @@ def measure(quick: bool = False) -> Section:
             reason = "No C compiler was found, or it failed. Install one for this figure."
         speeds = {name: loop(slow)[0] for name, loop in loops.items()}
         difference = max(float(np.abs(v - speeds["engine"]).max()) for v in speeds.values())
-        steps = {name: slow if name == "fmpy" else fast for name in loops}
+        steps = {name: slow if name in {"live", "fmpy"} else fast for name in loops}
         candidates = {n: lambda loop=loop, k=steps[n]: k / loop(k)[1] for n, loop in loops.items()}
         rates = in_turns(candidates, rounds)
     rate, bits = "steps/s", "bit for bit" if difference == 0.0 else "not bit for bit"
@@ -136,6 +163,7 @@ def measure(quick: bool = False) -> Section:
         (
             Figure("engine", "compiled engine", rate, rates["engine"]),
             Figure("c", "loop in C", rate, rates.get("c", ()), reason=reason),
+            Figure("live", "live run, one step a call", rate, rates["live"], at_least=2e5),
             Figure("fmpy", "plain fmpy loop", rate, rates["fmpy"]),
             Figure("engine_over_c", "engine / C", "", over_c, at_least=0.5, reason=reason),
             Figure("engine_over_fmpy", "engine / fmpy", "", ratios(rates["engine"], rates["fmpy"]), at_least=50.0),
