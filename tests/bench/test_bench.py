@@ -13,14 +13,18 @@ from rich.console import Console
 from bayesftc import bench
 from bayesftc.bench import _child, _machine, _run
 from bayesftc.bench._figures import Figure, Section, in_turns, ratios
+from bayesftc.bench._slave import unpacked_fmu
 from bayesftc.bench.measures import executors, plain_loop
+from bayesftc.bench.measures.full_loop import SETTING
+from bayesftc.bench.measures.limit.by_hand import compiled
 from bayesftc.cosim.base import extras
 from bayesftc.fmus._compiler import CompilerError
 
 BARS = {
     "export.c",
     *(f"export.{what}_{size}" for what in ("write", "compile") for size in ("1x2", "2x3")),
-    "plain_loop.engine_over_c", "plain_loop.engine_over_fmpy", "plain_loop.difference",
+    "plain_loop.engine_over_c", "plain_loop.engine_over_fmpy", "plain_loop.difference", "plain_loop.live",
+    "limit.engine_over_c", "limit.difference",
     "coupled.engine", "coupled.difference",
     "model_exchange.free_cvode_over_fmpy", "model_exchange.driven_cvode_over_fmpy",
     "full_loop.engine", "full_loop.engine_over_user", "full_loop.difference", "full_loop.rmse_ratio",
@@ -208,6 +212,18 @@ def test_without_a_compiler_there_is_a_reason(monkeypatch):
     assert bar["value"] is None
     assert bar["reason"].startswith("No C compiler")
     assert section.bars()["plain_loop.engine_over_fmpy"]["value"] is not None
+
+
+def test_the_loop_by_hand_computes_the_same_and_each_part_can_be_left_out():
+    (limit,) = bench.measure(["limit"], quick=True)
+    assert limit.bars()["limit.difference"]["value"] < 1e-12
+    with unpacked_fmu() as car, compiled(car, SETTING) as by_hand:
+        whole = by_hand("whole_loop", 1000)[0]
+        assert (by_hand("without_recording", 1000)[0][0] == whole[-1]).all()
+        quiet = by_hand("without_random", 1000)[0]
+        assert (quiet[:300, 0] == quiet[:300, 1]).all()  # sensors without noise
+        assert (by_hand("without_fmu", 1000)[0][:, 0] == SETTING.start_speed).all()
+        assert (by_hand("without_control", 1000)[0][:, 3] == 0.0).all()
 
 
 def test_a_process_that_fails_is_told_without_its_paths():

@@ -21,6 +21,7 @@ SECTIONS = (
     "model_exchange",
     "python_control",
     "full_loop",
+    "limit",
     "fit",
     "campaign",
     "executors",

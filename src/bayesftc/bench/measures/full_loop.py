@@ -23,6 +23,9 @@ EXPERIMENT = 1_000
 RECORD = ("plant.v", "freeze_0.y", "controller.u", "controller.x_hat", "controller.precision", "reference.y")
 """The signals of the eight columns that both loops record."""
 
+NOISE = (("disturbance_noise.noise", 0), ("sensors.noise", 0), ("sensors.noise", 1))
+"""Stream and channel of the random numbers of the disturbance and of both sensors."""
+
 
 def full_diagram(
     setting: Setting = SETTING,
@@ -67,8 +70,7 @@ def own_noise(steps: int, seed: int) -> Floats:
     """Return the engine's random numbers, in the order of the user's loop."""
     from bayesftc.cosim.random import numbers
 
-    streams = (("disturbance_noise.noise", 0), ("sensors.noise", 0), ("sensors.noise", 1))
-    return np.column_stack([numbers(seed, name, steps + 1, channel=channel) for name, channel in streams])
+    return np.column_stack([numbers(seed, name, steps + 1, channel=channel) for name, channel in NOISE])
 
 
 def tracking_error(recording: Floats) -> float:

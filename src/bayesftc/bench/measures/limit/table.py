@@ -1,0 +1,64 @@
+"""The table: the loop by hand, the engine and the user's loop in turns, and the nanoseconds of each part of a step.
+
+What a part takes is the time of the whole loop by hand less that of the loop without it. Parts overlap in the processor, so that
+their sum need not be the whole.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from bayesftc.bench._figures import Figure, Section, in_turns, ratios
+from bayesftc.bench._slave import unpacked_fmu
+from bayesftc.bench.measures.full_loop import EXPERIMENT, RECORD, SETTING, engine_recording, full_diagram, user_rate
+from bayesftc.bench.measures.limit.by_hand import PARTS, compiled
+
+EVERY = 1000
+"""Steps between two recorded ones in the engine's loop that records next to nothing."""
+
+
+def measure(quick: bool = False) -> Section:
+    """Check that the loops compute the same, then measure them in turns."""
+    fast, slow, rounds = (20_000, 300, 2) if quick else (1_000_000, 20_000, 9)
+    diagram = full_diagram()
+
+    def engine(decimation: int) -> float:
+        started = time.perf_counter()
+        diagram.simulate(fast * diagram.step, seed=1, record=RECORD, decimation=decimation)
+        return 1e9 * (time.perf_counter() - started) / fast
+
+    with unpacked_fmu() as car, compiled(car, SETTING) as by_hand:
+        difference = np.abs(by_hand("whole_loop", EXPERIMENT)[0] - engine_recording(diagram, EXPERIMENT, 1)).max(axis=0)
+        shorter = {part: lambda name=name: 1e9 * by_hand(name, fast)[1] / fast for part, name in PARTS.items()}
+        times = in_turns(
+            {
+                "c": lambda: 1e9 * by_hand("whole_loop", fast)[1] / fast,
+                "engine": lambda: engine(1),
+                "engine_alone": lambda: engine(EVERY),
+                "user": lambda: 1e9 / user_rate(slow),
+                **shorter,
+            },
+            rounds,
+        )
+    unit = "ns/step"
+    parts = [
+        Figure(
+            part, f"of that: {part}", unit, [all_ - rest for all_, rest in zip(times["c"], times[part], strict=True)]
+        )
+        for part in PARTS
+    ]
+    return Section(
+        "limit",
+        "The whole loop beside the same written by hand in C",
+        (
+            Figure("c", "loop by hand in C: the limit", unit, times["c"]),
+            *parts,
+            Figure("engine", "compiled engine", unit, times["engine"]),
+            Figure("engine_alone", f"compiled engine, every {EVERY}th step recorded", unit, times["engine_alone"]),
+            Figure("user", "loop with fmpy, NumPy and filterpy", unit, times["user"]),
+            Figure("engine_over_c", "speed of the engine / C", "", ratios(times["c"], times["engine"]), at_least=0.8),
+            Figure("difference", "largest difference of the speeds", "m/s", [float(difference[0])], at_most=1e-9),
+        ),
+    )
