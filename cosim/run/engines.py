@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
+from math import inf
 from typing import Any, Protocol
 
 import numpy as np
@@ -128,7 +129,8 @@ class CompiledEngine:
     def __init__(self, run: Run):
         from bayesftc.cosim.run import loop as _loop
 
-        self._failed_at = slice(_loop.FAILED, _loop.TABLES)
+        self._failed_at, self._fused_at = slice(_loop.FAILED, _loop.TABLES), _loop.FUSED
+        self._asked_for = 0.0
         self._run = run
         schedule = run.schedule
         self._groups: dict[int, CompiledGroup] = {}
@@ -153,7 +155,7 @@ class CompiledEngine:
             gathers += call.gathers
         self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), _loop.COLUMNS)
         self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
-        program = self._calls, len(schedule.evaluate), self._gathers
+        program = self._calls, len(schedule.evaluate), self._gathers, 0
         noise = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
         clock = schedule.step.numerator, schedule.step.denominator
         self._common = program, noise, (run.recorded, run.decimation), clock, run.memory
@@ -162,6 +164,18 @@ class CompiledEngine:
         self._arrays = noise[0], noise[2], run.memory
         self._seed = run.seed, np.uint64(run.seed)
         self._entry = compiled_loop("advance")
+
+    def fuse(self, steps: float) -> None:
+        """Use one function for the whole loop from now on, if that pays for so many steps."""
+        if steps <= self._asked_for:
+            return
+        from bayesftc.cosim.run.fused.compiled import fused
+
+        (calls, evaluations, gathers, _), (_, drawn, _), recorder, clock, _ = self._common
+        address = fused(self._run.schedule, (calls, drawn, *recorder, clock), steps)
+        self._common = (calls, evaluations, gathers, address), *self._common[1:]
+        self._words[self._fused_at] = address
+        self._asked_for = inf if address else steps
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from bayesftc.cosim.diagram.schedule import NOT_FINITE
 from bayesftc.cosim.random import CHUNK, fill
-from bayesftc.cosim.stepping.by_address import call_block, put_back
+from bayesftc.cosim.stepping.by_address import call_block, call_loop, put_back
 from bayesftc.cosim.stepping.numba_called import callee, inlined
 
 # Columns of the table of calls.
@@ -12,7 +12,8 @@ FUNCTION, EVERY, STATE, PARAMETERS, INPUTS, OUTPUTS, GATHER_FROM, GATHER_TO, CHE
 COLUMNS = 10
 
 # Tuples of arguments: the tables of the schedule, the random numbers, what is recorded, the duration of a step in seconds.
-PROGRAM = "Tuple((int64[:, ::1], int64, int64[:, ::1]))"  # calls, number of those that evaluate, gathers
+# Calls, number of those that evaluate, gathers; the address of the same as one function, or 0.
+PROGRAM = "Tuple((int64[:, ::1], int64, int64[:, ::1], int64))"
 NOISE = "Tuple((uint64[:, ::1], int64[::1], float64[:, ::1]))"  # streams, places in memory, buffer
 RECORDER = "Tuple((int64[::1], int64))"  # places in memory, decimation
 CLOCK = "UniTuple(int64, 2)"  # numerator, denominator
@@ -21,7 +22,9 @@ BEGINNING = (
 )
 
 # The first words of the table of `advance`; the tables of integers follow, one after the other.
-CALLS, EVALUATIONS, GATHERS, DRAWN, RECORDED, DECIMATION, NUMERATOR, DENOMINATOR, FAILED, STATUS, TABLES = range(11)
+CALLS, EVALUATIONS, GATHERS, FUSED, DRAWN, RECORDED, DECIMATION, NUMERATOR, DENOMINATOR, FAILED, STATUS, TABLES = range(
+    12
+)
 
 TABLES_OF_RUN = "uint64[:, ::1], float64[:, ::1], float64[::1]"  # streams, buffer, memory
 
@@ -75,7 +78,9 @@ def run(program, noise, recorder, clock, memory, recording, seed, before, first,
     Evaluates step `begin` only if `first` is not 0. The first row of `recording` is number `before` of the whole run. On failure
     ``failed`` holds the call and its status.
     """
-    calls, evaluations, gathers = program
+    if program[3] != 0:
+        return _run_fused(program, noise, memory, recording, seed, before, first, begin, end, failed)
+    calls, evaluations, gathers, _ = program
     streams, drawn, buffer = noise
     recorded, decimation = recorder
     numerator, denominator = clock
@@ -107,6 +112,26 @@ def run(program, noise, recorder, clock, memory, recording, seed, before, first,
 
 
 @callee
+def _run_fused(program, noise, memory, recording, seed, before, first, begin, end, failed):
+    calls, _, _, fused = program
+    streams, drawn, buffer = noise
+    k = begin
+    evaluate = first
+    while evaluate != 0 or k != end:
+        chunk = (k if evaluate != 0 else k + 1) // CHUNK
+        if drawn.size > 0:
+            fill(seed, streams, chunk * CHUNK, buffer)
+        k = call_loop(
+            fused, memory.ctypes.data, calls.ctypes.data, buffer.ctypes.data, recording.ctypes.data, failed.ctypes.data,
+            before, evaluate, k, min(end, chunk * CHUNK + CHUNK - 1),
+        )  # fmt: skip
+        if failed[0] >= 0:
+            return k
+        evaluate = 0
+    return k
+
+
+@callee
 def advance(words, streams, buffer, memory, recording, seed, before, first, begin, end):
     """Run the loop as `run` does, with its tables in `words`, in which FAILED and STATUS get a failure.
 
@@ -118,7 +143,7 @@ def advance(words, streams, buffer, memory, recording, seed, before, first, begi
     calls = words[TABLES:gathers_at].reshape((words[CALLS], COLUMNS))
     gathers = words[gathers_at:drawn_at].reshape((words[GATHERS], 2))
     recorder = words[recorded_at : recorded_at + words[RECORDED]], words[DECIMATION]
-    program, noise = (calls, words[EVALUATIONS], gathers), (streams, words[drawn_at:recorded_at], buffer)
+    program, noise = (calls, words[EVALUATIONS], gathers, words[FUSED]), (streams, words[drawn_at:recorded_at], buffer)
     clock = words[NUMERATOR], words[DENOMINATOR]
     words[FAILED] = -1
     failed = words[FAILED:TABLES]
@@ -157,7 +182,7 @@ def empty_chunk(numbers):
 
 def words(program, noise, recorder, clock):
     """Return the table of `advance` for these arguments of `run`."""
-    (calls, evaluations, gathers), (_, drawn, _), (recorded, decimation) = program, noise, recorder
-    sizes = len(calls), evaluations, len(gathers), len(drawn), len(recorded)
+    (calls, evaluations, gathers, fused), (_, drawn, _), (recorded, decimation) = program, noise, recorder
+    sizes = len(calls), evaluations, len(gathers), fused, len(drawn), len(recorded)
     tables = calls.ravel(), gathers.ravel(), drawn, recorded
     return np.concatenate([np.array([*sizes, decimation, *clock, -1, 0], dtype=np.int64), *tables])

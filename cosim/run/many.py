@@ -183,6 +183,8 @@ class ManyRuns:
         self._opening = time.perf_counter() - began
         overhead()
         self._engine = choose_engine("auto", self._run)
+        if isinstance(self._engine, CompiledEngine):
+            self._engine.fuse(self._steps * self._of)
         self._opened = self._fresh = True
         self._initial = self._run.memory.copy()
         if more and self._repeats is not False and all(i.can_save for i in self._run.instances.values()):

@@ -211,6 +211,8 @@ class Session:
         make_room(run, end, self._room)
         try:
             self._is_running = True
+            if isinstance(self._engine, CompiledEngine):
+                self._engine.fuse(steps)
             stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
         finally:
             self._is_running = False

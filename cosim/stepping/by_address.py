@@ -29,3 +29,17 @@ def put_back(typingctx, function, instance, state):
         return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
 
     return signature, codegen
+
+
+@intrinsic
+def call_loop(typingctx, address, memory, calls, buffer, recording, failed, before, first, begin, end):
+    """Call the loop of one diagram (`bayesftc.cosim.run.fused`), all given as integers."""
+    signature = types.int64(*[types.int64] * 10)
+
+    def codegen(context, builder, sig, args):
+        i64, pointer = ir.IntType(64), ir.IntType(8).as_pointer()
+        function = ir.FunctionType(i64, [*[pointer] * 5, *[i64] * 4])
+        pointers = [builder.inttoptr(word, pointer) for word in args[1:6]]
+        return builder.call(builder.inttoptr(args[0], function.as_pointer()), [*pointers, *args[6:]])
+
+    return signature, codegen

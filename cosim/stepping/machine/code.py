@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -15,10 +16,23 @@ _DIGEST = 32
 """Bytes of the hash before the code in a file."""
 
 
-def machine_code(text: str) -> bytes:
-    """Return the object file of a module in LLVM's text format, compiled for this machine's processor."""
-    machine = _machine()
-    module = llvm.parse_assembly(text, llvm.create_context())
+def machine_code(text: str, parts: Mapping[str, str] | None = None) -> bytes:
+    """Return the object file of a module in LLVM's text format, compiled for this machine's processor.
+
+    Parameters
+    ----------
+    text : str
+        The module.
+    parts : mapping of str to str, optional
+        Modules that define functions which it calls, by the functions' names. They become part of their callers.
+    """
+    machine, context = _machine(), llvm.create_context()
+    module = llvm.parse_assembly(text, context)
+    for name, part in (parts or {}).items():
+        module.link_in(llvm.parse_assembly(part, context))
+        function = module.get_function(name)
+        function.linkage = llvm.Linkage.internal
+        function.add_function_attribute("alwaysinline")
     module.data_layout = str(machine.target_data)
     module.triple = llvm.get_process_triple()
     # LLVM unrolls nested loops so late that it no longer finds common parts of the copies. A quick pass before the full one

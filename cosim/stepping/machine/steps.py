@@ -13,6 +13,7 @@ import hashlib
 import operator
 import platform
 import threading
+from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from itertools import pairwise
@@ -43,7 +44,7 @@ lenient = True
 
 _lock = threading.RLock()
 _addresses: dict[str, int] = {}
-_kernels: WeakKeyDictionary[FunctionType, dict[str, tuple[list[Any], int]]] = WeakKeyDictionary()
+_kernels: WeakKeyDictionary[FunctionType, dict[str, tuple[list[Any], str]]] = WeakKeyDictionary()
 
 
 def _compiler_digest() -> str:
@@ -76,40 +77,57 @@ def compile_kernel(kernel: Kernel, sections: Sections) -> int:
     int
         The address of the function; its code stays loaded until the process ends.
     """
-    if not isinstance(kernel, FunctionType):
-        raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
-    places = repr([(name, sections.get(name)) for name in argument_names(kernel)])
+    name = name_of(kernel, sections)
     with _lock:
-        cached = _kernels.setdefault(kernel, {})
-        if places in cached:
-            dependencies, address = cached[places]
-            present = depends_on(kernel)
-            if len(dependencies) == len(present) and all(map(operator.is_, dependencies, present)):
-                return address
-        dependencies = depends_on(kernel)
-        name = f"step_{Functions.allowed(kernel.__name__)[:40]}_{fingerprint(kernel, f'{environment()} {places}')}"
         if name not in _addresses:
-            _addresses[name] = _address(kernel, sections, name)
-        cached[places] = dependencies, _addresses[name]
+            _addresses[name] = _address(_plain(kernel), sections, name)
     return _addresses[name]
 
 
+def _plain(kernel: Kernel) -> FunctionType:
+    if not isinstance(kernel, FunctionType):
+        raise KernelError(f"A step function must be a plain Python function, not {kernel!r}.")
+    return kernel
+
+
+def name_of(kernel: Kernel, sections: Sections) -> str:
+    """Return the name of a compiled step function: a hash of everything that its code depends on."""
+    function = _plain(kernel)
+    places = repr([(name, sections.get(name)) for name in argument_names(kernel)])
+    with _lock:
+        cached = _kernels.setdefault(function, {})
+        present = depends_on(function)
+        if places in cached:
+            dependencies, name = cached[places]
+            if len(dependencies) == len(present) and all(map(operator.is_, dependencies, present)):
+                return name
+        name = f"step_{Functions.allowed(kernel.__name__)[:40]}_{fingerprint(function, f'{environment()} {places}')}"
+        cached[places] = present, name
+    return name
+
+
 def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
-    path, foreign = cache_directory("compiled") / f"{name}.o", foreign_functions(kernel)
+    foreign = foreign_functions(kernel)
     for function in foreign:
         function.defined()
+    try:
+        return load_or_compile(name, lambda: _compiled(kernel, sections, name))
+    except KernelError as reason:
+        if foreign:
+            raise
+        from bayesftc.cosim.stepping.compiler import compile_by_numba
+
+        return compile_by_numba(kernel, sections, reason)
+
+
+def load_or_compile(name: str, compiled: Callable[[], bytes]) -> int:
+    """Return the address of the function `name`: from the disk, or else from the code that `compiled` makes."""
+    path = cache_directory("compiled") / f"{name}.o"
     content = read_own(path)
     code = None if content is None else opened(content)
     if code is None:
-        try:
-            with announced(True):
-                code = _compiled(kernel, sections, name)
-        except KernelError as reason:
-            if foreign:
-                raise
-            from bayesftc.cosim.stepping.compiler import compile_by_numba
-
-            return compile_by_numba(kernel, sections, reason)
+        with announced(True):
+            code = compiled()
         write_whole(path, sealed(code))
         STATISTICS["compiled"] += 1
     else:

@@ -211,6 +211,13 @@ def test_random_diagrams(plan, seed, pieces, run_both, same_bits):
             same_bits(result[f"{PATHS[1]}y{i}_y"], result[f"{names[i]}.y"], "the output of the subsystem")
 
 
+@pytest.mark.slow
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(plan=plans(known_blocks(), STEP), seed=st.integers(0, 2**64 - 1))
+def test_random_diagrams_as_one_function(plan, seed, as_one, run_both):
+    run_both(build(plan)[0], 70 * STEP, seed=seed)
+
+
 def test_decimation_keeps_every_nth_row(run_both, same_bits):
     diagram = cosim.Diagram("1/30")
     diagram.connect(diagram.add(cosim.Gaussian(1.0), "noise")["y"], diagram.add(cosim.UnitDelay(), "delay")["u"])

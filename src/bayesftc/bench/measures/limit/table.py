@@ -1,4 +1,4 @@
-"""The table: the loop by hand, the engine and the user's loop in turns, and the nanoseconds of each part of a step.
+"""The table: the loop by hand, the engine in both ways and the user's loop in turns, and the nanoseconds of each part of a step.
 
 What a part takes is the time of the whole loop by hand less that of the loop without it. Parts overlap in the processor, so that
 their sum need not be the whole.
@@ -7,6 +7,9 @@ their sum need not be the whole.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import inf
 
 import numpy as np
 
@@ -14,6 +17,7 @@ from bayesftc.bench._figures import Figure, Section, in_turns, ratios
 from bayesftc.bench._slave import unpacked_fmu
 from bayesftc.bench.measures.full_loop import EXPERIMENT, RECORD, SETTING, engine_recording, full_diagram, user_rate
 from bayesftc.bench.measures.limit.by_hand import PARTS, compiled
+from bayesftc.cosim.run.fused import compiled as compiled_loop
 
 EVERY = 1000
 """Steps between two recorded ones in the engine's loop that records next to nothing."""
@@ -24,10 +28,14 @@ def measure(quick: bool = False) -> Section:
     fast, slow, rounds = (20_000, 300, 2) if quick else (1_000_000, 20_000, 9)
     diagram = full_diagram()
 
-    def engine(decimation: int) -> float:
-        started = time.perf_counter()
-        diagram.simulate(fast * diagram.step, seed=1, record=RECORD, decimation=decimation)
-        return 1e9 * (time.perf_counter() - started) / fast
+    def engine(decimation: int, *, fused: bool) -> float:
+        with _fused(always=fused):
+            started = time.perf_counter()
+            diagram.simulate(fast * diagram.step, seed=1, record=RECORD, decimation=decimation)
+            return 1e9 * (time.perf_counter() - started) / fast
+
+    for decimation in (1, EVERY):
+        engine(decimation, fused=True)  # compiles
 
     with unpacked_fmu() as car, compiled(car, SETTING) as by_hand:
         difference = np.abs(by_hand("whole_loop", EXPERIMENT)[0] - engine_recording(diagram, EXPERIMENT, 1)).max(axis=0)
@@ -35,8 +43,9 @@ def measure(quick: bool = False) -> Section:
         times = in_turns(
             {
                 "c": lambda: 1e9 * by_hand("whole_loop", fast)[1] / fast,
-                "engine": lambda: engine(1),
-                "engine_alone": lambda: engine(EVERY),
+                "fused": lambda: engine(1, fused=True),
+                "fused_alone": lambda: engine(EVERY, fused=True),
+                "engine": lambda: engine(1, fused=False),
                 "user": lambda: 1e9 / user_rate(slow),
                 **shorter,
             },
@@ -55,10 +64,28 @@ def measure(quick: bool = False) -> Section:
         (
             Figure("c", "loop by hand in C: the limit", unit, times["c"]),
             *parts,
-            Figure("engine", "compiled engine", unit, times["engine"]),
-            Figure("engine_alone", f"compiled engine, every {EVERY}th step recorded", unit, times["engine_alone"]),
+            Figure("fused", "engine, one function for the loop", unit, times["fused"]),
+            Figure("fused_alone", f"the same, every {EVERY}th step recorded", unit, times["fused_alone"]),
+            Figure("engine", "engine, block by block", unit, times["engine"]),
             Figure("user", "loop with fmpy, NumPy and filterpy", unit, times["user"]),
-            Figure("engine_over_c", "speed of the engine / C", "", ratios(times["c"], times["engine"]), at_least=0.8),
+            Figure("engine_over_c", "speed of one function / C", "", ratios(times["c"], times["fused"]), at_least=0.8),
+            Figure(
+                "fused_over_engine",
+                "speed of one function / block by block",
+                "",
+                ratios(times["engine"], times["fused"]),
+            ),
             Figure("difference", "largest difference of the speeds", "m/s", [float(difference[0])], at_most=1e-9),
         ),
     )
+
+
+@contextmanager
+def _fused(*, always: bool) -> Iterator[None]:
+    """Use one function for the loop of each run, or of none; it is only compiled for runs that are far longer."""
+    before = compiled_loop.LOADED, compiled_loop.COMPILED
+    compiled_loop.LOADED, compiled_loop.COMPILED = (0, 0) if always else (inf, inf)
+    try:
+        yield
+    finally:
+        compiled_loop.LOADED, compiled_loop.COMPILED = before

@@ -1,0 +1,22 @@
+"""Runs by one function for the whole loop, whatever their length."""
+
+import pytest
+
+from bayesftc.cosim.run.fused import compiled
+
+
+@pytest.fixture
+def as_one(monkeypatch):
+    """Use the one function for runs of any length."""
+    used = []
+
+    def noted(*arguments, usual=compiled.fused):
+        used.append(usual(*arguments))
+        return used[-1]
+
+    monkeypatch.setattr(compiled, "LOADED", 0)
+    monkeypatch.setattr(compiled, "COMPILED", 0)
+    monkeypatch.setattr(compiled, "fused", noted)
+    yield used
+    assert used
+    assert all(used)
