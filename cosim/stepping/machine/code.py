@@ -17,8 +17,27 @@ _DIGEST = 32
 
 def machine_code(text: str) -> bytes:
     """Return the object file of a module in LLVM's text format, compiled for this machine's processor."""
-    machine = _machine()
+    return _emitted(_optimised(llvm.parse_assembly(text, llvm.create_context())))
+
+
+def closed_code(text: str, name: str) -> bytes:
+    """Return the object file of a module with one entry, `name`; nothing if its code needs functions of other libraries.
+
+    Only the entry can be called from outside, so LLVM sees which errors of the functions behind it cannot occur, and removes the
+    code that would report them.
+    """
     module = llvm.parse_assembly(text, llvm.create_context())
+    for value in (*module.functions, *module.global_variables):
+        if not value.is_declaration and value.name != name:
+            value.linkage = "internal"
+    _optimised(module)
+    values = (*module.functions, *module.global_variables)
+    is_closed = not any(value.is_declaration and not value.name.startswith("llvm.") for value in values)
+    return _emitted(module) if is_closed else b""
+
+
+def _optimised(module: Any) -> Any:
+    machine = _machine()
     module.data_layout = str(machine.target_data)
     module.triple = llvm.get_process_triple()
     # LLVM unrolls nested loops so late that it no longer finds common parts of the copies. A quick pass before the full one
@@ -28,7 +47,11 @@ def machine_code(text: str) -> bytes:
         tuning.loop_vectorization = True  # but no SLP vectorization, which makes chains of operations longer
         builder = llvm.create_pass_builder(machine, tuning)
         builder.getModulePassManager().run(module, builder)
-    code: bytes = machine.emit_object(module)
+    return module
+
+
+def _emitted(module: Any) -> bytes:
+    code: bytes = _machine().emit_object(module)
     return code
 
 
