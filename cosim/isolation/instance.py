@@ -17,7 +17,6 @@ import weakref
 from collections import deque
 from collections.abc import Collection
 from fractions import Fraction
-from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -30,6 +29,7 @@ from bayesftc.cosim.fmi.reading.archive import DESCRIPTION, Archive, extract
 from bayesftc.cosim.fmi.reading.messages import KEPT, quoted
 from bayesftc.cosim.fmi.running.by_address import ENTRY, ByAddress
 from bayesftc.cosim.isolation import protocol
+from bayesftc.cosim.isolation.compiled import address
 from bayesftc.cosim.isolation.process import Patience, WorkerProcess
 from bayesftc.cosim.isolation.settings import DEFAULT_LIMIT
 from bayesftc.cosim.isolation.spares import give, take
@@ -150,7 +150,7 @@ class Isolated(ByAddress):
             with contextlib.suppress(FMUCrashed):  # the run will report it
                 self._ask("compile", limit=STARTING)
             self._is_compiled = True
-        return _compiled(role)
+        return address(role)
 
     @property
     def rounding(self) -> Isolated:
@@ -384,15 +384,6 @@ class Isolated(ByAddress):
             self._process.kill()  # the pending answer is no longer needed
             self._note_crash("was ended because Ctrl-C interrupted its step.")
             raise error
-
-
-@cache
-def _compiled(role: str) -> int:
-    from bayesftc.cosim.isolation import kernels
-    from bayesftc.cosim.stepping.compiler import compile_raw
-
-    function: Any = getattr(kernels, role)
-    return int(compile_raw(function).address or 0)
 
 
 def _attend(instance: weakref.ref[Isolated], answered: int) -> int:

@@ -255,8 +255,7 @@ class _CompiledLoop:
     def __init__(
         self, instance: External, shared: protocol.Shared, steps: socket.socket, step: Fraction, reads_ahead: bool
     ):
-        from bayesftc.cosim.isolation import kernels
-        from bayesftc.cosim.stepping.compiler import compile_raw
+        from bayesftc.cosim.isolation.compiled import address
 
         words = [
             *protocol.system_functions(), steps.fileno(), shared.words.ctypes.data, shared.inputs.size,
@@ -264,8 +263,7 @@ class _CompiledLoop:
             step.numerator, step.denominator, getattr(instance, "step_word", 0), 0,
         ]  # fmt: skip
         self._table = np.array(words, dtype=np.int64)
-        function: Any = kernels.serve
-        self._entry = ENTRY(compile_raw(function).address or 0)
+        self._entry = ENTRY(address("serve"))
         self._shared, self._everywhere, self._paused = shared, os.sched_getaffinity(0), time.monotonic()
 
     def __call__(self) -> int:

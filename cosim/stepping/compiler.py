@@ -20,7 +20,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from llvmlite import ir
-from numba import types
+from numba import cfunc, types
 from numba.core.ccallback import CFunc
 from numba.core.errors import NumbaError
 from numba.extending import intrinsic, overload
@@ -148,6 +148,13 @@ def compile_raw(function: FunctionType) -> CFunc:
     )
     compiled: CFunc = _load_service(function, text).entry
     return compiled
+
+
+def service_text(function: FunctionType, name: str) -> str:
+    """Return a service function as `compile_raw` compiles it in LLVM's text format, with its entry named `name`."""
+    compiled = cfunc(SIGNATURE, error_model="numpy")(function)
+    text: str = compiled.inspect_llvm()
+    return text.replace(compiled.native_name, name)
 
 
 def compile_callback(function: FunctionType, signature: str) -> CFunc:

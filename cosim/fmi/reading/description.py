@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import io
 import math
-import re
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
-from zipfile import ZipFile
 
 from numpy.typing import NDArray
 
 from bayesftc.cosim.base.units import BASE, Unit, UnitDefinition
-from bayesftc.cosim.errors import LAX, FMUError
+from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.fmi.reading import version1
 from bayesftc.cosim.fmi.reading.aliases import check_aliases
 from bayesftc.cosim.fmi.reading.archive import DESCRIPTION, Archive, read_entry
 from bayesftc.cosim.fmi.reading.clocks import Clock, read_clocks
 from bayesftc.cosim.fmi.reading.exchange import ExchangeInfo, read_exchange
+from bayesftc.cosim.fmi.reading.rules import parse
 from bayesftc.cosim.fmi.reading.structure import check_shape, check_size, check_structure
 from bayesftc.cosim.fmi.reading.versions import check_version
 
@@ -49,7 +47,6 @@ _CAPABILITIES = (
     "mightReturnEarlyFromDoStep",
 )
 _SYMBOLS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-_SHOWN, _LONGEST = 3, 300
 
 LONGEST_IDENTIFIER = 240
 """Most bytes of a model identifier: with its suffix, it is the name of a file."""
@@ -239,7 +236,7 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
     aliases = version1.aliases(root) if version == "1.0" else {}
     if version != "1.0" and declared is not None:
         declared.clear()  # saves memory: for a large model, this tree is as large as fmpy's
-    model, lax = _parse(archive, content, validate)
+    model, lax = parse(archive, content, validate)
     if version == "1.0":
         version1.complete(model, root)
     kinds = tuple(kind for kind in _KINDS if getattr(model, kind) is not None)
@@ -299,68 +296,6 @@ def _check_identifier(archive: Archive, identifier: str) -> None:
             f"The {DESCRIPTION} of {archive.path} has the modelIdentifier {identifier!r}, which could lead outside of the FMU. "
             "Do not use this file; ask its maker for one whose modelIdentifier is a plain name."
         )
-
-
-HARMLESS = re.compile(
-    r"Element '(fmiModelDescription|Category|Tool)', attribute '[^']*': The attribute '[^']*' is not allowed|"
-    r"The attribute '(generationDateAndTime|version|author)' is required|"
-    r'must have variability != "continuous"|has no start value|but provides a start value|[Uu]nit ".*" .* is not defined'
-)
-"""Broken rules of FMI that are tolerated, because they do not affect results. Unknown elements, and unknown attributes of
-variables, are not tolerated: they may be misspelt ones, and the schema check stops at them."""
-
-
-def _parse(archive: Archive, content: bytes, validate: bool) -> tuple[ModelDescription, str | None]:
-    """Return the description, and a sentence that lists the broken rules that do not affect results (or None)."""
-    from fmpy import read_model_description
-    from fmpy.model_description import ValidationError
-    from fmpy.validation import validate_model_description
-
-    try:
-        try:
-            return read_model_description(_checked_xml(archive, content), validate=validate), None
-        except ValidationError as error:
-            broken = [str(p).removesuffix(".") for p in error.problems]
-            problems = _harmful(broken)
-            if not problems:
-                model = read_model_description(_checked_xml(archive, content), validate=False)
-                # fmpy stops at an error of the schema: run its further checks, too.
-                broken += [str(p).removesuffix(".") for p in validate_model_description(model)]
-                problems = _harmful(broken)
-            if not problems:
-                return model, (
-                    f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI, but this does not affect results: "
-                    f"{_listed([*dict.fromkeys(broken)])}."
-                )
-    except KeyError as error:
-        problems = [f"it refers to a variable {error}, which it does not define"]
-    except ValueError as error:
-        # Python refuses numbers of thousands of digits, with a message about one of its functions.
-        text = " ".join(str(error).split()).removesuffix(".")
-        problems = ["it contains a number of thousands of digits" if "integer string conversion" in text else text]
-    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception, and fails on missing elements
-        problems = [(" ".join(str(error).split()) or type(error).__name__).removesuffix(".")]
-    remedy = f"Ask its maker for a valid one, or {LAX}" if validate else "Export it again."
-    raise FMUError(f"The {DESCRIPTION} of {archive.path} breaks the rules of FMI: {_listed(problems)}. {remedy}")
-
-
-def _harmful(problems: Sequence[str]) -> list[str]:
-    return [problem for problem in problems if not HARMLESS.search(problem)]
-
-
-def _listed(problems: Sequence[str]) -> str:
-    more = f"; and {len(problems) - _SHOWN} more" if len(problems) > _SHOWN else ""
-    return "; ".join(p if len(p) <= _LONGEST else f"{p[:_LONGEST]}..." for p in problems[:_SHOWN]) + more
-
-
-def _checked_xml(archive: Archive, description: bytes) -> io.BytesIO:
-    """Return an archive of the checked XML files alone, so that fmpy reads nothing else of the file."""
-    content = io.BytesIO()
-    with ZipFile(content, "w") as copy:
-        for name in archive.kind.xml:
-            if name in archive.names:
-                copy.writestr(name, description if name == DESCRIPTION else read_entry(archive, name))
-    return content
 
 
 def _variable(archive: Archive, variable: ModelVariable, clocks: Mapping[int, Clock], negated: bool) -> FMUVariable:

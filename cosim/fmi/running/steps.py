@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -16,16 +15,19 @@ from bayesftc.cosim.fmi.binaries.groups import Group
 from bayesftc.cosim.fmi.running.by_address import ByAddress
 
 
-@cache
-def _compiled(major: int, role: str, plain: bool) -> Any:
-    from bayesftc.cosim.stepping.compiler import compile_raw
+def _address(major: int, role: str, plain: bool) -> int:
+    from bayesftc.cosim.stepping.machine.services import service_address
 
-    if plain:
-        from bayesftc.cosim.fmi.running.kernels import FUNCTIONS
-    else:
-        from bayesftc.cosim.fmi.running.typed_kernels import FUNCTIONS
-    function: Any = FUNCTIONS[max(major, 2), role]  # those of FMI 1 are called as those of FMI 2
-    return compile_raw(function)
+    version = max(major, 2)  # the functions of FMI 1 are called as those of FMI 2
+
+    def find() -> Any:
+        if plain:
+            from bayesftc.cosim.fmi.running.kernels import FUNCTIONS
+        else:
+            from bayesftc.cosim.fmi.running.typed_kernels import FUNCTIONS
+        return FUNCTIONS[version, role]
+
+    return service_address(f"fmi{version}_{role}_{'plain' if plain else 'typed'}", find)
 
 
 class StepFunctions(ByAddress):
@@ -98,9 +100,9 @@ class StepFunctions(ByAddress):
     @property
     def output_address(self) -> int:
         """Address of the compiled output function."""
-        return int(_compiled(self._major, "get" if self._timing == "plant" else "sampled", self._plain).address)
+        return _address(self._major, "get" if self._timing == "plant" else "sampled", self._plain)
 
     @property
     def update_address(self) -> int:
         """Address of the compiled update function; 0 if the output function does everything."""
-        return int(_compiled(self._major, "advance", self._plain).address) if self._timing == "plant" else 0
+        return _address(self._major, "advance", self._plain) if self._timing == "plant" else 0

@@ -26,13 +26,34 @@ def machine_code(text: str, parts: Mapping[str, str] | None = None) -> bytes:
     parts : mapping of str to str, optional
         Modules that define functions which it calls, by the functions' names. They become part of their callers.
     """
-    machine, context = _machine(), llvm.create_context()
+    context = llvm.create_context()
     module = llvm.parse_assembly(text, context)
     for name, part in (parts or {}).items():
         module.link_in(llvm.parse_assembly(part, context))
         function = module.get_function(name)
         function.linkage = llvm.Linkage.internal
         function.add_function_attribute("alwaysinline")
+    return _emitted(_optimised(module))
+
+
+def closed_code(text: str, name: str) -> bytes:
+    """Return the object file of a module with one entry, `name`; nothing if its code needs functions of other libraries.
+
+    Only the entry can be called from outside, so LLVM sees which errors of the functions behind it cannot occur, and removes the
+    code that would report them.
+    """
+    module = llvm.parse_assembly(text, llvm.create_context())
+    for value in (*module.functions, *module.global_variables):
+        if not value.is_declaration and value.name != name:
+            value.linkage = "internal"
+    _optimised(module)
+    values = (*module.functions, *module.global_variables)
+    is_closed = not any(value.is_declaration and not value.name.startswith("llvm.") for value in values)
+    return _emitted(module) if is_closed else b""
+
+
+def _optimised(module: Any) -> Any:
+    machine = _machine()
     module.data_layout = str(machine.target_data)
     module.triple = llvm.get_process_triple()
     # LLVM unrolls nested loops so late that it no longer finds common parts of the copies. A quick pass before the full one
@@ -42,7 +63,11 @@ def machine_code(text: str, parts: Mapping[str, str] | None = None) -> bytes:
         tuning.loop_vectorization = True  # but no SLP vectorization, which makes chains of operations longer
         builder = llvm.create_pass_builder(machine, tuning)
         builder.getModulePassManager().run(module, builder)
-    code: bytes = machine.emit_object(module)
+    return module
+
+
+def _emitted(module: Any) -> bytes:
+    code: bytes = _machine().emit_object(module)
     return code
 
 

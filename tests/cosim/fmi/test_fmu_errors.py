@@ -221,9 +221,26 @@ def test_invalid_descriptions(tmp_path):
     refused(lambda: FMU(typo, validate=False), "'b'", "the start value 'five', which is no valid Real")
 
 
+ORDER = '<Annotations><Annotation type="someone" order="3"/></Annotations>'
+TEXT = '<String name="file" valueReference="22" causality="parameter" variability="fixed" start="a"/></ModelVariables>'
+
+
+def in_b(*children):
+    """Return the end of a variable of FMI 3, without and with elements inside."""
+    return ' unit="N.s/m" start="5.0" />', f' unit="N.s/m" start="5.0">{"".join(children)}</Float64>'
+
+
 HARMLESS = {
-    "another attribute of the model": ('modelName="', 'vendor="someone" modelName="', "attribute 'vendor'"),
-    "no start value": (' start="5.0"', "", "has no start value"),
+    "another attribute of the model": ("2.0", 'modelName="', 'vendor="someone" modelName="', "attribute 'vendor'"),
+    "no start value": ("2.0", ' start="5.0"', "", "has no start value"),
+    "annotations with an attribute": ("3.0", *in_b("", ORDER), "attribute 'order'"),
+    "annotations after an alias": ("3.0", *in_b('<Alias name="drag"/>', ORDER), "Element 'Annotations'"),
+    "a text with a start value as an attribute": (
+        "3.0",
+        "</ModelVariables>",
+        TEXT,
+        "Element 'String', attribute 'start'",
+    ),
 }
 HARMFUL = {
     "an element that nobody knows": ("<ModelVariables>", "<Vendor/><ModelVariables>", "'Vendor'"),
@@ -231,6 +248,7 @@ HARMFUL = {
     "a causality that is misspelt": ('causality="input"', 'causalty="input"', "'causalty'"),
     "a capability that is misspelt": ("canGetAndSetFMUstate", "canGetAndSetState", "'canGetAndSetState'"),
 }
+HIDDEN = in_b('<Alias name="drag"/>', ORDER, '<Alais name="friction"/>')  # the schema check stops at the annotations
 
 
 @pytest.mark.parametrize("way", HARMFUL)
@@ -239,10 +257,15 @@ def test_descriptions_that_may_mean_something_else_are_refused(tmp_path, way):
     refused(lambda: FMU(replaced("2.0", tmp_path / "typo.fmu", before, after)), "breaks the rules of FMI", words)
 
 
+def test_annotations_in_the_wrong_place_hide_nothing(tmp_path):
+    path = replaced("3.0", tmp_path / "typo.fmu", *HIDDEN)
+    refused(lambda: FMU(path), "breaks the rules of FMI", "Element 'Alais'")
+
+
 @pytest.mark.parametrize("way", HARMLESS)
 def test_descriptions_that_break_rules_on_which_nothing_hangs(tmp_path, way):
-    before, after, words = HARMLESS[way]
-    path = replaced("2.0", tmp_path / "lax.fmu", before, after)
+    fmi, before, after, words = HARMLESS[way]
+    path = replaced(fmi, tmp_path / "lax.fmu", before, after)
     with pytest.warns(UserWarning, match="but this does not affect results") as caught:
         block = FMU(path, parameters={"b": 5.0, "force": 100.0})
     assert words in str(caught[0].message)
@@ -251,9 +274,9 @@ def test_descriptions_that_break_rules_on_which_nothing_hangs(tmp_path, way):
         describe(path)
     diagram, usual = cosim.Diagram(dt=0.02), cosim.Diagram(dt=0.02)
     diagram.add(block, "car")
-    usual.add(FMU(SHIPPED["2.0"], parameters={"force": 100.0}), "car")
+    usual.add(FMU(SHIPPED[fmi], parameters={"force": 100.0}), "car")
     np.testing.assert_array_equal(diagram.simulate(1.0)["car.v"], usual.simulate(1.0)["car.v"])
-    both = replaced("2.0", tmp_path / "both.fmu", 'name="v0"', 'name="m"')
+    both = replaced(fmi, tmp_path / "both.fmu", 'name="v0"', 'name="m"')
     both = edited(both, tmp_path / "two.fmu", lambda text: text.replace(before, after))
     refused(lambda: FMU(both), 'The variable name "m" (line', "is not unique")  # which is looked at after the schema
 

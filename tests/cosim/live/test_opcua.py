@@ -32,8 +32,17 @@ class Elsewhere:
         return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(60)
 
     def end(self):
+        self(self._cancel())
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(10)
+        self._loop.close()
+
+    async def _cancel(self):
+        """Cancel tasks that asyncua has left: asyncio would log an error when they are collected, during any later test."""
+        left = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in left:
+            task.cancel()
+        await asyncio.gather(*left, return_exceptions=True)
 
 
 class Plant:

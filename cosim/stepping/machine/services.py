@@ -1,0 +1,81 @@
+"""The engine's own functions for FMUs as machine code: a process loads it without numba, whose import takes most of its start.
+
+numba compiles such a function, LLVM makes an object file of it, and the cache folder keeps that. The file's name has a hash of
+the source files, so that it is found before the functions are imported.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import threading
+from collections.abc import Callable
+from importlib import resources, util
+from pathlib import Path
+from types import FunctionType
+
+import llvmlite
+import llvmlite.binding as llvm
+
+from bayesftc.cosim.base.announcing import announced
+from bayesftc.cosim.base.cache import cache_directory
+from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
+from bayesftc.cosim.stepping.machine.code import closed_code, features, load, opened, sealed
+
+_lock = threading.RLock()
+_addresses: dict[str, int] = {}
+
+
+def _sources_digest() -> str:
+    """Return a hash of the files with all that the functions use, when this is loaded; they may be edited later."""
+    digest = hashlib.sha256()
+    for file in sorted(Path(str(resources.files("bayesftc.cosim"))).rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+_SOURCES_DIGEST = _sources_digest()
+
+
+def service_address(name: str, find: Callable[[], FunctionType]) -> int:
+    """Return the address of a service function, which takes ``(state, parameters, inputs, outputs, t, k)``.
+
+    Parameters
+    ----------
+    name : str
+        A name that no other service function has.
+    find : callable
+        Imports the function and returns it; called if there is no machine code for it yet.
+    """
+    with _lock:
+        if name not in _addresses:
+            _addresses[name] = _found(f"service_{name}", find)
+        return _addresses[name]
+
+
+def _found(name: str, find: Callable[[], FunctionType]) -> int:
+    path = cache_directory("compiled") / f"{name}_{hashlib.sha256(_environment().encode()).hexdigest()[:24]}.o"
+    content = read_own(path)
+    code = None if content is None else opened(content)
+    STATISTICS["compiled" if code is None else "loaded"] += 1
+    if code is None:
+        from bayesftc.cosim.stepping.compiler import service_text
+
+        with announced(True):
+            code = closed_code(service_text(find(), name), name)
+        write_whole(path, sealed(code))
+    if code:
+        return load(code, name)
+    from bayesftc.cosim.stepping.compiler import compile_raw
+
+    return int(compile_raw(find()).address or 0)
+
+
+def _environment() -> str:
+    """Return what the machine code depends on: versions, numba's settings, the processor, and the source files."""
+    numba = util.find_spec("numba")  # its version, without the import
+    version = Path(numba.origin).with_name("_version.py").read_text() if numba and numba.origin else ""
+    settings = sorted(f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
+    parts = [platform.python_version(), llvmlite.__version__, version, *settings, llvm.get_process_triple()]
+    return "|".join([*parts, llvm.get_host_cpu_name(), features(), _SOURCES_DIGEST])
