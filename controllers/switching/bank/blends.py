@@ -33,7 +33,11 @@ memory[at + {block} + WEIGHT] = total{k}\
 """
 
 _NUMBER = """
-memory[at + {here}] = memory[at + {here}] + share{k} * (memory[other + {here}] - memory[at + {here}])\
+number{here} = memory[at + {here}] + share{k} * (memory[other + {here}] - memory[at + {here}])\
+"""
+
+_STORE_NUMBER = """
+memory[at + {here}] = number{here}\
 """
 
 
@@ -42,7 +46,8 @@ def make_blend_sensor(width: int, spans: tuple[int, ...]) -> Callable[..., None]
     """Return the step function that merges another hypothesis's values of a sensor, with its ``part`` of the probability.
 
     The other's probabilities of modes count times ``scale``. The text has a line for each number, because a loop over blocks of
-    different lengths takes twice as many instructions.
+    different lengths takes twice as many instructions. All numbers of a mode are computed before the first is stored. The
+    compiler then knows that no store changes a later number, and computes several at once.
 
     Parameters
     ----------
@@ -57,8 +62,9 @@ def make_blend_sensor(width: int, spans: tuple[int, ...]) -> Callable[..., None]
         text += "".join(part.format(k=k, block=block) for k, block in used)
     text += _END
     for k, block in used:
-        text += _STORE.format(k=k, block=block)
         text += "".join(_NUMBER.format(k=k, here=block + a) for a in range(AGE, spans[k]))
+        text += _STORE.format(k=k, block=block)
+        text += "".join(_STORE_NUMBER.format(here=block + a) for a in range(AGE, spans[k]))
     names = {"maximum": maximum, "WEIGHT": WEIGHT, "LEAST": LEAST, "__name__": __name__}
     lines = text.strip("\n").split("\n")
     return function_from_text("blend_sensor", ("memory", "at", "part", "other", "scale"), lines, names)

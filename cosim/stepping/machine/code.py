@@ -12,6 +12,10 @@ import llvmlite.binding as llvm
 from bayesftc.cosim.errors import KernelError
 
 _SPEED = 3
+LONG = 400_000
+"""Length of a module's text from which on LLVM also combines operations on adjacent values (SLP vectorization). This makes chains
+of operations longer: short step functions, which wait for them, would take up to 7 % more time. Long ones have many such chains
+at once and are limited by the number of instructions: a bank of hypotheses takes 4 to 6 % less."""
 _DIGEST = 32
 """Bytes of the hash before the code in a file."""
 
@@ -60,7 +64,8 @@ def _optimised(module: Any) -> Any:
     # unrolls them earlier.
     for level in (1, _SPEED):
         tuning = llvm.create_pipeline_tuning_options(speed_level=level)
-        tuning.loop_vectorization = True  # but no SLP vectorization, which makes chains of operations longer
+        tuning.loop_vectorization = True
+        tuning.slp_vectorization = level == _SPEED and len(text) > LONG
         builder = llvm.create_pass_builder(machine, tuning)
         builder.getModulePassManager().run(module, builder)
     return module
