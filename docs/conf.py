@@ -82,6 +82,7 @@ templates_path = ["_site/templates"]
 html_theme = "pydata_sphinx_theme"
 html_title = f"bayesftc {version}"
 html_static_path = ["_site/static"]
+html_favicon = "_site/static/favicon.svg"
 html_css_files = ["site.css"]
 html_js_files = ["site.js"]
 html_search_scorer = str(Path(__file__).parent / "_site" / "scorer.js")  # the order of results
@@ -89,6 +90,7 @@ html_copy_source = False
 html_show_sourcelink = False
 html_theme_options = {
     "logo": {"text": "bayesftc"},
+    "navbar_end": ["version", "theme-switcher"],
     "navbar_align": "left",
     "header_links_before_dropdown": 7,  # all parts; the changelog is under "More"
     "navigation_depth": 3,

@@ -9,7 +9,7 @@ var Scorer = {
       new RegExp(word.length < 4 ? `\\b${word}\\b` : `\\b${word.length > 5 ? word.slice(0, -2) : word}`, "i").test(title);
     const share = words.length ? words.filter(isIn).length / words.length : 0;
     const folders = {
-      "how-to/questions": 19, "how-to/": 8, "install": 14, "tutorials/": 6, "explanation/": 5, "reference/": 3, "gallery/": 2, "reports/": 1,
+      "how-to/questions": anchor ? 19 : 8, "how-to/": 8, "install": 14, "tutorials/": 6, "explanation/": 5, "reference/": 3, "gallery/": 2, "reports/": 1,
       "reference/api/": -1, "reference/extend": -8, "project/": -10,
     };
     const folder = Object.keys(folders).filter((name) => page.startsWith(name)).sort((a, b) => b.length - a.length)[0];
@@ -25,4 +25,47 @@ var Scorer = {
   partialTitle: 7,
   term: 5,
   partialTerm: 2,
+};
+
+// Sphinx finds only pages that have every word of a question, and no sections. Here a page that has most of the words is found
+// too, further down, and so is a section whose heading has most of them. A word counts by its rarity. Unknown words do not count.
+const MOST = 0.5;
+const COST_OF_MISSING = 40;
+const pagesWithAll = Search.performTermsSearch;
+
+function weighed(words, excluded) {
+  const known = [...words].map((word) => ({ word, pages: pagesWithAll(new Set([word]), excluded) })).filter((each) => each.pages.length);
+  const rarity = ({ pages }) => Math.log(1 + Search._index.docnames.length / pages.length);
+  const whole = known.reduce((sum, each) => sum + rarity(each), 0);
+  return known.map((each) => ({ ...each, weight: rarity(each) / whole }));
+}
+
+function pagesWithMost(words) {
+  const results = new Map();
+  for (const { pages, weight } of words) {
+    for (const page of pages) {
+      const before = results.get(page[0]) || { share: 0, score: 0 };
+      results.set(page[0], { share: before.share + weight, score: Math.max(before.score, page[4]), page });
+    }
+  }
+  return [...results.values()].map(({ share, score, page }) => ({ share, result: page.with(4, score) }));
+}
+
+function sectionsWithMost(words) {
+  const { alltitles, docnames, filenames, titles } = Search._index;
+  return Object.entries(alltitles).flatMap(([heading, places]) => {
+    const stems = new Set(splitQuery(heading.toLowerCase()).map((word) => new Stemmer().stemWord(word)));
+    const share = words.reduce((sum, { word, weight }) => sum + (stems.has(word) ? weight : 0), 0);
+    return places.filter(([file, id]) => id !== null && titles[file] !== heading).map(([file, id]) => ({
+      share,
+      result: [docnames[file], `${titles[file]} > ${heading}`, `#${id}`, null, Scorer.title, filenames[file], SearchResultKind.title],
+    }));
+  });
+}
+
+Search.performTermsSearch = (words, excluded) => {
+  const known = weighed(words, excluded);
+  return [...pagesWithMost(known), ...sectionsWithMost(known)]
+    .filter(({ share }) => share >= MOST)
+    .map(({ share, result }) => result.with(4, result[4] - COST_OF_MISSING * (1 - share)));
 };
