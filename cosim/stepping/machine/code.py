@@ -37,7 +37,7 @@ def machine_code(text: str, parts: Mapping[str, str] | None = None) -> bytes:
         function = module.get_function(name)
         function.linkage = llvm.Linkage.internal
         function.add_function_attribute("alwaysinline")
-    return _emitted(_optimised(module))
+    return _emitted(_optimised(module, max(map(len, (text, *(parts or {}).values())))))
 
 
 def closed_code(text: str, name: str) -> bytes:
@@ -50,13 +50,13 @@ def closed_code(text: str, name: str) -> bytes:
     for value in (*module.functions, *module.global_variables):
         if not value.is_declaration and value.name != name:
             value.linkage = "internal"
-    _optimised(module)
+    _optimised(module, len(text))
     values = (*module.functions, *module.global_variables)
     is_closed = not any(value.is_declaration and not value.name.startswith("llvm.") for value in values)
     return _emitted(module) if is_closed else b""
 
 
-def _optimised(module: Any) -> Any:
+def _optimised(module: Any, length: int) -> Any:
     machine = _machine()
     module.data_layout = str(machine.target_data)
     module.triple = llvm.get_process_triple()
@@ -65,7 +65,7 @@ def _optimised(module: Any) -> Any:
     for level in (1, _SPEED):
         tuning = llvm.create_pipeline_tuning_options(speed_level=level)
         tuning.loop_vectorization = True
-        tuning.slp_vectorization = level == _SPEED and len(text) > LONG
+        tuning.slp_vectorization = level == _SPEED and length > LONG
         builder = llvm.create_pass_builder(machine, tuning)
         builder.getModulePassManager().run(module, builder)
     return module
