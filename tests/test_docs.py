@@ -33,6 +33,11 @@ LONG = {
     ROOT / "docs" / page
     for page in (
         "tutorials/bring-your-own-fmu.md",
+        "tutorials/campaign.md",
+        "tutorials/design-to-firmware.md",
+        "reference/design.md",
+        "reference/export.md",
+        "reference/statistics.md",
         "reports/detectability.md",
         "explanation/precision.md",
         "reports/reproduce.md",

@@ -11,31 +11,40 @@ spec = importlib.util.spec_from_file_location("floors", TOOL)
 floors = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(floors)
 
-MODULES = floors.modules()
-EDGES = floors.edges()
+
+@pytest.fixture(scope="module")
+def modules():
+    """Return the syntax trees of all modules: once, and not in each worker that collects these tests."""
+    return floors.modules()
 
 
-def test_folders_import_from_below():
+@pytest.fixture(scope="module")
+def edges():
+    """Return what each module imports."""
+    return floors.edges()
+
+
+def test_folders_import_from_below(edges):
     up = [
         f"{module} -> {target}"
-        for module, targets in EDGES.items()
+        for module, targets in edges.items()
         for target in sorted(targets)
         if floors.floor(target) > floors.floor(module) and not floors.door(module, target)
     ]
-    assert sum(map(len, EDGES.values())) > 1500
+    assert sum(map(len, edges.values())) > 1500
     assert not up, f"these reach up, and through no door of {TOOL.name}: {', '.join(up)}"
 
 
-def test_every_door_is_used_and_says_for_what():
+def test_every_door_is_used_and_says_for_what(edges):
     for (module, target), reason in floors.DOORS.items():
-        through = [t for t in EDGES[module] if floors.door(module, t) == (module, target)]
+        through = [t for t in edges[module] if floors.door(module, t) == (module, target)]
         assert through, f"nothing goes through {module} -> {target}"
         assert reason
 
 
-def test_every_floor_has_something_on_it():
+def test_every_floor_has_something_on_it(modules):
     for name in (name for level in floors.FLOORS for name in level):
-        assert any(m == name or m.startswith(name + ".") for m in MODULES), f"{name} stands in FLOORS, but nowhere else"
+        assert any(m == name or m.startswith(name + ".") for m in modules), f"{name} stands in FLOORS, but nowhere else"
 
 
 @pytest.mark.parametrize(
@@ -49,31 +58,31 @@ def test_every_floor_has_something_on_it():
         "if TYPE_CHECKING:\n    from bayesftc.cosim.run.session import Session",
     ],
 )
-def test_an_import_is_seen_in_every_form(line):
-    found = set(floors.imports("cosim.block", ast.parse(line), MODULES, floors.public(MODULES)))
+def test_an_import_is_seen_in_every_form(line, modules):
+    found = set(floors.imports("cosim.block", ast.parse(line), modules, floors.public(modules)))
     assert found == {"cosim.run.session"}
 
 
-def test_modules_that_import_each_other_are_few():
-    inside = {module: {t for t in targets if not floors.door(module, t)} for module, targets in EDGES.items()}
+def test_modules_that_import_each_other_are_few(edges):
+    inside = {module: {t for t in targets if not floors.door(module, t)} for module, targets in edges.items()}
     circles = floors.circles(inside)
     assert circles
     large = [circle for circle in circles if len(circle) > floors.LARGEST_CIRCLE]
     assert not large, f"these import each other in a circle: {'; '.join(map(', '.join, large))}"
 
 
-def test_folders_stay_small():
+def test_folders_stay_small(modules):
     files = {}
-    for module in MODULES:
+    for module in modules:
         folder, _, name = module.rpartition(".")
         files[folder] = files.get(folder, 0) + (name != "__init__")
     assert not {f: n for f, n in files.items() if n > floors.MOST_FILES}
 
 
-def test_functions_take_few_arguments():
+def test_functions_take_few_arguments(modules):
     functions = [
         (f"{module}.{node.name}", len(node.args.posonlyargs) + len(node.args.args))
-        for module, tree in MODULES.items()
+        for module, tree in modules.items()
         for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef)
     ]
@@ -81,12 +90,12 @@ def test_functions_take_few_arguments():
     assert not {f"{name}: {count}" for name, count in functions if count > floors.MOST_ARGUMENTS}
 
 
-def test_no_module_needs_itself_to_be_imported():
+def test_no_module_needs_itself_to_be_imported(modules):
     needs = {}
-    behind = floors.public(MODULES)
-    for module, tree in MODULES.items():
+    behind = floors.public(modules)
+    for module, tree in modules.items():
         at_once = ast.Module([n for n in tree.body if not later(n)], [])
-        needs[module] = set(floors.imports(module, at_once, MODULES, behind))
+        needs[module] = set(floors.imports(module, at_once, modules, behind))
     assert sum(map(len, needs.values())) > 500
     while free := [module for module, others in needs.items() if not others & needs.keys()]:
         for module in free:
@@ -101,15 +110,15 @@ def later(node):
     )
 
 
-def test_names_that_begin_with_an_underscore_stay_in_their_file():
-    for module, tree in MODULES.items():
+def test_names_that_begin_with_an_underscore_stay_in_their_file(modules):
+    for module, tree in modules.items():
         for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "bayesftc":
                 for alias in node.names:
                     whole = f"{node.module}.{alias.name}".removeprefix("bayesftc.")
-                    private = alias.name.startswith("_") and not alias.name.startswith("__") and whole not in MODULES
+                    private = alias.name.startswith("_") and not alias.name.startswith("__") and whole not in modules
                     assert not private, f"{module} uses {alias.name} of {node.module}"
 
 
-def test_the_picture_is_of_these_floors():
-    assert floors.PICTURE.read_text(encoding="utf-8") == floors.draw(EDGES), "python tools/floors.py draw"
+def test_the_picture_is_of_these_floors(edges):
+    assert floors.PICTURE.read_text(encoding="utf-8") == floors.draw(edges), "python tools/floors.py draw"

@@ -23,7 +23,7 @@ from bayesftc.monitoring import load_monitor
 from bayesftc.scenario import Scenario, load_scenario, shipped_scenarios
 from bayesftc.scenario.campaigns import load_campaign
 
-# The shipped scenario with the paper's learner, whose lines stand there as comments: it is interpreted five times as fast.
+# The shipped scenario with the paper's learner, whose lines stand there as comments.
 CAR = re.sub(
     r'^kind = "SwitchingPrecision".*\n|^# (?=kind = |forgetting = |calibration = )',
     "",
@@ -34,7 +34,7 @@ LEARNER = CAR.index("[controller.precision]")
 
 
 def run_car(bayesftc_, *options):
-    return bayesftc_("run", "cruise_control", "--engine", "interpreted", *options)
+    return bayesftc_("run", "cruise_control", *options)
 
 
 def test_version_and_help(bayesftc_):
@@ -86,7 +86,7 @@ def independent(arrays, stop=1000):
 def test_faults_of_an_actuator_are_reported(bayesftc_, tmp_path):
     fault = '[[input_faults.force]]\nkind = "GainFault"\nfactor = 0.5\nstart = 0.5\nstop = 1.0\n'
     (tmp_path / "car.toml").write_text(CAR + fault)
-    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", 2, "--out", "out")
+    done = bayesftc_("run", "car.toml", "--duration", 2, "--out", "out")
     assert done.exit_code == 0, done.output
     assert "Faults between the controller and the plant" in done.output
     assert "force (N)" in done.output
@@ -110,7 +110,7 @@ def test_what_the_controller_says_of_its_actuators_is_reported(bayesftc_, tmp_pa
     text += 'actuator_modes = [{ kind = "LostEffect" }, { kind = "InputOffset", time_to_fault = 60.0 }]\n'
     text += '[[input_faults.force]]\nkind = "Bias"\nmagnitude = 6000.0\nstart = 1.0\n'
     (tmp_path / "car.toml").write_text(text)
-    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", 2, "--out", "out")
+    done = bayesftc_("run", "car.toml", "--duration", 2, "--out", "out")
     assert done.exit_code == 0, done.output
     for words in ("Actuator faults that the controller estimates", "kind during alarms, mostly", "InputOffset"):
         assert words in done.output
@@ -218,7 +218,7 @@ def test_a_belief_that_is_not_finite(bayesftc_, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Scenario, "simulate", diverging)
     (tmp_path / "car.toml").write_text(CAR)
-    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--check-kalman", "--out", "out")
+    done = bayesftc_("run", "car.toml", "--check-kalman", "--out", "out")
     assert done.exit_code == 0, done.output
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figure.png", "figures.json", "result.npz"]
     numbers = json.loads((tmp_path / "out" / "figures.json").read_text())
@@ -248,7 +248,7 @@ def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
         assert old in text
         text = text.replace(old, new)
     (tmp_path / "car.toml").write_text(text)
-    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--check-kalman", "--json")
+    done = bayesftc_("run", "car.toml", "--check-kalman", "--json")
     assert done.exit_code == 0, done.output
     check = json.loads(done.stdout)["kalman"]
     assert check["agrees"] is None
@@ -259,7 +259,7 @@ def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
 def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
     joint = 'initial_mean = 20.0\nbelief = "joint"\ncontrol_covariance = 1e4\ngoal_covariance = 1e-3'
     (tmp_path / "car.toml").write_text(CAR.replace("initial_mean = 20.0", joint))
-    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--check-kalman", "--json")
+    done = bayesftc_("run", "car.toml", "--check-kalman", "--json")
     check = json.loads(done.output)["kalman"]
     assert check["agrees"] is False
     assert "does NOT agree" in check["verdict"]
@@ -275,7 +275,7 @@ def test_state_and_faults_inferred_together_are_told_apart_from_filterpys(bayesf
         ('actuator_modes = [{ kind = "LostEffect" }]', False, ["does NOT agree", "infers state and faults together"]),
     ):
         (tmp_path / "car.toml").write_text(f"{text}{settings}\n")
-        done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", "8", "--check-kalman", "--json")
+        done = bayesftc_("run", "car.toml", "--duration", "8", "--check-kalman", "--json")
         check = json.loads(done.output)["kalman"]
         assert check["agrees"] is agrees
         for word in words:
@@ -286,14 +286,14 @@ def test_state_and_faults_inferred_together_are_told_apart_from_filterpys(bayesf
 def test_check_kalman_says_before_the_run_what_it_cannot_do(bayesftc_, tmp_path, monkeypatch):
     monkeypatch.setattr(run_module, "loop_signals", lambda *_: pytest.fail("the run was made"))
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", "seed = 1\ndecimation = 5"))
-    done = bayesftc_("run", "car.toml", "--check-kalman", "--engine", "interpreted")
+    done = bayesftc_("run", "car.toml", "--check-kalman")
     assert done.exit_code == 9
     assert "compares every step, but car.toml has decimation = 5" in " ".join(done.output.split())
 
 
 def test_a_dropout_is_neither_missed_nor_detected(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace('"Freeze"', '"Dropout"'))
-    done = bayesftc_("run", "car.toml", "--engine", "interpreted")
+    done = bayesftc_("run", "car.toml")
     rows = {line[:42].strip(): line[42:].split() for line in done.output.splitlines()}
     assert rows["samples missing (share of all)"] == ["40.0%", "0.0%"]
     assert rows["faults seen as missing samples"] == ["1", "0"]
@@ -355,7 +355,7 @@ def test_dead_times_of_the_loop_count_in_the_check_before_a_run(
 @pytest.mark.parametrize("record", ['["plant.v"]', '"reference.*"'])
 def test_check_kalman_records_what_it_needs(bayesftc_, tmp_path, record):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", f"record = {record}"))
-    done = bayesftc_("run", "car.toml", "--check-kalman", "--engine", "interpreted", "--json")
+    done = bayesftc_("run", "car.toml", "--check-kalman", "--json")
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["kalman"]["agrees"] is True
 
@@ -365,13 +365,13 @@ def test_the_ser_baseline_is_compared_with_filterpys_of_itself(bayesftc_, tmp_pa
     text = CAR[:LEARNER] + '[controller.precision]\nkind = "SERFDI"\n'
     for more in ("", 'filter = "filterpy"\n'):
         (tmp_path / "car.toml").write_text(text + more)
-        done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", "8", "--json")
+        done = bayesftc_("run", "car.toml", "--duration", "8", "--json")
         check = json.loads(done.output)["kalman"]
         assert check["agrees"] is True
         assert (check["mean_difference"] == 0.0) is bool(more)
         assert check["steps"] == 401
     (tmp_path / "car.toml").write_text(text.replace("seed = 1", 'record = ["plant.v"]'))
-    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--duration", "1")
+    done = bayesftc_("run", "car.toml", "--duration", "1")
     assert "filterpy's, which needs every signal" in " ".join(done.output.split())
 
 
@@ -379,11 +379,11 @@ def test_no_probability_is_explained(bayesftc_, tmp_path):
     """Each learner that gives no probability has dashes and its own sentence, and the AUC of beta where there is one."""
     for kind, auc in (("FixedPrecision", None), ("GammaPrecision", "beta")):
         (tmp_path / "car.toml").write_text(f'{CAR[:LEARNER]}[controller.precision]\nkind = "{kind}"\n')
-        done = bayesftc_("run", "car.toml", "--engine", "interpreted")
+        done = bayesftc_("run", "car.toml")
         why = load_scenario("car.toml").controller.precision.why_no_probability
         assert why in " ".join(done.output.split())
         assert ("AUC of beta" in done.output) == (auc is not None)
-        numbers = json.loads(bayesftc_("run", "car.toml", "--engine", "interpreted", "--json").output)
+        numbers = json.loads(bayesftc_("run", "car.toml", "--json").output)
         sensor = numbers["sensors"][0]
         assert sensor["ranked_by"] == auc
         assert sensor["missed"] is sensor["delay"] is sensor["false_alarm_rate"] is None
@@ -391,7 +391,7 @@ def test_no_probability_is_explained(bayesftc_, tmp_path):
 
 def test_what_was_not_recorded_is_a_dash_and_not_a_zero(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", 'record = ["plant.v", "reference.y"]'))
-    done = bayesftc_("run", "car.toml", "--engine", "interpreted", "--json", "--out", "out")
+    done = bayesftc_("run", "car.toml", "--json", "--out", "out")
     numbers = json.loads(done.output)
     assert numbers["tracking"]["v"]["overall"] > 0
     assert numbers["tracking"]["v"]["during"] is None
@@ -402,20 +402,20 @@ def test_what_was_not_recorded_is_a_dash_and_not_a_zero(bayesftc_, tmp_path):
 
 def test_a_goal_that_was_not_recorded_is_not_taken_for_none(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", 'record = ["plant.v", "controller.x_hat"]'))
-    numbers = json.loads(bayesftc_("run", "car.toml", "--engine", "interpreted", "--json").output)
+    numbers = json.loads(bayesftc_("run", "car.toml", "--json").output)
     assert numbers["notes"][0].startswith("Some signals of v were not recorded")
     assert not any("the goal has no element" in note for note in numbers["notes"])
 
 
 def test_decimation_does_not_shorten_the_run(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", "decimation = 7"))
-    numbers = json.loads(bayesftc_("run", "car.toml", "--engine", "interpreted", "--json").output)
+    numbers = json.loads(bayesftc_("run", "car.toml", "--json").output)
     assert (numbers["duration"], numbers["steps"]) == (20.0, 1000)
 
 
 def test_a_run_that_stops_keeps_what_it_has(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("v0 = 20.0", "m = 1e-320, v0 = 20.0"))
-    done = bayesftc_("run", "car.toml", "--out", "out", "--engine", "interpreted")
+    done = bayesftc_("run", "car.toml", "--out", "out")
     assert done.exit_code == 11
     assert done.output.startswith("Error: The run stopped at t = 0.02 s")
     assert "result.npz" in done.output
@@ -578,7 +578,8 @@ def test_figures_of_the_compiled_engine_are_the_same():
     scenario = load_scenario("cruise_control")
     loop = scenario.loop()
     runs = [
-        figures(loop_signals(loop, scenario.simulate(loop, engine=e))).to_dict() for e in ("compiled", "interpreted")
+        figures(loop_signals(loop, scenario.simulate(loop, duration=8.0, engine=e))).to_dict()
+        for e in ("compiled", "interpreted")
     ]
     assert runs[0] == runs[1]
 

@@ -97,8 +97,17 @@ def test_downloads_are_whole(tmp_path):
         ]  # fmt: skip
 
 
-def test_a_run_that_stops_is_downloaded_up_to_there():
-    with served("cruise_control", "--alone") as (_, address), Viewer(address) as viewer:
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """The address of a console of one car, of a file with HTML in its name."""
+    file = tmp_path_factory.mktemp("alone") / "<b>car.toml"
+    file.write_text(load_scenario("cruise_control").path.read_text())
+    with served(str(file), "--alone") as (_, found):
+        yield found
+
+
+def test_a_run_that_stops_is_downloaded_up_to_there(alone):
+    with Viewer(alone) as viewer:
         viewer.ready()
         viewer.do(do="step", steps=10)
         viewer.do(do="fault", target="force", settings={"kind": "GainFault", "factor": 1e308})
@@ -106,9 +115,9 @@ def test_a_run_that_stops_is_downloaded_up_to_there():
         viewer.until(lambda: viewer.header["stopped"][0])
         k = viewer.header["k"]
         assert k < 60
-        status, _, body = get(address, "/download/signals.csv")
+        status, _, body = get(alone, "/download/signals.csv")
         assert (status, body.count(b"\n")) == (200, k + 2)
-        assert b"stopped: " in get(address, "/download/events.csv")[2]
+        assert b"stopped: " in get(alone, "/download/events.csv")[2]
 
 
 def test_run_by_the_clock(address):
@@ -354,13 +363,11 @@ def test_a_wrong_scenario_is_shown(tmp_path):
         assert get(address, "/download/scenario.toml")[0] == 404
 
 
-def test_names_are_data(tmp_path):
+def test_names_are_data(alone):
     """A name with HTML in it goes to the page as text; the page makes no HTML of texts."""
-    file = tmp_path / "<b>car.toml"
-    file.write_text(load_scenario("cruise_control").path.read_text())
-    with served(str(file), "--alone") as (_, address), Viewer(address) as viewer:
+    with Viewer(alone) as viewer:
         viewer.ready()
         viewer.do(do="rename", name="first", new="<img src=x onerror=alert(1)>")
         assert viewer.layout["scenario"] == "<b>car"
-        disposition = get(address, "/download/scenario.toml")[1]["content-disposition"]
+        disposition = get(alone, "/download/scenario.toml")[1]["content-disposition"]
         assert disposition == 'attachment; filename="_b_car_scenario.toml"'

@@ -295,7 +295,7 @@ def test_cruise_control():
         dt=0.1,
         reference=cosim.Step(time=20.0, before=20.0, after=25.0),
     )
-    result = loop.simulate(60.0, seed=1, engine="interpreted")
+    result = loop.simulate(60.0, seed=1)
     assert result["plant.v"][150:200] == pytest.approx(20.0, abs=0.3)
     assert result["plant.v"][-50:] == pytest.approx(25.0, abs=0.3)
     assert result["plant.x"][-1] > 1200.0
@@ -382,7 +382,7 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
             faults=[cosim.Injection(sensor=0, start=1.0, stop=3.0, magnitude=0.5)],
             reference=1.0,
         )
-        result = loop.simulate(3.0, seed=1, engine="interpreted")
+        result = loop.simulate(3.0, seed=1)
         far[precision] = np.sqrt(np.mean((result["plant.angle"][200:300] - 1.0) ** 2))
         if precision is None:
             assert result["controller.fault_probability"][150:300, 0].min() > 0.9

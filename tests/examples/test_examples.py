@@ -47,7 +47,7 @@ def test_learned_precision_keeps_the_car_on_the_road(capsys):
 
 def test_learned_precision_helps_on_a_sine_and_hurts_on_a_constant(capsys):
     """The README says both."""
-    table = where_it_helps.main(runs=20)
+    table = where_it_helps.main(runs=8)
     assert table["freeze", "sine"]["GammaPrecision"] < 0.2 * table["freeze", "sine"]["FixedPrecision"]
     assert table["freeze", "constant"]["GammaPrecision"] > 1.3 * table["freeze", "constant"]["FixedPrecision"]
     for row in table.values():
@@ -114,9 +114,9 @@ def test_in_python_controls_style_only_the_line_of_the_plant_changes(capsys):
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("index", [0, 3])
 def test_a_controller_in_one_call_bears_a_failing_sensor(index, capsys):
-    """The beginning of each run, interpreted."""
+    """The beginning of each run."""
     case = replace(four_plants.CASES[index], duration=(4.5, 0, 0, 13.0)[index])
-    errors = four_plants.main(runs=1, engine="interpreted", cases=(case,))
+    errors = four_plants.main(runs=1, cases=(case,))
     tolerant, without, oracle = (errors[case.name, way] for way in four_plants.WAYS)
     assert tolerant < 0.8 * without
     assert tolerant < 1.2 * oracle

@@ -54,7 +54,7 @@ def test_from_the_file_to_a_loop_that_tracks(made, tool, capsys):
     )
     variables = {v["name"]: v["causality"] for v in json.loads(inspected.stdout)["variables"]}
     assert (variables[case.actuated], variables[case.measured]) == ("input", "output")
-    errors = closed_loops.main(runs=1, engine="interpreted", cases=(case,))
+    errors = closed_loops.main(runs=1, cases=(case,))
     tolerant, without, oracle = (errors[tool, way] for way in closed_loops.WAYS)
     assert tolerant < 0.6 * without
     assert tolerant < 1.15 * oracle
@@ -72,7 +72,7 @@ def test_fmus_out_of_packages(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     importlib.invalidate_caches()
     cases = tuple(CASES[tool] for tool in ("OpenModelica", "qfmu"))
-    errors = closed_loops.main(runs=2, engine="interpreted", cases=cases)
+    errors = closed_loops.main(runs=2, cases=cases)
     for case in cases:
         tolerant, without, oracle = (errors[case.tool, way] for way in closed_loops.WAYS)
         assert tolerant < 0.6 * without
@@ -209,7 +209,7 @@ def test_an_unstable_zero_is_controlled(equations):
         faults=[cosim.Injection(sensor=0, start=10.0, magnitude=0.5)],
         reference=1.0,
     )
-    y = loop.simulate(30.0, seed=1, engine="interpreted")["plant.y"]
+    y = loop.simulate(30.0, seed=1)["plant.y"]
     assert y.min() < -0.05
     np.testing.assert_allclose(y[-50:], 1.0, atol=0.05)
 

@@ -55,7 +55,7 @@ def test_the_family_is_as_large_as_it_should_be():
     ]
 
 
-@pytest.mark.sampled(40)
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_every_case_is_a_loop_in_which_the_oracle_misses_the_samples_that_are_wrong(case):
     """Faults and dropouts are blocks of their own names, present in the windows that the judge takes for faulty."""
@@ -82,7 +82,7 @@ def test_every_case_is_a_loop_in_which_the_oracle_misses_the_samples_that_are_wr
 def test_the_controller_of_the_oracle_gets_no_faulty_sample(name):
     case = BY_NAME[name]
     loop = family_loop(case, FIXED, drop_faulty=True)
-    result = loop.simulate(9.0, seed=1, engine="interpreted")
+    result = loop.simulate(9.0, seed=1)
     last = [node.name for node in loop.nodes if isinstance(node.block, cosim.Fault)][-1:] or ["sensors"]
     assert np.array_equal(np.isnan(result[f"{last[0]}.y"]), faulty_samples(case, result.time))
 
@@ -159,7 +159,7 @@ def test_errors_of_other_plants_count_once_they_have_settled():
     q1, q2, r1, r2 = (result[name] for name in names)
     assert np.array_equal(goal_error(case, result), [q1 - r1, q2 - r2])
     case = BY_NAME["turbine: healthy"]
-    result = family_loop(case, FIXED).simulate(11.0, seed=1, engine="interpreted")
+    result = family_loop(case, FIXED).simulate(11.0, seed=1)
     assert np.array_equal(goal_error(case, result), [(result["plant.power"] - result["reference.y"])[200:]])
 
 

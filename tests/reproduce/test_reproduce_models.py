@@ -76,7 +76,7 @@ def test_every_condition_differs_in_what_it_says(bench):
         assert loop["plant"].block == replace(right, **differs.get(name, {}))
         assert loop["sensors"].block.std == {"sd up": 2.0, "sd down": 0.5}.get(name, 1.0)
         assert float(loop["controller"].block.u_max[0]) == (400.0 if name == "sat. told" else np.inf)
-    worn = loops["worn"].simulate(20.0, seed=4, engine="interpreted")
+    worn = loops["worn"].simulate(20.0, seed=4)
     noise = worn["noise_growth_1.y"] - worn["plant.v"][:, None]
     assert noise[:250].std() == pytest.approx(
         np.sqrt(1 + 8 / 3 / 16), rel=0.1
@@ -179,7 +179,7 @@ def test_the_actuator_is_blamed_where_it_does_less_than_it_is_told(bench):
     shares = {}
     for condition in (RIGHT, UNKNOWN_LIMIT):
         loop = bench.loop("with disturbance", condition, learner)
-        result = loop.simulate(8.0, seed=1, engine="interpreted")
+        result = loop.simulate(8.0, seed=1)
         sensors = _models._judged([result], _models._own_detector(learner, bench.models["with disturbance"]))
         actuator = _models._judged([result], _models.ACTUATOR)
         shares[condition] = actuator.false_share, sensors.false_share

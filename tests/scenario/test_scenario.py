@@ -50,10 +50,8 @@ def test_the_shipped_scenario_is_the_loop_of_the_python_example(same_bits):
     from bayesftc.examples.cruise_control.cruise_control import cruise_control
 
     scenario = load_scenario("cruise_control")
-    other = cruise_control(scenario.controller.precision).simulate(
-        7.0, seed=scenario.simulation.seed, engine="interpreted"
-    )
-    result = scenario.simulate(duration=7.0, engine="interpreted")
+    other = cruise_control(scenario.controller.precision).simulate(7.0, seed=scenario.simulation.seed)
+    result = scenario.simulate(duration=7.0)
     assert list(result) == list(other)
     # The file gives numbers where the script computes them: equal but for rounding.
     np.testing.assert_allclose(result["plant.v"], other["plant.v"], rtol=1e-12)
@@ -606,7 +604,7 @@ def test_a_controller_is_designed_for_the_plant_of_the_file():
     )  # fmt: skip
     np.testing.assert_array_equal(scenario.controller.model.A, wanted.model.A)
     np.testing.assert_array_equal(scenario.controller.regulator.gain, wanted.regulator.gain)
-    result = scenario.simulate(duration=3.0, engine="interpreted")
+    result = scenario.simulate(duration=3.0)
     assert result["plant.angle"][-1] == pytest.approx(0.5, abs=0.05)  # the first sensor says 1 since t = 2 s
     np.testing.assert_allclose(result["controller.fault_probability"][-1], [1.0, 0.0], atol=0.01)
 

@@ -251,6 +251,7 @@ def rough_samples(steps=120):
     return y
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("control", ["gradient", "law"])
 @pytest.mark.parametrize("precision", LEARNERS, ids=repr)
 def test_rough_samples_leave_everything_finite_with_every_learner(precision, control):
@@ -389,7 +390,7 @@ def test_a_million_absurd_samples_leave_the_belief_finite(form, make_block):
 
 def test_sensors_that_agree_exactly_for_ever_do_not_break_the_descent():
     """Precisions grow a thousand times and more; the step is shortened instead of diverging."""
-    step = small(precision=controllers.GammaPrecision(forgetting=None)).online(compiled=False)
+    step = small(precision=controllers.GammaPrecision(forgetting=None)).online()
     for _ in range(5_000):
         out = step(y=[0.0, 0.0, 0.0], goal=[0.0])
     assert out.precision.max() > 1e5  # a thousand times the nominal one
@@ -521,7 +522,7 @@ def test_a_model_alone_says_what_is_measured():
         faults=[cosim.Freeze(sensor=0, start=2.0, stop=4.0)],
         reference=25.0,
     )
-    result = loop.simulate(6.0, seed=1, engine="interpreted")
+    result = loop.simulate(6.0, seed=1)
     assert result["plant.v"][-1] == pytest.approx(25.0, abs=1.0)
 
 
@@ -550,7 +551,7 @@ def test_a_prediction_that_is_followed_in_full_keeps_a_lightly_damped_plant(prec
     errors = {}
     for prior, weight in (("random walk", 1.0), ("euler", 2.0), ("kalman", 2.0)):  # H * 50 * 2 = 1: in full
         loop = oscillator(precision, state_prior=prior, state_precision=weight)
-        result = loop.simulate(8.0, seed=1, engine="interpreted")
+        result = loop.simulate(8.0, seed=1)
         errors[prior] = np.sqrt(np.mean((result["controller.x_hat"][:, 0] - result["plant.position"]) ** 2))
     assert errors["kalman"] < 0.02  # the noise of one encoder
     assert min(errors["random walk"], errors["euler"]) > 10 * errors["kalman"]
@@ -571,7 +572,7 @@ def reaches_derivative(x, y_x):
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("absurd_goal", [1e20, 1e140, 1e300, np.inf, np.nan])
 def test_a_belief_comes_back_from_an_absurd_goal(absurd_goal):
-    step = small(control_precision=0.1).online(compiled=False)
+    step = small(control_precision=0.1).online()
     for goal in (0.1, absurd_goal, absurd_goal):
         step(y=[0.1, 0.1, 0.0], goal=[goal])
     for _ in range(3000):

@@ -162,7 +162,7 @@ def test_a_singular_belief_is_conditioned_on_the_goal_where_it_is_not_certain():
 def test_an_unstable_plant_is_found_again_after_a_blackout(scales):
     """Thousands of steps without a sample: the belief knows nothing then, and is right again after one sample."""
     model = LinearModel([[1.2, 0.3], [0.0, 0.9]], np.eye(2), np.eye(2), 0.01, scales, 0.1)
-    step = BayesianController(model, FixedPrecision()).online(compiled=False)
+    step = BayesianController(model, FixedPrecision()).online()
     for blackout in (150, 1000, 5000):
         for _ in range(blackout):
             out = step(y=[None, None], goal=[0.0, 0.0])
@@ -254,7 +254,7 @@ def test_an_unstable_mode_that_no_sensor_sees_is_warned_about():
 
 def simulate_with_load(controller, load, steps=4000):
     """The car on a slope: a constant force that the model does not know. Returns the mean error over the last quarter."""
-    rng, step = np.random.default_rng(0), controller.online(compiled=False)
+    rng, step = np.random.default_rng(0), controller.online()
     x, errors = 20.0, []
     for _ in range(steps):
         out = step(y=x + 0.1 * rng.normal(size=2), goal=[20.0])

@@ -61,7 +61,7 @@ def test_with_fixed_precision_it_is_filterpys_kalman_filter():
 
 @pytest.mark.parametrize("precision", [FixedPrecision(), GammaPrecision(), SwitchingPrecision(loss=(0.1, 0.2))])
 def test_it_is_the_belief_of_the_controller_that_drives(precision):
-    y, _ = samples(CAR, 200)
+    y, _ = samples(CAR, 100)
     drive = BayesianController(CAR, precision=precision, initial_mean=1.0).online(compiled=False)
     watch = StateEstimator(CAR, precision, initial_mean=1.0, initial_covariance=1.0).online(compiled=False)
     for k, row in enumerate(y):

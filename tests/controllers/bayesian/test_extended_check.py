@@ -179,7 +179,7 @@ def test_for_a_linear_model_it_becomes_that_of_the_steady_observers():
         wrong, goal_covariance=1.0, control_covariance=1.0, iterations=2, precision=FIXED
     )
     straight = StateEstimator(replace(model, B=[[0.0], [0.3]]), precision=FIXED)
-    a, b = bent.online(compiled=False), straight.online(compiled=False)
+    a, b = bent.online(), straight.online()
     rng, x, found = np.random.default_rng(7), np.zeros(2), []
     for k in range(600):
         y = x[0] + 0.1 * rng.standard_normal(2)

@@ -299,7 +299,7 @@ def test_an_actuator_fault_that_is_found_leaves_no_steady_error(arrives, load):
     for actuator_modes in (modes, []):
         precision = controllers.SwitchingPrecision(actuator_modes=actuator_modes)
         controller = LQGController(model, precision, goal_covariance=0.01, initial_covariance=1e-4)
-        step, x, rng, reached = controller.online(compiled=False), 0.0, np.random.default_rng(1), []
+        step, x, rng, reached = controller.online(compiled=True), 0.0, np.random.default_rng(1), []
         for k in range(300):
             u = step(y=x + 1e-2 * rng.normal(size=2), goal=[1.0]).u[0]
             x = 0.9 * x + 0.1 * (u if k < 100 else arrives * u + load) + 1e-3 * rng.normal()

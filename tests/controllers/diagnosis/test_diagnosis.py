@@ -35,6 +35,7 @@ def told(case, learner, seed):
     return controllers.diagnose(result, controller), result["controller.model_suspect"].max() >= 0.5
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("wrong", WORDS)
 def test_a_wrong_model_of_the_car_is_named(wrong):
     case = next(c for c in cases() if c.name == f"car: {wrong}")

@@ -167,7 +167,7 @@ def test_a_sensor_that_stays_absurd_is_a_faulty_one_for_ever():
         assert probabilities(outs)[-1].max() < 0.05
 
 
-@pytest.mark.sampled(20)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("precision", LEARNERS, ids=repr)
 @pytest.mark.parametrize("case", ["start", "rest", "jump", "stuck"])
 def test_no_estimator_is_deaf_for_ever(precision, case):

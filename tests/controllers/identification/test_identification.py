@@ -215,6 +215,7 @@ def test_without_gaps_both_ways_find_the_same():
         np.testing.assert_allclose(ours, theirs, atol=0.03)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("inputs", "order"),
     [

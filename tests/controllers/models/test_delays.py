@@ -177,7 +177,7 @@ def position():
 def test_the_loop_tracks_only_if_the_model_has_the_delays():
     worst = {}
     for name, model in (("without", position()), ("with", position().with_delays(5, (0, 2)))):
-        result = late_loop(model, precision=FixedPrecision()).simulate(30.0, seed=1, engine="interpreted")
+        result = late_loop(model, precision=FixedPrecision()).simulate(30.0, seed=1)
         worst[name] = np.abs(result["plant.y"] - result["reference.y"])[150:].max()
     assert worst["without"] > 1.0
     assert worst["with"] < 0.05
@@ -218,7 +218,7 @@ def test_disturbance_constant_and_delays_together():
         faults=[cosim.Delay(sensor=1, delay=0.1)],
         reference=1.0,
     )
-    result = loop.simulate(60.0, seed=1, engine="interpreted")
+    result = loop.simulate(60.0, seed=1)
     assert result["plant.y"][-1] == pytest.approx(1.0, abs=1e-3)
 
 
@@ -249,7 +249,7 @@ def test_actuator_faults_are_inferred_through_a_delay(mode, fault):
         input_faults={"u": [fault, cosim.Delay(delay=0.3)]},
         reference=cosim.Sine(amplitude=1.0, period=6.0),
     )
-    result = loop.simulate(16.0, seed=1, engine="interpreted")
+    result = loop.simulate(16.0, seed=1)
     probability = result["controller.actuator_fault_probability"].ravel()
     assert probability[30:80].max() < 0.5
     assert probability[-20:].min() > 0.9

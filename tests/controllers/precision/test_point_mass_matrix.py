@@ -195,7 +195,7 @@ def test_in_the_loop_it_weighs_correlated_sensors_and_reports_the_matrix():
     """Two sensors share an error that the model does not know: learned, they count for little more than one of them."""
     model = controllers.LinearModel([[1.0]], [[1.0]], [[1.0]] * 3, 1e-4, 1.0, 0.1)
     precision = PointMassPrecision(rate=0.02, full=True)
-    step = controllers.StateEstimator(model, precision).online(compiled=False)
+    step = controllers.StateEstimator(model, precision).online(compiled=True)
     rng, R = np.random.default_rng(1), []
     for _ in range(4_000):
         shared = 3.0 * rng.normal()

@@ -60,7 +60,7 @@ def reported(precision, nominal, errors):
     return found
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("estimate", ["mean", "mode"])
 @pytest.mark.parametrize("belief", [False, True])
 @pytest.mark.parametrize("rho", [0.6, 0.95, None])
@@ -238,7 +238,7 @@ def test_bad_settings(options, words):
 def test_the_probability_is_a_map_of_beta():
     model = model_of(NOMINAL)
     precision = WishartPrecision(calibration=Calibration(1.5, -2.0))
-    step = controllers.BayesianController(model, precision=precision, initial_mean=20.0).online(compiled=False)
+    step = controllers.BayesianController(model, precision=precision, initial_mean=20.0).online(compiled=True)
     for _ in range(20):
         out = step(y=[28.0, 20.0, np.nan], goal=[20.0])
     ratio = out.beta / (0.5 * 6.0 * np.diag(NOMINAL))

@@ -69,8 +69,8 @@ def test_a_fault_that_has_begun_is_filtered_as_filterpy_does(kind):
         x = A * x + B * 0.4 * u + np.sqrt(Q) * rng.normal()
 
 
-def drive(kind, modes, offset=0.0, steps=500, start=200, stop=400, seed=0, compiled=False, **options):
-    """Run the car in plain Python with a fault of its actuator, and an offset of a sensor; yield outputs and errors."""
+def drive(kind, modes, offset=0.0, steps=500, start=200, stop=400, seed=0, compiled=True, **options):
+    """Run the car with a fault of its actuator, and an offset of a sensor; yield outputs and errors."""
     rng, x = np.random.default_rng(seed), 20.0
     precision = SwitchingPrecision(actuator_modes=modes, **options)
     step = BayesianController(MODEL, precision=precision, initial_mean=20.0).online(compiled=compiled)
@@ -156,7 +156,7 @@ def test_absurd_samples_of_very_different_sensors_leave_numbers():
     )
     precision = SwitchingPrecision(actuator_modes=MODES)
     controller = BayesianController(model, precision=precision, control_covariance=1e3, goal_covariance=0.1)
-    step = controller.online(compiled=False)
+    step = controller.online()
     rng, x = np.random.default_rng(4), np.zeros(2)
     for k in range(260):
         y = x[[0, 0, 1]] + np.sqrt([1e-9, 1e6, 1.0]) * rng.normal(size=3)

@@ -72,8 +72,8 @@ def test_a_plant_without_noise_has_no_modes():
         SwitchingPrecision(process_modes=[NoisierProcess()]).learner(still)
 
 
-def drive(precision, kick=0.0, bias=0.0, hill=0.0, share=1.0, late=0, wave=0.0, seed=0, compiled=False):
-    """Run the car in plain Python: it is kicked at 4 s, and the first sensor is wrong from 6 to 8 s.
+def drive(precision, kick=0.0, bias=0.0, hill=0.0, share=1.0, late=0, wave=0.0, seed=0, compiled=True):
+    """Run the car: it is kicked at 4 s, and the first sensor is wrong from 6 to 8 s.
 
     Always is there a hill (a force in N), and only a share of the force, late by so many samples; a wave is that of the goal.
     """

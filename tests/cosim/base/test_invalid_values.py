@@ -82,7 +82,7 @@ def loop(controller, invalid):
 def test_sensors_of_a_loop_give_them_to_the_controller():
     own = BayesianController(MODEL, FixedPrecision(), initial_mean=20.0, invalid=[65535])
     results = [
-        loop(controller, invalid).simulate(6.0, seed=1, engine="interpreted")
+        loop(controller, invalid).simulate(6.0, seed=1)
         for controller, invalid in ((replace(own, invalid=()), [65535]), (own, ()), (own, [65535]))
     ]
     assert results[0]["stuck_0.y"].max() == 65535.0

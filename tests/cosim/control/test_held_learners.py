@@ -58,7 +58,7 @@ def check_finite(controller):
     return found
 
 
-@pytest.mark.sampled(16)
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("make", QUICK, ids=lambda make: make.__name__)
 @pytest.mark.parametrize("learner", LEARNERS, ids=lambda learner: learner.__name__)
 def test_every_learner_is_linearized_to_finite_numbers(learner, make):

@@ -59,7 +59,7 @@ def changed(block, tunable, rng):
     raise AssertionError(f"no other value of {tunable.name} is allowed")
 
 
-@pytest.mark.sampled(20)
+@pytest.mark.sampled(8)
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_changed_number_is_a_changed_setting(block, sample_time, random_inputs, compiled):
     dt = sample_time(block)

@@ -17,7 +17,8 @@ from bayesftc.cosim.fmi.fmu import describe
 from bayesftc.cosim.fmi.reading import messages as _fmi_messages
 
 FMI = ("2.0", "3.0")
-WHERE = pytest.mark.parametrize("isolate", [False, True], ids=["in process", "isolated"])
+ISOLATED = pytest.param(True, marks=pytest.mark.slow, id="isolated")
+WHERE = pytest.mark.parametrize("isolate", [pytest.param(False, id="in process"), ISOLATED])
 EVERYWHERE = pytest.mark.parametrize(
     ("fmi", "isolate"),
     [("2.0", False), ("3.0", False), ("2.0", True), pytest.param("3.0", True, marks=pytest.mark.slow)],

@@ -116,6 +116,7 @@ def test_in_both_engines_against_the_recursion(lag, tool, run_both):
     np.testing.assert_allclose(result["p.y"], lagged(result["u.y"], start=0.5), rtol=1e-13, atol=1e-15)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("tool", EXPORTERS)
 def test_the_same_in_a_process_of_its_own(lag, tool, same_bits):
     inside = driven(lag(tool)).simulate(2, engine="interpreted")
@@ -244,6 +245,7 @@ def test_ctrl_c_within_an_fmu_is_no_failure_of_the_fmu(lag, tool):
     assert signal.getsignal(signal.SIGINT) is usual
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("tool", EXPORTERS)
 def test_a_crash_of_an_isolated_fmu_leaves_the_host_alive(lag, tool):
     diagram = cosim.Diagram(dt=H)

@@ -140,7 +140,7 @@ def test_roles_do_not_hang_on_names(same_bits):
 
     car = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0})
     loops = by_hand(car), cruise_control(LEARNERS[-1])
-    ours, theirs = (loop_signals(loop, loop.simulate(7.0, seed=1, engine="interpreted")) for loop in loops)
+    ours, theirs = (loop_signals(loop, loop.simulate(7.0, seed=1)) for loop in loops)
     for a, b in zip(ours.quantities, theirs.quantities, strict=True):
         same_bits(a.truth, b.truth)
         same_bits(a.reference, b.reference)

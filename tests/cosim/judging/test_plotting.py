@@ -21,7 +21,7 @@ from bayesftc.scenario import load_scenario
 
 
 def run_of(loop, duration=8.0, **options):
-    return loop_signals(loop, loop.simulate(duration, seed=1, engine="interpreted", **options))
+    return loop_signals(loop, loop.simulate(duration, seed=1, **options))
 
 
 def names(axis):

@@ -412,6 +412,7 @@ print(summary.lost_rows)
 """
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL])
 def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(tmp_path, until, number):
     out, folder = tmp_path / "out.csv", tmp_path / "recording"

@@ -72,6 +72,7 @@ def test_it_may_be_nan_and_changes_nothing(lag, engine, coupling, same_bits):
     assert np.abs(result["b.fast"]).max() > 10.0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("isolate", [False, True])
 def test_what_something_depends_on_may_not(lag, isolate):
     diagram = cosim.Diagram(0.1)
@@ -91,6 +92,7 @@ def test_isolated_and_in_campaigns(lag, same_bits):
     same_bits(found.dataset["a.odd"].values[1], here["a.odd"])
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("coupling", COUPLINGS, ids=str)
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 @pytest.mark.parametrize(

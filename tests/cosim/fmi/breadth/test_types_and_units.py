@@ -65,6 +65,7 @@ def test_values_that_do_not_fit_stop_the_run(breadth, alone, make_block, engine,
     assert len(caught.value.result.time) == 4
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("isolate", [False, True])
 def test_a_whole_number_that_no_double_holds_ends_no_run_that_does_not_need_it(breadth, alone, engine, isolate):

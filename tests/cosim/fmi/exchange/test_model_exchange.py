@@ -45,6 +45,7 @@ def ball_height(times, g=9.81, e=0.7, vmin=0.1):
     return np.array(heights)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("fmi", FMI)
 @pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
 def test_a_bouncing_ball_to_its_rest(built, fmi, solver, run_both):

@@ -21,6 +21,7 @@ def alone(block, dt=0.02):
     return diagram
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_parameter_is_an_output_where_it_is_wanted(engine, isolate):
