@@ -47,7 +47,7 @@ def fit(
     *,
     outputs: Columns,
     inputs: Columns = (),
-    time: str = "time",
+    time: str | None = None,
     dt: float | str | Fraction | None = None,
     held_out: float = 0.2,
     weigh: Weigh | Literal["learner"] | None = "learner",
@@ -76,8 +76,9 @@ def fit(
     inputs : mapping, sequence of str or str, optional
         Input of the FMU -> its column. Other inputs keep their start values, with a warning if the recording has a column of
         that name.
-    time : str
-        The column of times in seconds.
+    time : str, optional
+        Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms``; by default a column that
+        is called t, time or timestamp, also with a unit.
     dt : float, str or Fraction, optional
         Seconds between two steps; by default that of the times, which must then be evenly spaced. With `dt`, each row belongs to
         the nearest step.
