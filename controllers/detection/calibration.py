@@ -14,6 +14,7 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.gamma import GammaPrecision
 from bayesftc.controllers.precision.rate import Calibration, RateLearner
 from bayesftc.controllers.registry import LEARNERS
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.probabilities import Reliability, reliability
@@ -269,7 +270,8 @@ def _simulated(
     sizes = {"injection": 3 * deviation, "drift": 5 * deviation, **magnitudes}
     loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
     record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
-    result = loop.simulate(steps * model.step, seed=seed, record=record)
+    with reported(f"Simulating {steps} steps with random faults."):
+        result = loop.simulate(steps * model.step, seed=seed, record=record)
     faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
     return result[record[0]][SKIPPED:], faulty
 

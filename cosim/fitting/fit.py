@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, UnknownNameError, brief, did_you_mean
@@ -137,7 +138,8 @@ def fit(
     problem = Problem(
         Simulator(fmu, samples, jobs), box, settings, samples.y[:split], samples.output_of, np.zeros((0, 0))
     )
-    found = _rounds(problem, samples, _weigh(weigh), _known(fmu, box))
+    with reported(f"Fitting {', '.join(box.names)} to {len(samples.y)} steps, for seconds to minutes."):
+        found = _rounds(problem, samples, _weigh(weigh), _known(fmu, box))
     return _result(fmu, samples, problem, found)
 
 

@@ -211,6 +211,12 @@ class Session:
         try:
             self._is_running = True
             stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
+        except KeyboardInterrupt as stop:
+            stop.add_note(
+                f"Stopped by Ctrl-C at t = {max(run.k, 0) * float(step):g} s of {end * float(step):g} s; the signals of this "
+                "call are lost. To keep them, give time_limit= in seconds, or call start() and then advance() in pieces."
+            )
+            raise
         finally:
             self._is_running = False
         metadata: dict[str, Any] = {
