@@ -19,6 +19,7 @@ from bayesftc.controllers.models.linearization import INPUT_NOISE, linearize, re
 from bayesftc.controllers.models.names import Names, elements_of, names_of
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
@@ -132,9 +133,10 @@ def design(
             )
         sensed, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
         goals = sensed if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
-        linear = linearize(
-            plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
-        )
+        with reported("Linearizing the plant, for some seconds."):
+            linear = linearize(
+                plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
+            )
         refuse_unmoved(linear, driven)
         if noise is None:
             columns = linear.columns(driven)
@@ -161,7 +163,8 @@ def design(
     refuse_undetectable(model)
     p = model.controls
     if isinstance(plant, FMU) and at is None:
-        compare_with_plant(model, plant, control=driven, measured=sensed, at=mean, u_min=u_min, u_max=u_max)
+        with reported("Comparing the linear model with the plant, for some seconds."):
+            compare_with_plant(model, plant, control=driven, measured=sensed, at=mean, u_min=u_min, u_max=u_max)
     low, high = as_vector("u_min", u_min, p, finite=False), as_vector("u_max", u_max, p, finite=False)
     if goal_covariance is None:
         goal_covariance = _squares("acceptable_error", acceptable_error, len(H))

@@ -14,6 +14,7 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.gamma import GammaPrecision
 from bayesftc.controllers.precision.rate import Calibration, RateLearner
 from bayesftc.controllers.registry import LEARNERS
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.probabilities import Reliability, reliability
@@ -224,7 +225,9 @@ def judge_own_probability(
 
 def _check_labels(*parts: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
     if not all(0 < faulty.mean() < 1 for faulty in parts):
-        raise ModelError("The simulated run has no faults, or nothing but faults; give more steps or other hazards.")
+        raise ModelError(
+            "The simulated run has no faults, or nothing but faults; give more steps, or another mean time to fault or recovery."
+        )
 
 
 def _judged(
@@ -262,13 +265,24 @@ def _simulated(
     unknown = set(magnitudes) - {"injection", "drift"}
     if unknown:
         raise ModelError(f"calibrate has the unknown magnitude {sorted(unknown)[0]!r}; give 'injection' and 'drift'.")
+    _check_hazards(hazards, model)
     deviation = float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
     sizes = {"injection": 3 * deviation, "drift": 5 * deviation, **magnitudes}
     loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
     record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
-    result = loop.simulate(steps * model.step, seed=seed, record=record)
+    with reported(f"Simulating {steps} steps with random faults."):
+        result = loop.simulate(steps * model.step, seed=seed, record=record)
     faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
     return result[record[0]][SKIPPED:], faulty
+
+
+def _check_hazards(hazards: tuple[float, float], model: LinearModel) -> None:
+    for name, seconds in zip(Hazards._fields, hazards, strict=True):
+        if not np.isfinite(seconds) or seconds < float(model.step):
+            raise ModelError(
+                f"calibrate has {name}={seconds:g}, but a step of the model takes {float(model.step):g} s. Give a finite number "
+                f"of seconds, at least {float(model.step):g}."
+            )
 
 
 def _loop(

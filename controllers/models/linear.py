@@ -464,7 +464,7 @@ class LinearModel:
         outputs: str | Sequence[str],
         order: int | None = None,
         dt: float | str | Fraction | None = None,
-        time: str = "time",
+        time: str | None = None,
         held_out: float = 0.3,
         past: int | None = None,
         input_delays: int | Sequence[int] = 0,
@@ -498,8 +498,9 @@ class LinearModel:
             Number of states; by default from the singular values (Bauer's criterion).
         dt : float, str or Fraction, optional
             Sample time in seconds; by default from the column `time`.
-        time : str
-            Name of the column of times in seconds.
+        time : str, optional
+            Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms``; by default a column that
+            is called t, time or timestamp, also with a unit.
         held_out : float
             Share of the recording, at its end, that is held out for tests.
         past : int, optional

@@ -1,7 +1,7 @@
-"""A message, once per process, that step functions are being compiled: else the first run is silent for many seconds.
+"""Messages about what takes long: that step functions are being compiled, once per process, and what a slow call does.
 
-The message goes to the logger ``bayesftc`` (level INFO). If logging is not set up, it is written to stderr, which a notebook
-shows, too. ``logging.getLogger("bayesftc").setLevel("WARNING")`` turns it off.
+A message goes to the logger ``bayesftc`` (level INFO). If logging is not set up, it is written to stderr, which a notebook
+shows, too. ``logging.getLogger("bayesftc").setLevel("WARNING")`` turns them off.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from bayesftc.cosim.base.processes import has_host
 
 SENTENCE = "Compiling step functions that are new on this machine, for some seconds; later runs reuse them."
 PATIENCE = 1.0
-"""Seconds of compiling before the message: small step functions take less."""
+"""Seconds before a message: small step functions take less."""
 
 
 class _Stderr(logging.Handler):
@@ -39,12 +39,16 @@ class _Announcement:
     def say(self) -> None:
         if not self.said():
             self.said = lambda: True
-            logger = logging.getLogger("bayesftc")
-            if logger.level == logging.NOTSET:
-                logger.setLevel(logging.INFO)
-            if not any(isinstance(handler, _Stderr) for handler in logger.handlers):
-                logger.addHandler(_Stderr())
-            logger.info(SENTENCE)
+            _log(SENTENCE)
+
+
+def _log(sentence: str) -> None:
+    logger = logging.getLogger("bayesftc")
+    if logger.level == logging.NOTSET:
+        logger.setLevel(logging.INFO)
+    if not any(isinstance(handler, _Stderr) for handler in logger.handlers):
+        logger.addHandler(_Stderr())
+    logger.info(sentence)
 
 
 announcement = _Announcement()
@@ -56,15 +60,33 @@ def announced(needed: bool) -> Iterator[None]:
     if not needed or announcement.said():
         yield
         return
-    timer = threading.Timer(max(0.0, PATIENCE - announcement.spent), announcement.say)
-    timer.daemon = True
     begun = time.monotonic()
+    try:
+        with _after(PATIENCE - announcement.spent, announcement.say):
+            yield
+    finally:
+        announcement.spent += time.monotonic() - begun
+
+
+@contextmanager
+def reported(sentence: str) -> Iterator[None]:
+    """Give a message if the code in this context takes long."""
+    if has_host():  # else each of several workers would give the message
+        yield
+        return
+    with _after(PATIENCE, lambda: _log(sentence)):
+        yield
+
+
+@contextmanager
+def _after(seconds: float, say: Callable[[], None]) -> Iterator[None]:
+    timer = threading.Timer(max(0.0, seconds), say)
+    timer.daemon = True
     timer.start()
     try:
         yield
     finally:
         timer.cancel()
-        announcement.spent += time.monotonic() - begun
 
 
-__all__ = ["announced"]
+__all__ = ["announced", "reported"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -34,6 +35,9 @@ UNITS_OF_TIME = {name: unit for unit, names in _ALONE.items() for name in names}
 }
 """Seconds in each unit of time, by its names."""
 
+TIMES = ("t", "time", "timestamp", "times", "seconds", "millis", "milliseconds", "microseconds")
+"""Names of a column of times, in any case, also with a unit (``t_ms``)."""
+
 _IN_BRACKETS = re.compile(r".*[\[(]\s*([^\W\d_][^\])]*?)\s*[\])]\s*")
 _AT_THE_END = re.compile(r".*(?:[\W_]|[a-z](?=[A-Z]))([^\W\d_]+)\s*")
 
@@ -58,6 +62,15 @@ def time_unit(name: object) -> Fraction:
             "'t [min]', or convert the times to seconds and call it 't'."
         )
     return unit or Fraction(1)
+
+
+def time_column(names: Iterable[str]) -> str | None:
+    """Return the first of these columns whose name is one of `TIMES`, alone or with a unit; None if there is none."""
+    for name in names:
+        first, *unit = [word for word in re.split(r"[\W_]+", str(name).lower()) if word] or [""]
+        if first in TIMES and (not unit or (len(unit) == 1 and unit[0] in UNITS_OF_TIME)):
+            return name
+    return None
 
 
 def in_seconds(name: object, times: Any) -> Floats:
@@ -97,4 +110,4 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
         ) from None
 
 
-__all__ = ["UNITS_OF_TIME", "exact_numbers", "in_seconds", "read_table_file", "time_unit"]
+__all__ = ["TIMES", "exact_numbers", "in_seconds", "read_table_file", "time_column", "time_unit"]

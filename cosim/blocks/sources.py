@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real, reals
-from bayesftc.cosim.base.table_files import in_seconds, read_table_file
+from bayesftc.cosim.base.table_files import in_seconds, read_table_file, time_column
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.tables import place
 from bayesftc.cosim.errors import ModelError, RecordingError, brief, did_you_mean
@@ -292,7 +292,13 @@ class Table(Source):
 
     @classmethod
     def read(
-        cls, file: str | Path, column: str, *, time: str = "time", interpolate: bool = True, unit: str | None = None
+        cls,
+        file: str | Path,
+        column: str,
+        *,
+        time: str | None = None,
+        interpolate: bool = True,
+        unit: str | None = None,
     ) -> Table:
         """Return the signal in a column of a CSV or Parquet file; rows without a sample are left out.
 
@@ -302,8 +308,9 @@ class Table(Source):
             The file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
         column : str
             Name of the column.
-        time : str
-            Name of the column with the times, in seconds or in the unit that ends its name, as in ``t_ms`` or ``t [min]``.
+        time : str, optional
+            Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms`` or ``t [min]``; by default
+            a column that is called t, time or timestamp, also with a unit.
         interpolate, unit
             As of the class.
 
@@ -315,6 +322,7 @@ class Table(Source):
             If no sample is left, or the times do not rise.
         """
         table = read_table_file(file)
+        time = time or time_column(str(name) for name in table if name != column) or "time"
         for name in (time, column):
             if name not in table:
                 raise RecordingError(f"{file} has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")

@@ -18,7 +18,7 @@ from bayesftc.cosim.campaign.designs.seeds import seeds_of_points
 from bayesftc.cosim.campaign.outcomes import CampaignResult
 from bayesftc.cosim.campaign.runs.job import Job, Loop
 from bayesftc.cosim.campaign.runs.metrics import Metric, as_metrics
-from bayesftc.cosim.campaign.working import Progress, in_memory, in_store
+from bayesftc.cosim.campaign.working import Progress, in_memory, in_store, noting_what_is_kept
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.run.interrupts import import_engine
@@ -166,6 +166,8 @@ class Campaign:
             If the store is of another campaign, another process writes to it, or it cannot be written.
         ModelError
             If the campaign cannot be sent to the processes of the executor.
+        KeyboardInterrupt
+            On Ctrl-C, after all workers have ended; its note has the number of runs that the store keeps.
         """
         if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "run", None))):
             raise ModelError(
@@ -186,11 +188,13 @@ class Campaign:
                 raise ModelError(
                     "retry_failed=True needs a store, because only a store keeps failed runs; give run() the folder of a store."
                 )
-            result = in_memory(self.job, self.labels, choose(), progress)
+            with noting_what_is_kept(None, self.runs):
+                result = in_memory(self.job, self.labels, choose(), progress)
         else:
             path = expanded(store).absolute()
             extra = description or {}
-            result = in_store(self.job, self.labels, path, extra, choose, progress, retry_failed=retry_failed)
+            with noting_what_is_kept(path, self.runs):
+                result = in_store(self.job, self.labels, path, extra, choose, progress, retry_failed=retry_failed)
         if executor is not None:
             result.metadata["executor"] = reason
         return result

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, contextmanager, nullcontext, suppress
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.campaign.describing import described
 from bayesftc.cosim.campaign.designs.plan import FAILED, Outcome, Piece
 from bayesftc.cosim.campaign.outcomes import CampaignResult, InMemory
@@ -17,6 +18,7 @@ from bayesftc.cosim.campaign.store.durable import written_to
 from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.campaign.store.metadata import NAME
 from bayesftc.cosim.campaign.store.repeating import keep_job
+from bayesftc.cosim.errors import BayesFTCError
 
 if TYPE_CHECKING:
     from bayesftc.cosim.campaign.executors.base import Executor
@@ -49,7 +51,14 @@ def work(
     """
     if progress:
         progress(done, job.plan.runs, failed)
-    with closing(executor.run(job, pieces)) as outcomes:
+    quiet = (
+        nullcontext()
+        if progress
+        else reported(
+            f"Making {sum(map(len, pieces))} runs. To see how many are done, give progress=, a function of (done, of, failed)."
+        )
+    )
+    with quiet, closing(executor.run(job, pieces)) as outcomes:
         for outcome in outcomes:
             keep(outcome)
             done, failed = done + len(outcome.piece), failed + outcome.status.count(FAILED)
@@ -103,6 +112,30 @@ def in_store(
     return CampaignResult(kept.table, kept.dataset)
 
 
+@contextmanager
+def noting_what_is_kept(path: Path | None, runs: int) -> Iterator[None]:
+    """Note at a `KeyboardInterrupt` how many runs are kept, and how to continue."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        if path is None:
+            stop.add_note(f"Stopped by Ctrl-C: none of the {runs} runs is kept, because the campaign has no store.")
+        else:
+            kept, of = kept_runs(path) or (0, runs)
+            stop.add_note(
+                f"Stopped by Ctrl-C: {kept} of {of} runs are kept in {path}. To continue, call run() with it again."
+            )
+        raise
+
+
+def kept_runs(path: Path) -> tuple[int, int] | None:
+    """Return how many runs a store has, and how many its campaign has; None if there is no store."""
+    with suppress(BayesFTCError):
+        store = CampaignStore.open(path)
+        return sum(len(store.plan.pieces[index]) for index in store.done()), store.plan.runs
+    return None
+
+
 class _Replacing:
     """Repeated runs, written to the store piece by piece when all runs of a piece have arrived."""
 
@@ -130,4 +163,4 @@ def _stretches(runs: list[int], size: int) -> Iterator[Piece]:
         yield Piece(index, members[0], members[-1] + 1)
 
 
-__all__ = ["Progress", "in_memory", "in_store"]
+__all__ = ["Progress", "in_memory", "in_store", "kept_runs", "noting_what_is_kept"]

@@ -11,6 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal
 
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.base.temporary import BESIDE, temporary_folder
 from bayesftc.cosim.block import Block
@@ -108,7 +109,8 @@ def export_fmu(
         )
     requested = platforms_of(platforms)
     program = program_of(exported, name=program_name(target.stem), blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
-    with _staged(target.parent) as scratch:
+    slow = ", for each platform the first time for minutes" if requested else ", for some seconds"
+    with _staged(target.parent) as scratch, reported(f"Compiling {target.name} from C{slow}."):
         model = model_of(program, write_c(program), timing, description)
         try:
             build_fmu(model, scratch, fmi=fmi, platforms=requested).replace(target)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, UnknownNameError, brief, did_you_mean
@@ -47,7 +48,7 @@ def fit(
     *,
     outputs: Columns,
     inputs: Columns = (),
-    time: str = "time",
+    time: str | None = None,
     dt: float | str | Fraction | None = None,
     held_out: float = 0.2,
     weigh: Weigh | Literal["learner"] | None = "learner",
@@ -76,8 +77,9 @@ def fit(
     inputs : mapping, sequence of str or str, optional
         Input of the FMU -> its column. Other inputs keep their start values, with a warning if the recording has a column of
         that name.
-    time : str
-        The column of times in seconds.
+    time : str, optional
+        Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms``; by default a column that
+        is called t, time or timestamp, also with a unit.
     dt : float, str or Fraction, optional
         Seconds between two steps; by default that of the times, which must then be evenly spaced. With `dt`, each row belongs to
         the nearest step.
@@ -136,7 +138,8 @@ def fit(
     problem = Problem(
         Simulator(fmu, samples, jobs), box, settings, samples.y[:split], samples.output_of, np.zeros((0, 0))
     )
-    found = _rounds(problem, samples, _weigh(weigh), _known(fmu, box))
+    with reported(f"Fitting {', '.join(box.names)} to {len(samples.y)} steps, for seconds to minutes."):
+        found = _rounds(problem, samples, _weigh(weigh), _known(fmu, box))
     return _result(fmu, samples, problem, found)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.base.table_files import time_column
 from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.run.tables import named_columns, read_table, sample_time, times_of
 from bayesftc.cosim.types import Floats
@@ -63,7 +64,9 @@ class Samples:
         return np.asarray(self.start + np.arange(len(self.y)) * float(self.step), dtype=np.float64)
 
 
-def sample(recording: Any, inputs: Columns, outputs: Columns, time: str, dt: float | str | Fraction | None) -> Samples:
+def sample(
+    recording: Any, inputs: Columns, outputs: Columns, time: str | None, dt: float | str | Fraction | None
+) -> Samples:
     """Read a recording and bring its rows to steps. Nothing is interpolated: each row goes to the nearest step.
 
     Without `dt` the times must be evenly spaced. With `dt` there may be gaps, and of several rows at a step the last one counts.
@@ -80,6 +83,8 @@ def sample(recording: Any, inputs: Columns, outputs: Columns, time: str, dt: flo
         raise ModelError("fit() has no outputs; name at least one output of the FMU, with its columns.")
     into = {name: named_columns(table, columns, "input") for name, columns in read.items()}
     out = {name: tuple(named_columns(table, columns, "output")) for name, columns in sensed.items()}
+    named = {column for columns in (*into.values(), *out.values()) for column in columns}
+    time = time or time_column(column for column in table.columns if column not in named)
     step = sample_time(table, time, dt)
     rows, start = np.arange(len(table)), 0.0
     if time in table.columns:
@@ -88,8 +93,7 @@ def sample(recording: Any, inputs: Columns, outputs: Columns, time: str, dt: flo
     steps = int(rows[-1]) + 1
     given = {name: _at(rows, steps, table[columns].to_numpy(dtype=np.float64)) for name, columns in into.items()}
     y = _at(rows, steps, table[[c for columns in out.values() for c in columns]].to_numpy(dtype=np.float64))
-    used = {time, *(column for columns in (*into.values(), *out.values()) for column in columns)}
-    unused = tuple(str(column) for column in table.columns if column not in used)
+    unused = tuple(str(column) for column in table.columns if column != time and column not in named)
     return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y, unused)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.fault_panels import draw_detection, draw_shades, name_faults
 from bayesftc.cosim.judging.loop_figure import draw_quantity
-from bayesftc.cosim.judging.panels import finish, legend, shown_figure, thin, with_unit
+from bayesftc.cosim.judging.panels import finish, legend, player_figure, thin, with_unit
 from bayesftc.cosim.judging.pictures import PICTURES, Picture
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.roles import signals_of
@@ -49,7 +49,7 @@ def animate_run(result: Result, frames: int, speed: float) -> NotebookAnimation:
     if not signals.quantities:
         raise ModelError("The result has no scalar signal to animate. Record one: simulate(..., record=['*']).")
     rows = np.unique(np.linspace(0, len(result.time) - 1, frames).round().astype(int))
-    figure = shown_figure()
+    figure = player_figure()
     figure.set_size_inches(8.0, 6.8)
     figure.set_dpi(DOTS_PER_INCH)
     figure.set_layout_engine("constrained")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import pyplot
 from matplotlib.animation import FuncAnimation
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import RendererAgg
@@ -27,7 +28,15 @@ SIGNS = {
 
 
 class NotebookFigure(Figure):
-    """A figure with its own picture for notebooks, which show figures without pyplot as text."""
+    """A figure that a notebook shows once.
+
+    Pyplot shows all its figures below the cell. One that is the cell's result as well is shown a second time, unless pyplot does
+    not know it any more.
+    """
+
+    def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
+        pyplot.close(self)
+        return {}
 
     def _repr_png_(self) -> bytes:
         picture = io.BytesIO()

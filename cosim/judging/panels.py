@@ -23,27 +23,28 @@ WIDTH, PANEL = 8.0, 2.1
 
 
 def shown_figure() -> Figure:
-    """Return an empty figure for a user: a notebook shows it when it is returned, a script with ``pyplot.show()``.
-
-    In a notebook the figure is not known to pyplot, which would show it a second time.
-    """
-    import matplotlib
+    """Return an empty figure of pyplot for a user: a notebook shows it below its cell, a script with ``pyplot.show()``."""
+    from matplotlib import pyplot
 
     from bayesftc.cosim.judging.notebook import NotebookFigure
 
+    return pyplot.figure(FigureClass=NotebookFigure) if _in_notebook() else pyplot.figure()
+
+
+def player_figure() -> Figure:
+    """Return an empty figure for an animation, which a notebook shows only as a player: pyplot does not know it there."""
+    from bayesftc.cosim.judging.notebook import NotebookFigure
+
+    return NotebookFigure() if _in_notebook() else shown_figure()
+
+
+def _in_notebook() -> bool:
+    """Return whether figures are shown below the cells of a notebook."""
+    import matplotlib
+
     backend = str(matplotlib.get_backend()).lower()
-    if "inline" in backend or (backend == "agg" and _in_kernel()):
-        return NotebookFigure()
-    from matplotlib import pyplot
-
-    return pyplot.figure()
-
-
-def _in_kernel() -> bool:
-    """Return whether this process runs the cells of a notebook."""
     ipython = sys.modules.get("IPython")
-    shell = ipython and ipython.get_ipython()
-    return hasattr(shell, "kernel")
+    return "inline" in backend or (backend == "agg" and hasattr(ipython and ipython.get_ipython(), "kernel"))
 
 
 def bare_figure() -> Figure:

@@ -214,6 +214,12 @@ class Session:
             if isinstance(self._engine, CompiledEngine):
                 self._engine.fuse(steps)
             stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
+        except KeyboardInterrupt as stop:
+            stop.add_note(
+                f"Stopped by Ctrl-C at t = {max(run.k, 0) * float(step):g} s of {end * float(step):g} s; the signals of this "
+                "call are lost. To keep them, give time_limit= in seconds, or call start() and then advance() in pieces."
+            )
+            raise
         finally:
             self._is_running = False
         metadata = {"seed": run.seed, "duration": steps * step.numerator / step.denominator, **self._metadata}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.table_files import in_seconds, read_table_file
+from bayesftc.cosim.base.table_files import TIMES, in_seconds, read_table_file
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.run.result import Result
@@ -95,7 +95,7 @@ def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: s
     return columns
 
 
-def sample_time(table: pd.DataFrame, time: str, dt: float | str | Fraction | None) -> Fraction:
+def sample_time(table: pd.DataFrame, time: str | None, dt: float | str | Fraction | None) -> Fraction:
     """Return the sample time in seconds: the given one, or that of the evenly spaced times in a column.
 
     Raises
@@ -116,17 +116,18 @@ def sample_time(table: pd.DataFrame, time: str, dt: float | str | Fraction | Non
     return Fraction(f"{mean:.6g}")
 
 
-def times_of(table: pd.DataFrame, time: str) -> Floats:
-    """Return the times of the rows in seconds; the name of the column may have another unit (``t_ms``).
+def times_of(table: pd.DataFrame, time: str | None) -> Floats:
+    """Return the times of the rows in seconds; the name of the column may have another unit (``t_ms``), or be None if unknown.
 
     Raises
     ------
     StepSizeError
         If there is no such column, or its numbers do not increase.
     """
-    if time not in table.columns:
+    if time is None or time not in table.columns:
+        names = f"column of times: none is called {', '.join(TIMES[:3])}" if time is None else f"column {time!r}"
         raise StepSizeError(
-            f"The recording has no column {time!r}; give the name of the column of times (time=...), or dt= in seconds. Its "
+            f"The recording has no {names}; give the name of the column of times (time=...), or dt= in seconds. Its "
             f"columns: {', '.join(map(str, table.columns[:12]))}{', ...' * (len(table.columns) > 12)}."
         )
     if list(table.columns).count(time) > 1 or table[time].dtype.kind not in "fiu":

@@ -40,6 +40,15 @@ def test_it_prints_and_writes_the_fit(bayesftc_, drive, tmp_path):
     assert bayesftc_("fit", "CruiseControl", drive, *OPTIONS, "--out", "results", "--quiet").stdout == ""
 
 
+def test_the_column_of_times_is_found_with_its_unit(bayesftc_, drive):
+    in_seconds = json.loads(bayesftc_("fit", "CruiseControl", drive, *OPTIONS, "--json").stdout)
+    table = pd.read_csv(drive)
+    table.assign(time=1000 * table["time"]).rename(columns={"time": "t_ms"}).to_csv(drive, index=False)
+    done = bayesftc_("fit", "CruiseControl", drive, *OPTIONS, "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout) == in_seconds
+
+
 def test_json_has_null_where_there_is_no_number(bayesftc_, drive):
     done = bayesftc_(
         "fit", "CruiseControl", drive, *OPTIONS, "--parameter", "v0=5:9", "--json", "--held-out", 0, "--all-samples"

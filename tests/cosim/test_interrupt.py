@@ -269,3 +269,52 @@ def test_what_is_imported_at_the_first_run_is_imported_whole():
     """Ctrl-C in the middle of it is heard at its end, and the next run finds no half of numba."""
     done = subprocess.run([sys.executable, "-c", HALF_IMPORTED], capture_output=True, text=True, timeout=120)
     assert done.stdout == "2.0\n", done.stderr
+
+
+STOPPED = """
+import os, signal, sys, threading
+from bayesftc import cosim
+diagram = cosim.Diagram(dt="1/1000")
+diagram.add(cosim.Gaussian(std=1.0), "noise")
+
+def interrupt(done, *_):
+    if done:
+        os.kill(os.getpid(), signal.SIGINT)
+
+campaign = cosim.Campaign(diagram, duration=1.0, seeds=8, metrics=[cosim.Mean("noise.y")], piece=2)
+actions = {
+    "simulate": lambda: diagram.simulate(1000.0, progress=interrupt, engine="interpreted"),
+    "memory": lambda: campaign.run(executor=cosim.Threads(1), progress=interrupt),
+    "store": lambda: campaign.run("kept", executor=cosim.Threads(1), progress=interrupt),
+}
+try:
+    actions[sys.argv[1]]()
+except KeyboardInterrupt as stop:
+    print(type(stop).__name__, *stop.__notes__, sep="|")
+if sys.argv[1] == "store":
+    print(len(campaign.run("kept").table), threading.active_count())
+"""
+
+
+@pytest.mark.parametrize(
+    ("action", "words"),
+    [
+        ("simulate", "KeyboardInterrupt|Stopped by Ctrl-C at t = "),
+        (
+            "memory",
+            "KeyboardInterrupt|Stopped by Ctrl-C: none of the 8 runs is kept, because the campaign has no store.\n",
+        ),
+        ("store", "KeyboardInterrupt|Stopped by Ctrl-C: 2 of 8 runs are kept in "),
+    ],
+)
+def test_in_python_ctrl_c_says_what_was_done_and_how_to_continue(action, words, tmp_path):
+    if action == "store":
+        pytest.importorskip("zarr")
+    done = subprocess.run(
+        [sys.executable, "-c", STOPPED, action], capture_output=True, text=True, cwd=tmp_path, timeout=120
+    )
+    assert done.stdout.startswith(words), done.stdout + done.stderr
+    assert done.stdout.count("Stopped") == 1
+    if action == "store":
+        assert done.stdout.endswith("\n8 1\n")
+        assert {path.name for path in tmp_path.iterdir()} == {"kept"}

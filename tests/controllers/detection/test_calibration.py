@@ -114,6 +114,8 @@ def test_reproducible():
         ({"steps": 100}, "give at least 5000"),
         ({"precision": controllers.SERFDI()}, "SERFDI.* has no rate.*: GammaPrecision or .*VariationalBayesKF"),
         ({"magnitudes": {"jump": 1.0}}, "has the unknown magnitude 'jump'"),
+        ({"hazards": (2.8, 0.01)}, "mean_time_to_recovery=0.01, but a step of the model takes .* at least 0"),
+        ({"hazards": (float("inf"), 0.4)}, "mean_time_to_fault=inf.* Give a finite number"),
     ],
 )
 def test_bad_settings(change, words):

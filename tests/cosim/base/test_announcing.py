@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.base import announcing
 from bayesftc.cosim.stepping import compiler
 from bayesftc.cosim.stepping.machine import steps
@@ -34,6 +35,33 @@ def test_it_is_said_once_and_only_if_compiling_takes_long(fresh, caplog):
     with announcing.announced(False):
         time.sleep(0.1)
     assert caplog.messages == [announcing.SENTENCE]
+
+
+def test_a_slow_call_reports_itself_each_time_and_a_quick_one_does_not(fresh, caplog):
+    for seconds in (0.0, 0.2, 0.2):
+        with announcing.reported("Compiling limit.fmu."):
+            time.sleep(seconds)
+    assert caplog.messages == ["Compiling limit.fmu."] * 2
+
+
+def test_export_design_calibrate_and_campaigns_report_themselves(fresh, caplog, tmp_path, monkeypatch):
+    monkeypatch.setattr(announcing, "PATIENCE", 0.0)
+    monkeypatch.setattr(announcing.announcement, "said", lambda: True)
+    servo = cosim.FMU(fmus.path("PositionServo"))
+    controller = controllers.design(servo, measured="angle", actuated="voltage")
+    controllers.calibrate(controller.model, steps=5000)
+    loop = cosim.closed_loop(servo, controller, control="voltage", measured="angle", reference=1.0)
+    cosim.Campaign(loop, duration=2.0, seeds=4).run()
+    cosim.export_fmu(cosim.Saturation(-1.0, 1.0), tmp_path / "limit.fmu", dt=0.01)
+    words = (
+        "Linearizing",
+        "Comparing the linear model",
+        "Simulating 5000 steps",
+        "Making 4 runs",
+        "Compiling limit.fmu",
+    )
+    assert [message for message in caplog.messages if message.startswith(words)] == caplog.messages
+    assert len(caplog.messages) == len(words)
 
 
 def test_many_short_compilations_add_up(fresh, caplog):

@@ -1,13 +1,16 @@
 """The unit of a column of times, from its name, wherever a recording is read."""
 
+from fractions import Fraction
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from bayesftc import cosim
 from bayesftc.controllers import LinearModel
-from bayesftc.cosim.base.table_files import in_seconds, time_unit
-from bayesftc.cosim.errors import RecordingError
+from bayesftc.cosim.base.table_files import in_seconds, time_column, time_unit
+from bayesftc.cosim.errors import RecordingError, StepSizeError
+from bayesftc.cosim.fitting.samples import sample
 
 SECOND = ("t", "time", "timestamp", "time_s", "t [s]", "time (s since start)", "time_local", "s", "h", "min", "x[0]", 0)
 MILLI = (
@@ -53,3 +56,26 @@ def test_recordings_in_milliseconds_are_those_in_seconds(tmp_path):
     assert [float(each.model.step) for each in found] == [0.02, 0.02]
     tables[1].to_csv(tmp_path / "run.csv", index=False)
     assert cosim.Table.read(tmp_path / "run.csv", "u", time="t_ms").times == tuple(k / 1000 for k in range(0, 8000, 20))
+
+
+@pytest.mark.parametrize("name", ["t", "T_ms", "Time [ms]", "timestamp", "time_s"])
+def test_a_column_of_times_is_found_by_its_name(name, tmp_path):
+    assert time_column(["u", "t_outside", name, "time"]) == name
+    unit = 1 / float(time_unit(name))
+    rng = np.random.default_rng(1)
+    u, y = np.repeat(rng.standard_normal(80), 5), rng.standard_normal(400)
+    table = pd.DataFrame({"u": u, name: np.arange(400) * 0.02 * unit, "y": y})
+    table.to_csv(tmp_path / "run.csv", index=False)
+    assert LinearModel.identify(table, inputs="u", outputs="y", order=1).model.step == Fraction(1, 50)
+    assert sample(table, "u", "y", None, None).step == Fraction(1, 50)
+    assert np.allclose(cosim.Table.read(tmp_path / "run.csv", "u").times, np.arange(400) * 0.02)
+
+
+def test_a_signal_is_no_column_of_times():
+    assert time_column(["u", "t_outside", "times_open", "speed"]) is None
+    table = pd.DataFrame({"t": np.arange(5.0), "y": np.arange(5.0)})
+    assert sample(table, {"voltage": "t"}, "y", None, "0.1").step == Fraction(1, 10)
+    with pytest.raises(
+        StepSizeError, match=r"no column of times: none is called t, time, timestamp; .*time=.*columns: t, y"
+    ):
+        sample(table, {"voltage": "t"}, "y", None, None)

@@ -13,6 +13,11 @@ CELLS = (
     "result.plot()",
     "import matplotlib.pyplot as plt\nresult.plot()",
     "figure = result.plot()",
+    "figure",
+    "result.plot();\nresult.plot_signals();",
+    "display(result.plot())",
+    "import control\ncontrol.bode_plot(control.tf([1], [1, 1]));",
+    "animation = result.animate(frames=2)",
     "print(plt.get_fignums())",
     "result",
 )
@@ -37,8 +42,19 @@ def pictures(cell):
 
 @pytest.mark.slow
 def test_a_figure_shows_once_with_and_without_pyplot(outputs):
-    assert [pictures(cell) for cell in outputs[1:4]] == [1, 1, 0]
-    assert outputs[4][0]["text"] == "[]\n"
+    assert [pictures(cell) for cell in outputs[1:4]] == [1, 1, 1]
+    assert outputs[9][0]["text"] == "[]\n"
+
+
+@pytest.mark.slow
+def test_a_figure_shows_as_those_of_python_control_do(outputs):
+    """After a semicolon, too; and a figure that is kept shows again when it is asked for."""
+    assert [pictures(cell) for cell in outputs[4:8]] == [1, 2, 1, 1]
+
+
+@pytest.mark.slow
+def test_an_animation_has_no_picture_beside_its_player(outputs):
+    assert outputs[8] == []
 
 
 def test_a_script_shows_figures_by_pyplot(monkeypatch):

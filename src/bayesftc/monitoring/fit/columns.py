@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
-from bayesftc.cosim.base.table_files import UNITS_OF_TIME
+from bayesftc.cosim.base.table_files import TIMES, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.recording import Recording, Signal, align
-
-TIMES = ("t", "time", "timestamp", "times", "seconds", "millis", "milliseconds", "microseconds")
-"""Names of a column of time stamps, in any case, also with a unit (``t_ms``). Else it is the first column, if that increases."""
 
 
 @dataclass(frozen=True)
@@ -109,11 +105,10 @@ def redundant_signals(
 
 
 def _time_column(tables: Tables, file: os.PathLike[str], header: Sequence[str]) -> str:
+    """Return the column of times: by its name, else the first one, if that increases."""
     every = tables.names(file)
-    for name in every:
-        first, *unit = [word for word in re.split(r"[\W_]+", name.lower()) if word] or [""]
-        if first in TIMES and (not unit or (len(unit) == 1 and unit[0] in UNITS_OF_TIME)):
-            return name
+    if (name := time_column(every)) is not None:
+        return name
     why = "has no number"
     if every[0] in header:
         why = "does not increase"

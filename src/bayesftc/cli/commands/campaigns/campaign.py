@@ -6,7 +6,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +16,7 @@ import typer
 from bayesftc._interrupt import Interrupted
 from bayesftc.cli import output
 from bayesftc.cli.options import Json, Quiet
-from bayesftc.cosim.errors import BayesFTCError, ModelError
+from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,14 +88,11 @@ def _kept(store: Path, again: list[str]) -> Iterator[None]:
     try:
         yield
     except (Interrupted, KeyboardInterrupt) as stop:
-        from bayesftc.cosim.campaign.store.folder import CampaignStore
+        from bayesftc.cosim.campaign.working import kept_runs
 
-        with suppress(BayesFTCError):  # there is no store yet
-            kept = CampaignStore.open(store)
-            runs = sum(len(kept.plan.pieces[index]) for index in kept.done())
-            stop.args = (
-                f"Stopped by Ctrl-C. {runs} of {kept.plan.runs} runs are kept in {store}. To go on: {shlex.join(again)}",
-            )
+        if kept := kept_runs(store):
+            runs, of = kept
+            stop.args = (f"Stopped by Ctrl-C. {runs} of {of} runs are kept in {store}. To go on: {shlex.join(again)}",)
         raise
 
 

@@ -12,7 +12,7 @@ import typer
 
 from bayesftc import controllers
 from bayesftc.cli import output
-from bayesftc.cli.options import AScenario, Json
+from bayesftc.cli.options import AScenario, Json, by_options
 from bayesftc.controllers.detection.calibration import judge_own_probability
 from bayesftc.controllers.precision.rate import RateLearner
 from bayesftc.cosim.errors import ModelError
@@ -21,6 +21,13 @@ from bayesftc.scenario import load_scenario
 from bayesftc.scenario._place import Place
 
 DIAGRAM, NUMBERS = "reliability.png", "calibration.json"
+
+OPTIONS = {
+    "mean_time_to_fault": "--time-to-fault",
+    "mean_time_to_recovery": "--time-to-recovery",
+    "steps": "--steps",
+}
+"""Arguments of `bayesftc.controllers.calibrate` that its errors name, and their options."""
 
 
 def calibrate(
@@ -54,7 +61,7 @@ def calibrate(
     settings = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name != "model"}
     learner = controller.precision
     has_probability = not isinstance(learner, RateLearner) and learner.why_no_probability is None
-    with Place(path).named():
+    with Place(path).named(), by_options(**OPTIONS):
         report = (judge_own_probability if has_probability else controllers.calibrate)(
             controller.model,
             hazards,

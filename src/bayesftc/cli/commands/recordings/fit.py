@@ -41,7 +41,9 @@ def fit(
         list[str] | None,
         typer.Option("--input", metavar="NAME=COLUMN", help="An input of the FMU and its column; repeat for more."),
     ] = None,
-    time: Annotated[str, typer.Option(help="The column of times in seconds.")] = "time",
+    time: Annotated[
+        str | None, typer.Option(help="The column of times; by default the one called t, time or timestamp, or t_ms.")
+    ] = None,
     dt: Annotated[
         float | None, typer.Option(help="Seconds between two steps, if the times are not evenly spaced.")
     ] = None,
