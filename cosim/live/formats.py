@@ -98,16 +98,28 @@ def _json(payload: bytes) -> Message:
         raise ValueError("no JSON") from None
     sent = sequence = None
     if isinstance(content, dict):
-        sent, sequence = _stamp(content, TIME), _stamp(content, SEQUENCE)
+        sent, sequence = _stamp(content, TIME), _sequence(content)
         content = next((content[key] for key in VALUE if key in content), [])
     values = tuple(map(_number, content if isinstance(content, list) else [content]))
     if not values:
         raise ValueError("empty")
-    return Message(values, sent, None if sequence is None else int(sequence))
+    return Message(values, sent, sequence)
+
+
+def _given(content: dict[str, Any], keys: Sequence[str]) -> Any:
+    return next((content[key] for key in keys if content.get(key) is not None), None)
+
+
+def _sequence(content: dict[str, Any]) -> int | None:
+    given = _given(content, SEQUENCE)
+    if isinstance(given, int) and not isinstance(given, bool):
+        return given  # a double does not tell neighbours beyond 2^53 apart
+    stamp = _stamp(content, SEQUENCE)
+    return None if stamp is None else int(stamp)
 
 
 def _stamp(content: dict[str, Any], keys: Sequence[str]) -> float | None:
-    given = next((content[key] for key in keys if content.get(key) is not None), None)
+    given = _given(content, keys)
     if given is None:
         return None
     stamp = _number(given)

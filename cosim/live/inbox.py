@@ -16,7 +16,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite, isinf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -279,6 +279,18 @@ class Inbox:
                     self.missing[reason] += 1
             self._why = NONE
             return values
+
+    def numbers(self, steps: int) -> dict[str, Any]:
+        """Return the numbers of messages and missing samples after so many steps, from any thread."""
+        with self._lock:
+            return {
+                "received": self.received,
+                "replaced": self.replaced,
+                "rejected": dict(self.rejected.most_common()),
+                "missing": dict(self.missing.most_common()),
+                "missing_share": self.missing.total() / max(steps * self.size, 1),
+                "last_reason": self.last_reason,
+            }
 
     def age(self) -> float:
         """Return the age of the last sample in seconds; infinity before the first."""

@@ -226,8 +226,10 @@ class Recorder:
             try:
                 self._write(piece)
                 self.pieces += 1
-            except OSError as error:
-                self.problem, self.lost = error.strerror or str(error), self.lost + piece.count
+            except Exception as error:  # noqa: BLE001 - the thread must not end silently: later pieces may be written
+                of_disk = error.strerror or str(error) if isinstance(error, OSError) else ""
+                self.problem = of_disk or f"{type(error).__name__}: {error}"
+                self.lost += piece.count
             self._free.put(piece)
 
     def _write(self, piece: _Piece) -> None:

@@ -6,10 +6,11 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ FEWEST = 10
 """Default number of periods without a control after which the watchdog sends the safe values."""
 
 Watcher = Callable[[float, Floats, Floats], None]
+Opened = Callable[[Sequence[Incoming | Outgoing], Path | None], None]
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,9 @@ class LiveSettings:
     watcher : callable, optional
         Called after each step as ``watcher(time, inputs, outputs)``, with the elements as arrays. Its time counts, and it must
         keep copies only.
+    opened : callable, optional
+        Called once as ``opened(wires, folder)`` when the bridges are open: with the wires, whose numbers any thread may read, and
+        the folder of this run's recording.
 
     Examples
     --------
@@ -74,6 +79,7 @@ class LiveSettings:
     watchdog: float = FEWEST
     recording: Recording | None = None
     watcher: Watcher | None = None
+    opened: Opened | None = None
 
     def steps(self, step: Fraction) -> int | None:
         """Return the number of steps of so many seconds; None without a duration.
@@ -332,6 +338,8 @@ class _Loop:
             self._opened.append(each)
         self._make_safe()
         self._watchdog.start()
+        if self._settings.opened is not None:
+            self._settings.opened(every, None if self._recorder is None else self._recorder.folder)
 
     def run(self, steps: int | None, stop: Stop) -> None:
         """Make the steps."""
@@ -396,36 +404,15 @@ class _Loop:
             self.time,
             stopped,
             self.deadlines.report(),
-            {each.name: self._received(each) for each in self._ins},
-            {each.name: self._sent(each) for each in self._outs},
+            {each.name: self._numbers(each) for each in self._ins},
+            {each.name: self._numbers(each) for each in self._outs},
             self._watchdog.trips,
             None if recorder is None else str(recorder.folder),
             0 if recorder is None else recorder.lost,
             "" if recorder is None else recorder.problem,
         )
 
-    def _received(self, each: Incoming) -> dict[str, Any]:
-        box = each.inbox
-        missing = dict(box.missing.most_common())
-        return {
-            "received": box.received,
-            "replaced": box.replaced,
-            "rejected": dict(box.rejected.most_common()),
-            "missing": missing,
-            "missing_share": sum(missing.values()) / max(self.deadlines.steps * box.size, 1),
-            "last_reason": box.last_reason,
-            **self._state(each),
-        }
-
-    def _sent(self, each: Outgoing) -> dict[str, Any]:
-        return {
-            "sent": each.sent,
-            "lost": each.wire.bridge.lost,
-            "safe": each.safes,
-            "clipped": each.clipped,
-            "not_finite": each.not_finite,
-            **self._state(each),
-        }
-
-    def _state(self, each: Incoming | Outgoing) -> dict[str, Any]:
-        return {"connected": self.connected.get(each.name, False), "problem": each.wire.bridge.problem}
+    def _numbers(self, each: Incoming | Outgoing) -> dict[str, Any]:
+        bridge = each.wire.bridge
+        connected = self.connected.get(each.name, False)
+        return {**each.numbers(self.deadlines.steps), "connected": connected, "problem": bridge.problem}

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -130,6 +130,10 @@ class Incoming:
     def __post_init__(self) -> None:
         self.waiting = not self.bears_missing and self.wire.start is None
 
+    def numbers(self, steps: int) -> dict[str, Any]:
+        """Return the numbers of its messages and missing samples after so many steps."""
+        return self.inbox.numbers(steps)
+
     def read(self, inputs: Floats, late: float, behind: int) -> None:
         """Write the sample into the vector of inputs; an input that bears no missing sample keeps its last one."""
         values = self.inbox.take(late, behind)
@@ -162,6 +166,16 @@ class Outgoing:
         self._lock = threading.Lock()
         self._time = 0.0
         wire.bridge.safe = [float(wire.safe)] * len(places) if isinstance(wire.safe, int | float) else None
+
+    def numbers(self, steps: int) -> dict[str, Any]:
+        """Return the numbers of its controls and safe values."""
+        return {
+            "sent": self.sent,
+            "lost": self.wire.bridge.lost,
+            "safe": self.safes,
+            "clipped": self.clipped,
+            "not_finite": self.not_finite,
+        }
 
     def send(self, outputs: Floats, time: float) -> None:
         """Send the values of a step, or the safe value if one of them is not a finite number."""

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -57,6 +58,43 @@ def test_rows_alarms_and_wires_are_shown():
         words = [event.words for event in run.events.all()]
         assert words[0] == "sensor 1: alarm"
         assert 2.0 < run.events.all()[0].time < 2.5
+
+
+def test_missing_samples_are_counted_by_wire_and_reason():
+    """The numbers of the page are those of the summary, which the terminal prints."""
+    controller = live_controller("live_car", ["controller.y[0]", "controller.y[1]"])
+    wires = {
+        f"speed{i}": live.Wire(live.UDP(port=0), to=f"controller.y[{i}]", low=0.0, high=60.0, stale_after=0.06)
+        for i in range(2)
+    }
+    wires["force"] = live.Wire(live.UDP(port=free_port()), source="controller.u", safe=0.0)
+    with controller.stepper() as stepper:
+        stepper.prepare()
+        run, stop = LiveRun("live_car", LiveLane(controller, stepper), wires), live.Stop()
+        assert "missing" not in run.wires()[0]
+        inboxes = {}
+
+        def opened(incoming, folder):
+            run.opened(incoming, folder)
+            inboxes.update((each.name, each.inbox) for each in incoming if each.wire.is_input)
+            assert folder is None
+
+        def watch(time, inputs, outputs):
+            run.feed(time, inputs, outputs)
+            k = round(time / 0.02)
+            if k == 20:
+                stop.request("Enough.")
+            inboxes["speed0"].put([20.0, np.nan, 200.0, 20.0][k % 4], sequence=0 if k % 4 == 3 else k)
+
+        summary = live.run_live(stepper, wires, live.LiveSettings(watcher=watch, opened=opened), stop)
+    first, second, force = run.wires()
+    for shown, printed in ((first, summary.wires_in["speed0"]), (second, summary.wires_in["speed1"])):
+        for name in ("missing", "missing_share", "rejected"):
+            assert shown[name] == printed[name]
+    assert first["missing"] == {"not a number": 5, "out of range": 5, "out of order": 5, "no message": 1}
+    assert second["missing"] == {"no message": summary.steps}
+    assert second["missing_share"] == 1.0
+    assert (force["sent"], force["lost"]) == (summary.steps, 0)
 
 
 def free_port():
@@ -214,7 +252,11 @@ def test_the_page_only_shows(tmp_path, tmp_path_factory):
         with car(port, freeze=3.0), Cable(port):
             page = Page(browser, run.address, status="A live run")
             page.until(lambda: "frozen" in page.text("[aria-label='sensor 0'] .words"))
-            assert page.text("#wire-list li") == "speed0: to controller.y[0]connected"
+            spans = [each.text for each in page.all("#wire-list li:first-child span")]
+            assert spans == ["speed0: to controller.y[0]", "connected"]
+            shown = page.text("#wire-list li:first-child .numbers")
+            assert re.fullmatch(r"\d+ messages, \d+\.\d % of the samples missing: .*no message \d+.*", shown)
+            assert re.fullmatch(r"\d+ sent, 0 lost, \d+ safe values", page.text("#wire-list li:last-child .numbers"))
             shown = [each.text for each in page.all("button, .links a") if each.is_displayed()]
             assert shown == ["Events of this session (CSV)"]
             for width, dark in ((1280, False), (390, True)):

@@ -62,6 +62,8 @@ def test_any_json_is_decoded_or_refused(content):
         ("[1, 2.5]", Message((1.0, 2.5))),
         ('{"value": 4, "time": 0.5}', Message((4.0,), 0.5)),
         ('{"values": [4, 5], "seq": 7}', Message((4.0, 5.0), None, 7)),
+        ('{"value": 4, "seq": 7.0}', Message((4.0,), None, 7)),
+        ('{"value": 4, "seq": 9007199254740993}', Message((4.0,), None, 2**53 + 1)),
     ],
 )
 def test_json_is_a_number_a_list_or_an_object(text, message):

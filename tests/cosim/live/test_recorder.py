@@ -133,6 +133,22 @@ def test_a_full_disk_is_reported(tmp_path, monkeypatch):
     assert (recorder.lost, recorder.problem) == (10, "No space left on device")
 
 
+def test_any_error_is_reported_and_later_pieces_are_written(tmp_path, monkeypatch):
+    recorder = Recorder(Recording(tmp_path, rows=10), SIGNALS, 0.01)
+    write = recorder._write
+
+    def fails_once(piece):
+        monkeypatch.setattr(recorder, "_write", write)
+        raise MemoryError("malloc of size 64 failed")
+
+    monkeypatch.setattr(recorder, "_write", fails_once)
+    for k in range(20):
+        assert recorder.add(k, 0.01 * k, [k, 0, 0])
+    recorder.close()
+    assert (recorder.lost, recorder.problem) == (10, "MemoryError: malloc of size 64 failed")
+    assert read_recording(tmp_path)["car.v"].tolist() == list(range(10, 20))
+
+
 def test_errors_are_sentences(tmp_path):
     with pytest.raises(ResultFileError, match="has no piece"):
         read_recording(tmp_path)

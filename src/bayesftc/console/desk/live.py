@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -17,8 +17,10 @@ from bayesftc.cosim.diagram.roles import LoopRoles, find_roles
 from bayesftc.cosim.ports import labels
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from bayesftc.cosim.live.steppers import Stepper
-    from bayesftc.cosim.live.wires import Wire
+    from bayesftc.cosim.live.wires import Incoming, Outgoing, Wire
     from bayesftc.cosim.types import Floats
     from bayesftc.scenario.live.controller import LiveController
 
@@ -93,6 +95,8 @@ class LiveRun:
         self.events = Events()
         self.view: Any = None
         self._wires = wires
+        self._opened: Mapping[str, Incoming | Outgoing] = {}
+        self._steps = 0
 
     def start(self) -> None:
         """Start nothing: the run has its own clock."""
@@ -100,19 +104,25 @@ class LiveRun:
     def stop(self) -> None:
         """Stop nothing: the run ends by itself."""
 
+    def opened(self, wires: Sequence[Incoming | Outgoing], folder: Path | None) -> None:
+        """Take the wires when they are open, and the folder of the recording; `opened` of `LiveSettings`."""
+        self._opened = {wire.name: wire for wire in wires}
+
     def feed(self, time: float, inputs: Floats, outputs: Floats) -> None:
         """Take a step of the run; the watcher of `LiveSettings`."""
         lane = self.lane
+        self._steps += 1
         k = round(time / lane.step)
         lane.add(k, inputs, outputs)
         for alarm in lane.watch.after(k - 1):
             self.events.add("alarm", lane.watch.words_of(alarm), "live", time)
 
     def wires(self) -> list[dict[str, Any]]:
-        """Return the state of each wire."""
+        """Return the state of each wire, and its numbers when it is open."""
         return [
             {"name": name, "signals": ", ".join(wire.names), "is_input": wire.is_input,
-             "connected": wire.bridge.connected, "problem": wire.bridge.problem}
+             "connected": wire.bridge.connected, "problem": wire.bridge.problem,
+             **(self._opened[name].numbers(self._steps) if name in self._opened else {})}
             for name, wire in self._wires.items()
         ]  # fmt: skip
 

@@ -1,21 +1,15 @@
 // The console: connection, commands, cards, forms, branches and the log. Names reach the page as text only.
 import { Buffer, Strip, short } from "/page/strips.js";
 import { Loop, Scenes } from "/page/drawing.js";
+import { make, put } from "/page/elements.js";
+import { Wires } from "/page/wires.js";
 
 const $ = (id) => document.getElementById(id);
-const make = (name, attributes = {}, ...children) => {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (key in made && typeof value !== "string") made[key] = value;
-    else made.setAttribute(key, value);
-  }
-  made.append(...children);
-  return made;
-};
 
 let socket, layout, buffer, state, loop, scenes, strips = [], extra = [], cards = new Map(), waiting = new Map(), number = 0;
-let dragging = false, dirty = false, shownLog = "", shownWires = "";
+let dragging = false, dirty = false, shownLog = "";
 const memory = { forms: new Map() };
+const wires = new Wires($("wires"), $("wire-list"));
 
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
@@ -286,8 +280,6 @@ function updateCards() {
   }
 }
 
-const put = (element, text) => { if (element.textContent !== text) element.textContent = text; };
-
 // --- Reference, inputs, branches ---------------------------------------------------------------------------------
 
 function showSettings() {
@@ -341,17 +333,6 @@ function showBranches() {
 
 // --- Time, log -------------------------------------------------------------------------------------------------------
 
-function updateWires() {
-  $("wires").hidden = !state.wires.length;
-  const text = JSON.stringify(state.wires);
-  if (text === shownWires) return;
-  shownWires = text;
-  $("wire-list").replaceChildren(...state.wires.map((wire) => make("li", {},
-    make("span", {}, `${wire.name}: ${wire.is_input ? "to" : "from"} ${wire.signals}`),
-    make("span", { class: wire.connected ? "ok" : "bad" }, wire.connected ? "connected" : "not connected"),
-    ...(wire.problem ? [make("small", {}, wire.problem)] : []))));
-}
-
 function updateTime() {
   const active = layout.branches.find((branch) => branch.active);
   if (active) put($("reach"), reach(active, state.furthest * layout.step));
@@ -398,7 +379,7 @@ function draw() {
   updateTime();
   updateCards();
   updateLog();
-  updateWires();
+  wires.show(state.wires);
   loop.show(buffer, state.cards);
   scenes.show(state.scenes, buffer, state.stopped);
   const seconds = Number($("window").value);

@@ -35,7 +35,9 @@ PAGE = Path(__file__).parent.parent / "page"
 FILES = {
     "console.js": "text/javascript",
     "drawing.js": "text/javascript",
+    "elements.js": "text/javascript",
     "strips.js": "text/javascript",
+    "wires.js": "text/javascript",
     "console.css": "text/css",
     "uPlot.iife.min.js": "text/javascript",
     "uPlot.min.css": "text/css",

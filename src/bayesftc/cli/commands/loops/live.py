@@ -66,14 +66,15 @@ def live(
             ActuatorWatch(loaded.actuators, loaded.actuator_modes, stepper.step),
         ]
         alarms = Alarms(watches, "controller.", shown=not quiet)
-        watchers = [alarms.watcher(stepper)]
+        watchers, opened = [alarms.watcher(stepper)], None
         if serve:
             from bayesftc.console.desk.live import LiveLane, LiveRun
 
             shown = LiveRun(Path(controller).stem, LiveLane(loaded, stepper), wires.wires)
             stack.enter_context(page_beside(shown, host, port, open_page))
             watchers.append(shown.feed)
-        settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), _all_of(watchers))
+            opened = shown.opened
+        settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), _all_of(watchers), opened)
         settings.steps(stepper.step)  # errors of the options are not those of the wires
         summary = run_between(stepper, wires, settings)
     numbers = as_numbers(summary, alarms.close())
