@@ -39,7 +39,7 @@ _CAREFUL = """\
 #pragma GCC optimize("peel-loops") /* short loops are unrolled: a fifth faster, and a fifth longer */
 #endif
 #endif"""
-_OF_LIBRARY = ("cos", "exp", "log", "sin")
+_OF_LIBRARY = ("cos", "sin")
 _BY_LIBRARY = """\
 static double op_{name}(double x)
 {{
