@@ -1,4 +1,4 @@
-"""Exponential and logarithm as step functions: one fixed sequence of operations, so the same bits on every machine.
+"""Exponential, logarithm, sine and cosine as step functions: one fixed sequence of operations, so the same bits on every machine.
 
 Libraries of C differ in the last place of these functions. Here they consist of sums, products, quotients and comparisons, each
 rounded separately as IEEE 754 demands, and of three operations on the bits of a number. Engines and exported C use this text.
@@ -47,6 +47,26 @@ _L1, _L2, _L3, _L4, _L5, _L6, _L7 = (
     0.14616585424888623,
 )
 """Coefficients of (2 artanh(s) - 2 s) / s**3 in s**2, for magnitudes of s up to 0.1716."""
+
+_S1, _S2, _S3, _S4 = (-0.16666666666666666, 0.008333333333333331, -0.00019841269841264821, 2.7557319219150783e-06)
+_S5, _S6, _S7 = (-2.5052106167335705e-08, 1.6058521349954986e-10, -7.586094789672621e-13)
+"""Coefficients of (sin(r) / r - 1) / r**2 in r**2, for magnitudes of r up to pi / 4."""
+
+_C1, _C2, _C3 = (0.041666666666666664, -0.0013888888888887322, 2.4801587298651292e-05)
+_C4, _C5, _C6 = (-2.755731721268659e-07, 2.0876134024090145e-09, -1.1381754653662937e-11)
+"""Coefficients of (cos(r) - 1 + r**2 / 2) / r**4 in r**2, for magnitudes of r up to pi / 4."""
+
+# fmt: off
+_TWO_OVER_PI = (
+    10680707.0, 7228996.0, 1387004.0, 2578385.0, 16069853.0, 12639074.0, 9804092.0, 4427841.0, 16666979.0, 11263675.0,
+    12935607.0, 2387514.0, 4345298.0, 14681673.0, 3074569.0, 13734428.0, 16653803.0, 1880361.0, 10960616.0, 8533493.0,
+    3062596.0, 8710556.0, 7349940.0, 6258241.0, 3772886.0, 3769171.0, 3798172.0, 8675211.0, 12450088.0, 3874808.0,
+    9961438.0, 366607.0, 15675153.0, 9132554.0, 7151469.0, 3571407.0, 2607881.0, 12013382.0, 4155038.0, 6285869.0,
+    7677882.0, 13102053.0, 15825725.0, 473591.0, 9065106.0, 15363067.0, 6271263.0, 9264392.0, 5636912.0, 4652155.0,
+    7056368.0, 13614112.0, 10155062.0, 1944035.0, 9527646.0, 15077376.0,
+)
+# fmt: on
+"""Digits of 2 / pi behind the point, to the base 2**24."""
 
 
 def power_of_two(k):
@@ -122,3 +142,135 @@ def logarithm(x):
     if x == 0.0:
         return -_INF
     return x if x == _INF else _NAN
+
+
+def _quadrant(n):
+    """Return a whole number modulo 4."""
+    rest = n - 4.0 * ((0.25 * n + ROUNDER) - ROUNDER)
+    return rest + 4.0 if rest < 0.0 else rest
+
+
+def _reduced(x):
+    """Return n modulo 4 and x - n pi / 2 as the sum of two numbers, for magnitudes of `x` below a million (Cody and Waite)."""
+    n = (x * 0.6366197723675814 + ROUNDER) - ROUNDER
+    # Products with the first three parts are exact, and so are the differences with what they miss.
+    first = x - n * 1.5707963267341256
+    part = n * 6.077100506303966e-11
+    second = first - part
+    back = second - first
+    missed = (first - (second - back)) - (part + back)
+    part = n * 2.0222662487111665e-21
+    third = second - part
+    back = third - second
+    missed = missed + ((second - (third - back)) - (part + back))
+    missed = missed - n * 8.4784276603689e-32
+    r = third + missed
+    return _quadrant(n), r, (third - r) + missed
+
+
+def _digit(j):
+    """Return a digit of 2 / pi."""
+    return _TWO_OVER_PI[j] if j >= 0 else 0.0
+
+
+def _product(a, b, c, d, j):
+    """Return a digit of the product of a number with 2 / pi, before carries."""
+    return (a * _digit(j) + b * _digit(j - 1)) + (c * _digit(j - 2) + d * _digit(j - 3))
+
+
+def _reduced_far(x):
+    """Return the same as `_reduced` for larger magnitudes: only some digits of 2 / pi count (Payne and Hanek)."""
+    size = x if x > 0.0 else -x
+    k = exponent(size)
+    e = 0
+    while 24.0 * (e + 1.0) <= k:
+        e = e + 1
+    # `size` in digits to the base 2**24, from 2**(24 e) downwards.
+    rest = significand(size) * power_of_two(k - 24.0 * e)
+    a = (rest + ROUNDER) - ROUNDER
+    rest = (rest - a) * 16777216.0
+    b = (rest + ROUNDER) - ROUNDER
+    rest = (rest - b) * 16777216.0
+    c = (rest + ROUNDER) - ROUNDER
+    d = (rest - c) * 16777216.0
+    # The first three digits of the product have, modulo 4, no more than 53 bits: these sums are exact.
+    whole = _product(a, b, c, d, e - 1)
+    turns = whole - 4.0 * ((0.25 * whole + ROUNDER) - ROUNDER)
+    part = _product(a, b, c, d, e) * 5.960464477539063e-08  # 2**-24
+    turns = (turns + (part - 4.0 * ((0.25 * part + ROUNDER) - ROUNDER))) + _product(
+        a, b, c, d, e + 1
+    ) * 3.552713678800501e-15  # 2**-48
+    n = (turns + ROUNDER) - ROUNDER
+    high = turns - n
+    part = _product(a, b, c, d, e + 2) * 2.117582368135751e-22  # 2**-72
+    total = high + part
+    back = total - high
+    low = (high - (total - back)) + (part - back)
+    high = total
+    part = _product(a, b, c, d, e + 3) * 1.262177448353619e-29  # 2**-96
+    total = high + part
+    back = total - high
+    low = low + ((high - (total - back)) + (part - back))
+    high = total
+    part = _product(a, b, c, d, e + 4) * 7.52316384526264e-37  # 2**-120
+    total = high + part
+    back = total - high
+    low = low + ((high - (total - back)) + (part - back))
+    low = low + (
+        _product(a, b, c, d, e + 5) * 4.484155085839415e-44 + _product(a, b, c, d, e + 6) * 2.6727647100921956e-51
+    )  # 2**-144, 2**-168
+    # Times pi / 2, in parts of 26 and 53 bits; the first factor is split in the same way.
+    split = 134217729.0 * total
+    front = split - (split - total)
+    high = front * 1.5707963109016418
+    low = (total - front) * 1.5707963109016418 + (total * 1.5893254773528196e-08 + low * 1.5707963267948966)
+    r = high + low
+    low = (high - r) + low
+    if x < 0.0:
+        return _quadrant(-n), -r, -low
+    return _quadrant(n), r, low
+
+
+def _sine_of_part(r, low):
+    z = r * r
+    v = z * r
+    rest = (_S2 + z * _S3) + (z * z) * ((_S4 + z * _S5) + (z * z) * (_S6 + z * _S7))
+    return r - ((z * (0.5 * low - v * rest) - low) - v * _S1)
+
+
+def _cosine_of_part(r, low):
+    z = r * r
+    half = 0.5 * z
+    one = 1.0 - half
+    rest = (_C1 + z * _C2) + (z * z) * ((_C3 + z * _C4) + (z * z) * (_C5 + z * _C6))
+    return one + (((1.0 - one) - half) + ((z * z) * rest - r * low))
+
+
+def _turned(x, quarters):
+    """Return the sine of `x` plus some quarters of a turn."""
+    q, r, low = 0.0, x, 0.0
+    if x > -1e6 and x < 1e6:
+        if x < -0.785 or x > 0.785:
+            q, r, low = _reduced(x)
+    elif x > -_INF and x < _INF:
+        q, r, low = _reduced_far(x)
+    else:
+        return _NAN
+    q = _quadrant(q + quarters)
+    if q == 0.0:
+        return _sine_of_part(r, low)
+    if q == 1.0:
+        return _cosine_of_part(r, low)
+    if q == 2.0:
+        return -_sine_of_part(r, low)
+    return -_cosine_of_part(r, low)
+
+
+def sine(x):
+    """Return the sine of `x` in radians."""
+    return _turned(x, 0.0)
+
+
+def cosine(x):
+    """Return the cosine of `x` in radians."""
+    return _turned(x, 1.0)

@@ -13,7 +13,7 @@ from typing import Any
 
 from numpy import bool_, float64, floor as _floor
 
-from bayesftc.cosim.elementary import exponent, exponential, logarithm, power_of_two, significand
+from bayesftc.cosim.elementary import cosine, exponent, exponential, logarithm, power_of_two, significand, sine
 
 _NAN = float64("nan")
 
@@ -60,12 +60,12 @@ def log(x):
 
 def sin(x):
     """Return the sine of `x` in radians; NaN for infinities."""
-    return float64(math.sin(x)) if math.isfinite(x) else _NAN
+    return float64(sine(float(x)))
 
 
 def cos(x):
     """Return the cosine of `x` in radians; NaN for infinities."""
-    return float64(math.cos(x)) if math.isfinite(x) else _NAN
+    return float64(cosine(float(x)))
 
 
 def floor(x):
@@ -114,18 +114,18 @@ NAMES = (
 
 OF_LIBRARY = {
     "absolute": "fabs",
-    "cos": "cos",
     "floor": "floor",
-    "sin": "sin",
     "sqrt": "sqrt",
 }
 """Operations that C's library has, with their names in C; NumPy has them under the names used here."""
 
 COMPOSED: dict[str, Any] = {
+    "cos": cosine,
     "exp": exponential,
     "log": logarithm,
     "maximum": maximum,
     "minimum": minimum,
+    "sin": sine,
     "square": square,
 }
 """Operations that are composed of others, with the step function of each, which every engine uses."""

@@ -42,7 +42,7 @@ _BATCH: dict[str, Callable[..., Any]] = {
     "select": _select,
 }
 _BATCH |= {name: getattr(np, name) for name in ops.OF_LIBRARY}
-_BATCH |= {name: _one_by_one(getattr(ops, name)) for name in ("exp", "log")}
+_BATCH |= {name: _one_by_one(getattr(ops, name)) for name in ("cos", "exp", "log", "sin")}
 _COMPOSED = {name: rebound(function, _BATCH) for name, function in ops.COMPOSED.items() if name not in _BATCH}
 
 OPERATIONS: dict[str, Callable[..., Any]] = {name: (_BATCH | _COMPOSED)[name] for name in ops.NAMES}

@@ -46,7 +46,7 @@ NUMBERS = np.concatenate([
 ])  # fmt: skip
 A = np.concatenate([NUMBERS, np.repeat(SPECIAL, len(SPECIAL))])
 B = np.concatenate([RANDOM.permutation(NUMBERS), np.tile(SPECIAL, len(SPECIAL))])
-OF_CASADI = ("exp", "log")
+OF_CASADI = ("cos", "exp", "log", "sin")
 RESULTS = (*ops.NAMES, "select_if_not_zero")
 
 
