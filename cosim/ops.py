@@ -9,11 +9,13 @@ because a symbolic engine has no other way. So a negative zero becomes a positiv
 """
 
 import math
+from typing import Any
 
 from numpy import bool_, float64, floor as _floor
 
+from bayesftc.cosim.elementary import cosine, exponent, exponential, logarithm, power_of_two, significand, sine
+
 _NAN = float64("nan")
-_INF = float64("inf")
 
 
 def select(condition, a, b):
@@ -48,27 +50,22 @@ def sqrt(x):
 
 def exp(x):
     """Return the exponential of `x`; infinity where it overflows."""
-    try:
-        return float64(math.exp(x))
-    except OverflowError:
-        return _INF
+    return float64(exponential(float(x)))
 
 
 def log(x):
     """Return the natural logarithm of `x`; minus infinity at zero, NaN below."""
-    if x > 0.0:
-        return float64(math.log(x))
-    return -_INF if x == 0.0 else _NAN
+    return float64(logarithm(float(x)))
 
 
 def sin(x):
     """Return the sine of `x` in radians; NaN for infinities."""
-    return float64(math.sin(x)) if math.isfinite(x) else _NAN
+    return float64(sine(float(x)))
 
 
 def cos(x):
     """Return the cosine of `x` in radians; NaN for infinities."""
-    return float64(math.cos(x)) if math.isfinite(x) else _NAN
+    return float64(cosine(float(x)))
 
 
 def floor(x):
@@ -117,16 +114,23 @@ NAMES = (
 
 OF_LIBRARY = {
     "absolute": "fabs",
-    "cos": "cos",
-    "exp": "exp",
     "floor": "floor",
-    "log": "log",
-    "sin": "sin",
     "sqrt": "sqrt",
 }
 """Operations that C's library has, with their names in C; NumPy has them under the names used here."""
 
-COMPOSED = ("maximum", "minimum", "square")
-"""Operations that are composed of others; every engine uses the definitions above."""
+COMPOSED: dict[str, Any] = {
+    "cos": cosine,
+    "exp": exponential,
+    "log": logarithm,
+    "maximum": maximum,
+    "minimum": minimum,
+    "sin": sine,
+    "square": square,
+}
+"""Operations that are composed of others, with the step function of each, which every engine uses."""
+
+BITS: dict[str, Any] = {"exponent": exponent, "power_of_two": power_of_two, "significand": significand}
+"""Operations on the bits of a number, for the functions above only."""
 
 __all__ = list(NAMES)

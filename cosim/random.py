@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numba.extending import register_jitable
 
+from bayesftc.cosim.elementary import logarithm
 from bayesftc.cosim.errors import ModelError
 
 CHUNK = 64
@@ -89,7 +90,7 @@ def _normal(p):
     q = p - 0.5
     if abs(q) <= CENTRAL:
         return _central(q)
-    r = math.sqrt(-math.log(p if q < 0.0 else 1.0 - p))
+    r = math.sqrt(-logarithm(p if q < 0.0 else 1.0 - p))
     if r <= 5.0:
         r -= 1.6
         top = ((((((7.7454501427834140764e-4 * r + 0.0227238449892691845833) * r + 0.24178072517745061177) * r

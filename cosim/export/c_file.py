@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -39,15 +38,6 @@ _CAREFUL = """\
 #pragma GCC optimize("peel-loops") /* short loops are unrolled: a fifth faster, and a fifth longer */
 #endif
 #endif"""
-_OF_LIBRARY = ("cos", "exp", "log", "sin")
-_BY_LIBRARY = """\
-static double op_{name}(double x)
-{{
-    const volatile double argument = x;
-
-    return {name}(argument);
-}}
-#define {name} op_{name}"""
 _HOW = """\
 /* {name}: a step every {step} s.
  *
@@ -163,10 +153,6 @@ def _source(
         "t": f"const double t = c->start + c->step * {step.numerator}.0 / {step.denominator}.0;",
     }
     body = "\n\n".join(parts)
-    library = [_BY_LIBRARY.format(name=each) for each in _OF_LIBRARY if re.search(rf"\b{each}\(", body)]
-    if library:
-        guard = "#if !defined __GNUC__ || defined __clang__ /* these compute functions of constants other than the library */"
-        library = [guard, *library, "#endif", ""]
     signature = f"({name} *c, const {name}_inputs *u, {name}_outputs *y)"
     lines = [
         f"/* {name}: see {name}.h for its use. */",
@@ -181,7 +167,6 @@ def _source(
         "",
         _CAREFUL,
         "",
-        *library,
         body,
         "",
         *_function(f"void {name}_init({name} *c)", {}, init),

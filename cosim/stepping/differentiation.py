@@ -377,7 +377,7 @@ def _operations(tape: _Tape) -> dict[str, Callable[..., Any]]:
         return apply
 
     operations = {name: operation(name, rule) for name, rule in rules.items()}
-    rest = {name: rebound(getattr(ops, name), operations) for name in ops.COMPOSED if name not in rules}
+    rest = {name: rebound(function, operations) for name, function in ops.COMPOSED.items() if name not in rules}
     return operations | rest
 
 

@@ -23,7 +23,7 @@ from bayesftc.cosim.stepping.foreign import Foreign
 from bayesftc.cosim.stepping.instead import instead_of, line_of
 from bayesftc.cosim.stepping.records import as_written, is_record_class
 
-_OPERATIONS = frozenset(getattr(ops, name) for name in ops.NAMES)
+_OPERATIONS = frozenset(getattr(ops, name) for name in (*ops.NAMES, *ops.BITS))
 _BUILTINS = frozenset({range, len})
 _ATTRIBUTES = frozenset({"shape", "size", "ndim"}) | frozenset(ops.NAMES)
 _FORBIDDEN = {
@@ -51,7 +51,7 @@ def environment() -> str:
     features = ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
     # From the loaded code, as the files may have been edited since.
     options = _numba_ops.OPTIONS
-    sources = [str(options), _code_text(_compiler.as_floats._defn.__code__)]
+    sources = [composed(), str(options), _code_text(_compiler.as_floats._defn.__code__)]
     sources += [_code_text(f.__code__) for _, f in sorted(vars(_numba_ops).items()) if isinstance(f, FunctionType)]
     for pipeline in (options["pipeline_class"],) if "pipeline_class" in options else ():
         classes = [c for _, c in sorted(vars(sys.modules[pipeline.__module__]).items()) if isinstance(c, type)]
@@ -59,6 +59,12 @@ def environment() -> str:
         sources += [_code_text(f.__code__) for f in methods if isinstance(f, FunctionType)]
     parts = [platform.python_version(), numba.__version__, llvmlite.__version__, llvm.get_host_cpu_name(), features]
     return "|".join(parts + sources)
+
+
+@cache
+def composed() -> str:
+    """Return hashes of the functions behind operations, which the fingerprints of their callers leave out."""
+    return str([fingerprint(function, "") for function in ops.COMPOSED.values() if function not in _OPERATIONS])
 
 
 def functions_called(function: FunctionType) -> list[FunctionType]:

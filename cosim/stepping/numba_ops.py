@@ -1,13 +1,14 @@
 """numba's implementations of the functions of :mod:`bayesftc.cosim.ops`; imported only for compiling."""
 
 from importlib import import_module
+from types import FunctionType
 from typing import Any
 
 import numba
 import numpy as np
 from numba import extending
 
-from bayesftc.cosim import ops
+from bayesftc.cosim import elementary, ops
 from bayesftc.cosim.base.warnings_shown import warn_user
 
 
@@ -39,6 +40,20 @@ def _isnan(x):
     return x != x
 
 
+def _power_of_two(k):
+    return np.int64(np.float64(k + 6755399441056767.0).view(np.int64) << np.int64(52)).view(np.float64)
+
+
+def _exponent(x):
+    bits = np.float64(x).view(np.uint64) + np.uint64(0x00095F619980C433)
+    return np.uint64((bits >> np.uint64(52)) | np.uint64(0x4330000000000000)).view(np.float64) - 4503599627371519.0
+
+
+def _significand(x):
+    bits = np.float64(x).view(np.uint64) + np.uint64(0x00095F619980C433)
+    return np.uint64((bits & np.uint64(0x000FFFFFFFFFFFFF)) + np.uint64(0x3FE6A09E667F3BCD)).view(np.float64)
+
+
 OPTIONS = {"error_model": "numpy", "forceinline": True}
 """Compiler options of every function that a step function calls: 1/0 is infinite, and calls are inlined."""
 
@@ -65,10 +80,12 @@ def _pipeline(module: str, name: str) -> Any:
 if callee := _pipeline("numba_callee", "Callee"):
     OPTIONS |= {"pipeline_class": callee, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
-_IMPLEMENTATIONS = {name[1:]: value for name, value in globals().items() if name[1:] in ops.NAMES}
-_IMPLEMENTATIONS |= {name: _of_library(name) for name in ops.OF_LIBRARY}
-_IMPLEMENTATIONS |= {name: getattr(ops, name) for name in ops.COMPOSED}
-for _name in ops.NAMES:
-    extending.overload(getattr(ops, _name), jit_options=OPTIONS, strict=False)(
-        lambda *arguments, implementation=_IMPLEMENTATIONS[_name]: implementation
+_IMPLEMENTATIONS = {f: f for f in vars(elementary).values() if isinstance(f, FunctionType)}
+_IMPLEMENTATIONS |= {f: globals()[f"_{name}"] for name, f in ops.BITS.items()}
+_IMPLEMENTATIONS |= {getattr(ops, name): globals().get(f"_{name}") for name in ops.NAMES}
+_IMPLEMENTATIONS |= {getattr(ops, name): _of_library(name) for name in ops.OF_LIBRARY}
+_IMPLEMENTATIONS |= {getattr(ops, name): function for name, function in ops.COMPOSED.items()}
+for _function, _implementation in _IMPLEMENTATIONS.items():
+    extending.overload(_function, jit_options=OPTIONS, strict=False)(
+        lambda *arguments, implementation=_implementation: implementation
     )

@@ -30,12 +30,40 @@ _FLOATING = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
 _COUNTING = {"+": "add", "-": "sub", "*": "mul", "/": "sdiv", "%": "srem"}
 _ORDERED = {"<": "lt", "<=": "le", ">": "gt", ">=": "ge"}
 
-_SELECT = """define internal double @f.op_select(i1 %c, double %a, double %b) {
+_OPERATIONS = {
+    # The same bits as C's sum of two terms, with half the operations.
+    "op_select": """define internal double @f.op_select(i1 %c, double %a, double %b) {
   %chosen = select i1 %c, double %a, double %b
   %sum = fadd double %chosen, 0.0
   ret double %sum
-}"""
-"""The same bits as C's sum of two terms, with half the operations."""
+}""",
+    # The others copy the bits of a double to a whole number and back.
+    "op_exponent": """define internal double @f.op_exponent(double %x) {
+  %bits = bitcast double %x to i64
+  %moved = add i64 %bits, 2638147582215219
+  %high = lshr i64 %moved, 52
+  %number = or i64 %high, 4841369599423283200
+  %power = bitcast i64 %number to double
+  %exponent = fsub double %power, 4503599627371519.0
+  ret double %exponent
+}""",
+    "op_power_of_two": """define internal double @f.op_power_of_two(double %k) {
+  %shifted = fadd double %k, 6755399441056767.0
+  %bits = bitcast double %shifted to i64
+  %high = shl i64 %bits, 52
+  %power = bitcast i64 %high to double
+  ret double %power
+}""",
+    "op_significand": """define internal double @f.op_significand(double %x) {
+  %bits = bitcast double %x to i64
+  %moved = add i64 %bits, 2638147582215219
+  %low = and i64 %moved, 4503599627370495
+  %number = add i64 %low, 4604544271217802189
+  %part = bitcast i64 %number to double
+  ret double %part
+}""",
+}
+"""Operations with an LLVM text of their own."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +125,7 @@ def lowered(c: str, apart: Iterable[str] = ()) -> str:
 def _plain(c: str) -> str:
     """Return C without comments and macros."""
     text = re.sub(r"/\*.*?\*/", "", c, flags=re.DOTALL)
-    return "typedef long int64_t;\n" + re.sub(r"INT64_C\((-?\d+)\)", r"\1", text)
+    return "typedef long int64_t;\ntypedef unsigned long uint64_t;\n" + re.sub(r"INT64_C\((-?\d+)\)", r"\1", text)
 
 
 def _record(unit: Unit, node: c_ast.Typedef) -> list[str]:
@@ -171,8 +199,8 @@ class _Function:
 
     def text(self) -> str:
         """Return the function as LLVM text."""
-        if self.name == "op_select":
-            return _SELECT
+        if self.name in _OPERATIONS:
+            return _OPERATIONS[self.name]
         for i, (parameter, kind) in enumerate(zip(self.parameters, self.signature.arguments, strict=True)):
             self.emit(f"store {kind} %a{i}, ptr {self.variable(parameter.name, kind).text}")
         self.block(self.node.body)

@@ -31,7 +31,7 @@ from bayesftc.cosim import ops
 from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.errors import KernelError
-from bayesftc.cosim.stepping.fingerprint import depends_on, fingerprint, foreign_functions, where
+from bayesftc.cosim.stepping.fingerprint import composed, depends_on, fingerprint, foreign_functions, where
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
 from bayesftc.cosim.stepping.machine.code import features, load, machine_code, opened, sealed
 from bayesftc.cosim.stepping.machine.lowering import lowered
@@ -172,5 +172,5 @@ def text_of(kernel: FunctionType, sections: Sections, name: str) -> tuple[str, l
 def environment() -> str:
     """Return what else machine code depends on: versions, the processor, and this compiler."""
     parts = [platform.python_version(), llvmlite.__version__, pycparser.__version__, llvm.get_process_triple()]
-    parts += [llvm.get_host_cpu_name(), features(), str(ops.OF_LIBRARY), _COMPILER_DIGEST]
+    parts += [llvm.get_host_cpu_name(), features(), str(ops.OF_LIBRARY), composed(), _COMPILER_DIGEST]
     return "|".join(parts)

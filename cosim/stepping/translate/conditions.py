@@ -125,7 +125,7 @@ class Conditions(Arithmetic):
         if name == "negate":
             return Value(f"!{enclosed(values[0], ATOM)}", BOOL, UNARY)
         if name in ops.COMPOSED:
-            called = self.functions.require(getattr(ops, name), [FLOAT] * len(values)).name
+            called = self.functions.require(ops.COMPOSED[name], [FLOAT] * len(values)).name
             self.called.add(called)
         else:
             called = ops.OF_LIBRARY.get(name, f"op_{name}")

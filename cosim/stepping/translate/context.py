@@ -15,7 +15,7 @@ from bayesftc.cosim.stepping.source.tree import parameters, place
 from bayesftc.cosim.stepping.translate.kinds import Array, Constant, Kind, Number, as_number
 from bayesftc.cosim.stepping.translate.values import ATOM, Value, constant
 
-OPERATIONS = {getattr(ops, name): name for name in ops.NAMES}
+OPERATIONS = {getattr(ops, name): name for name in (*ops.NAMES, *ops.BITS)}
 """The name of each operation of step functions."""
 
 

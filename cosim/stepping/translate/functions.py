@@ -62,6 +62,15 @@ _TAKEN_BEGINNINGS = (
 OPERATIONS = {
     "op_select": "static double op_select(int condition, double a, double b)\n"
     "{\n    return (condition ? a : 0.0) + (condition ? 0.0 : b);\n}",
+    "op_exponent": "static double op_exponent(double x)\n"
+    "{\n    union { double number; uint64_t bits; } it;\n\n    it.number = x;\n"
+    "    it.bits = ((it.bits + 2638147582215219) >> 52) | 4841369599423283200;\n    return it.number - 4503599627371519.0;\n}",
+    "op_power_of_two": "static double op_power_of_two(double k)\n"
+    "{\n    union { double number; uint64_t bits; } it;\n\n    it.number = k + 6755399441056767.0;\n"
+    "    it.bits <<= 52;\n    return it.number;\n}",
+    "op_significand": "static double op_significand(double x)\n"
+    "{\n    union { double number; uint64_t bits; } it;\n\n    it.number = x;\n"
+    "    it.bits = ((it.bits + 2638147582215219) & 4503599627370495) + 4604544271217802189;\n    return it.number;\n}",
     "op_isnan": "static int op_isnan(double x)\n{\n    return x != x;\n}",
     "op_index": "static int64_t op_index(int64_t i, int64_t length)\n{\n    return i < 0 ? i + length : i;\n}",
     "op_quotient": "static int64_t op_quotient(int64_t a, int64_t b)\n"

@@ -46,6 +46,7 @@ NUMBERS = np.concatenate([
 ])  # fmt: skip
 A = np.concatenate([NUMBERS, np.repeat(SPECIAL, len(SPECIAL))])
 B = np.concatenate([RANDOM.permutation(NUMBERS), np.tile(SPECIAL, len(SPECIAL))])
+OF_CASADI = ("cos", "exp", "log", "sin")
 RESULTS = (*ops.NAMES, "select_if_not_zero")
 
 
@@ -185,8 +186,18 @@ def test_casadi_covers_every_operation():
     assert tuple(OPERATIONS) == ops.NAMES
 
 
+def assert_same_by_casadi(actual, plain):
+    """Compare bit for bit, but the functions that CasADi takes from its library of C: these round differently."""
+    expected, actual = plain.copy(), actual.copy()
+    for name in OF_CASADI:
+        row = RESULTS.index(name)
+        np.testing.assert_array_max_ulp(actual[row], expected[row], maxulp=1)
+        expected[row] = actual[row] = 0.0
+    assert_same_bits(actual, expected)
+
+
 def test_casadi_function(traced, plain):
-    assert_same_bits(np.asarray(traced(A[np.newaxis], B[np.newaxis])), plain)
+    assert_same_by_casadi(np.asarray(traced(A[np.newaxis], B[np.newaxis])), plain)
 
 
 def test_casadi_c_code(traced, plain, tmp_path):
@@ -212,7 +223,7 @@ def test_casadi_c_code(traced, plain, tmp_path):
         arguments = (doubles * 2)(*(ctypes.cast(x.ctypes.data + 8 * i, doubles) for x in (A, B)))
         result = (doubles * 1)(ctypes.cast(y.ctypes.data + y.strides[0] * i, doubles))
         assert function(arguments, result, None, scratch.ctypes.data, 0) == 0
-    assert_same_bits(np.ascontiguousarray(y.T), plain)
+    assert_same_by_casadi(np.ascontiguousarray(y.T), plain)
 
 
 def _c_code(function):
