@@ -748,3 +748,13 @@ def test_the_kind_of_an_fmu_is_no_kind_of_plant(tmp_path):
     file.write_text(CAR.replace('fmu = "CruiseControl"', fmu, 1) + f"\n[blocks.other]\n{fmu}\n")
     scenario = load_scenario(file)
     assert scenario.plant.kind == scenario.loop()["other"].block.kind == "co-simulation"
+
+
+def test_a_missing_file_in_a_folder_without_toml_files_names_the_folder(tmp_path):
+    with pytest.raises(
+        ScenarioError, match=r"There is no scenario file .*; the folder .* has no \.toml file\. Check the path"
+    ):
+        load_scenario(tmp_path / "mine.toml")
+    (tmp_path / "mine2.toml").touch()
+    with pytest.raises(ScenarioError, match=r"did you mean 'mine2\.toml'"):
+        load_scenario(tmp_path / "mine.toml")

@@ -64,7 +64,8 @@ def find_scenario(path: str | os.PathLike[str], kind: str = "scenario") -> Path:
         folder = file.parent.absolute()
         if not is_folder(folder):
             raise ScenarioError(f"There is no {what} {path}: the folder {folder} does not exist. Check the path.")
-        near = did_you_mean(file.name, [f.name for f in folder.glob("*.toml")])
+        there = [f.name for f in folder.glob("*.toml")]
+        near = did_you_mean(file.name, there) if there else f"the folder {folder} has no .toml file. Check the path."
         raise ScenarioError(f"There is no {what} {path}; {near}")
     raise ScenarioError(f"There is no file {name!r} and no shipped {kind} of this name; {did_you_mean(name, shipped)}")
 
