@@ -75,7 +75,7 @@ class Verification:
         Parameters
         ----------
         tolerance : float
-            0 for the same numbers. If ``exp``, ``log`` or ``sin`` come from another C library, use 1e-9.
+            0 for the same numbers. Use 1e-9 for an FMU of another tool whose ``exp`` or ``sin`` are those of a C library.
         """
         return all(each.relative <= tolerance for each in self._all)
 
@@ -104,7 +104,7 @@ class Verification:
         usual = (
             ""
             if worst.relative > 1e-9
-            else " Such differences are usual if exp, log or sin come from another C library."
+            else " Such differences are usual for FMUs of other tools, whose exp, log and sin are those of a C library."
         )
         return f"{self.path.name} does NOT do {what}: it differs by {size}.{usual}"
 

@@ -39,8 +39,8 @@ def verify(
     tolerance: Annotated[
         float,
         typer.Option(
-            help="Largest difference, relative to the largest value of a signal. 0: the same numbers. 1e-9 is usual where exp, "
-            "log or sin come from another C library."
+            help="Largest difference, relative to the largest value of a signal. 0: the same numbers. 1e-9 is usual for FMUs "
+            "of other tools, whose exp, log and sin are those of a C library."
         ),
     ] = 0.0,
     timing: Annotated[Timing | None, typer.Option(help="The FMU's timing; by default from its description.")] = None,
