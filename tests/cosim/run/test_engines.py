@@ -11,7 +11,7 @@ from random_diagrams import PATHS, build, elements_of, inputs_of, plans
 
 from bayesftc import cosim
 from bayesftc.cosim import Port
-from bayesftc.cosim.ops import isnan, select, sqrt
+from bayesftc.cosim.ops import isnan, select, sin, sqrt
 from bayesftc.cosim.random import numbers
 from bayesftc.cosim.run import running as _running
 from bayesftc.cosim.run.result import labels
@@ -81,7 +81,7 @@ KINDS = {
     "sine": (
         0,
         lambda p: cosim.Sine(p, period=0.7),
-        lambda p, u, t, n, kept, z: [np.float64(p) * math.sin(2 * math.pi / 0.7 * t + 0.0) + 0.0],
+        lambda p, u, t, n, kept, z: [np.float64(p) * sin(2 * math.pi / 0.7 * t + 0.0) + 0.0],
     ),
     "noise": (
         0,
