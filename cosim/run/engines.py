@@ -155,13 +155,13 @@ class CompiledEngine:
             gathers += call.gathers
         self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), _loop.COLUMNS)
         self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
-        program = self._calls, len(schedule.evaluate), self._gathers, 0
-        noise = run.streams(), run.drawn(), _loop.empty_chunk(len(schedule.draws))
-        clock = schedule.step.numerator, schedule.step.denominator
-        self._common = program, noise, (run.recorded, run.decimation), clock, run.memory
+        self._clock = schedule.step.numerator, schedule.step.denominator
+        self._drawn = run.drawn()
+        self._words = _loop.words(
+            self._calls, len(schedule.evaluate), self._gathers, self._drawn, run.recorded, run.decimation, self._clock
+        )
+        self._tables = self._words, run.streams(), _loop.empty_chunk(len(schedule.draws)), run.memory
         self._failed = np.array([-1, 0], dtype=np.int64)
-        self._words = _loop.words(program, noise, (run.recorded, run.decimation), clock)
-        self._arrays = noise[0], noise[2], run.memory
         self._seed = run.seed, np.uint64(run.seed)
         self._entry = compiled_loop("advance")
 
@@ -171,10 +171,9 @@ class CompiledEngine:
             return
         from bayesftc.cosim.run.fused.compiled import fused
 
-        (calls, evaluations, gathers, _), (_, drawn, _), recorder, clock, _ = self._common
-        address = fused(self._run.schedule, (calls, drawn, *recorder, clock), steps)
-        self._common = (calls, evaluations, gathers, address), *self._common[1:]
-        self._words[self._fused_at] = address
+        run = self._run
+        tables = self._calls, self._drawn, run.recorded, run.decimation, self._clock
+        address = self._words[self._fused_at] = fused(run.schedule, tables, steps)
         self._asked_for = inf if address else steps
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
@@ -182,7 +181,7 @@ class CompiledEngine:
         run = self._run
         if run.seed != self._seed[0]:
             self._seed = run.seed, np.uint64(run.seed)
-        last = self._entry(self._words, *self._arrays, run.recording, self._seed[1], run.before, int(first), begin, end)
+        last = self._entry(*self._tables, run.recording, self._seed[1], run.before, int(first), begin, end)
         failed = self._words[self._failed_at]
         if failed[0] < 0:
             return last, None
@@ -226,8 +225,8 @@ class CompiledEngine:
             The failure of the next run. Its `node` is -1 if an FMU could not be restored.
         """
         beginning = initial, states, int(fresh)
-        failed = np.array([-1, 0], dtype=np.int64)
-        done = compiled_loop("run_many")(*self._common, recordings, seeds, beginning, end, reached, failed)
+        done = compiled_loop("run_many")(*self._tables, recordings, seeds, beginning, end, reached)
+        failed = self._words[self._failed_at]
         if failed[0] == -1:
             return int(done), None
         if failed[0] < 0:

@@ -11,12 +11,6 @@ from bayesftc.cosim.stepping.numba_called import callee, inlined
 FUNCTION, EVERY, STATE, PARAMETERS, INPUTS, OUTPUTS, GATHER_FROM, GATHER_TO, CHECK_FROM, CHECK_TO = range(10)
 COLUMNS = 10
 
-# Tuples of arguments: the tables of the schedule, the random numbers, what is recorded, the duration of a step in seconds.
-# Calls, number of those that evaluate, gathers; the address of the same as one function, or 0.
-PROGRAM = "Tuple((int64[:, ::1], int64, int64[:, ::1], int64))"
-NOISE = "Tuple((uint64[:, ::1], int64[::1], float64[:, ::1]))"  # streams, places in memory, buffer
-RECORDER = "Tuple((int64[::1], int64))"  # places in memory, decimation
-CLOCK = "UniTuple(int64, 2)"  # numerator, denominator
 BEGINNING = (
     "Tuple((float64[::1], int64[:, ::1], int64))"  # memory, saved states of FMUs, whether these are there already
 )
@@ -26,12 +20,11 @@ CALLS, EVALUATIONS, GATHERS, FUSED, DRAWN, RECORDED, DECIMATION, NUMERATOR, DENO
     12
 )
 
-TABLES_OF_RUN = "uint64[:, ::1], float64[:, ::1], float64[::1]"  # streams, buffer, memory
+TABLES_OF_RUN = "int64[::1], uint64[:, ::1], float64[:, ::1], float64[::1]"  # words, streams, buffer, memory
 
-_COMMON = f"{PROGRAM}, {NOISE}, {RECORDER}, {CLOCK}, float64[::1]"
 SIGNATURES = {
-    "advance": f"int64(int64[::1], {TABLES_OF_RUN}, float64[:, ::1], uint64, int64, int64, int64, int64)",
-    "run_many": f"int64({_COMMON}, float64[:, :, ::1], uint64[::1], {BEGINNING}, int64, int64[::1], int64[::1])",
+    "advance": f"int64({TABLES_OF_RUN}, float64[:, ::1], uint64, int64, int64, int64, int64)",
+    "run_many": f"int64({TABLES_OF_RUN}, float64[:, :, ::1], uint64[::1], {BEGINNING}, int64, int64[::1])",
     "phase": "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])",
 }
 
@@ -151,14 +144,15 @@ def advance(words, streams, buffer, memory, recording, seed, before, first, begi
 
 
 @callee
-def run_many(program, noise, recorder, clock, memory, recordings, seeds, beginning, end, reached, failed):
+def run_many(words, streams, buffer, memory, recordings, seeds, beginning, end, reached):
     """Make a run to t_end for each seed, each from the same `beginning`; return how many are done.
 
     Each row of its states has the function that restores an FMU, the instance, and the state. If its last number is not 0, the
     first run starts without restoring. ``reached`` gets the last complete step of each run. The function stops at the first run
-    that fails, with ``failed`` as in `run`. If an FMU cannot be restored, ``failed`` is -2 minus its row, and the status.
+    that fails, with a failure in `words` as in `advance`. If an FMU cannot be restored, it is -2 minus its row, and the status.
     """
     initial, states, fresh = beginning
+    words[FAILED] = -1
     for i in range(seeds.size):
         if i > 0 or fresh == 0:
             for j in range(memory.size):
@@ -166,11 +160,11 @@ def run_many(program, noise, recorder, clock, memory, recordings, seeds, beginni
             for j in range(states.shape[0]):
                 status = put_back(states[j, 0], states[j, 1], states[j, 2])
                 if status < 0 or status > 1:  # 1 is FMI's warning
-                    failed[0], failed[1] = -2 - j, status
+                    words[FAILED], words[STATUS] = -2 - j, status
                     reached[i] = -1
                     return i
-        reached[i] = run(program, noise, recorder, clock, memory, recordings[i], seeds[i], 0, 1, 0, end, failed)
-        if failed[0] >= 0:
+        reached[i] = advance(words, streams, buffer, memory, recordings[i], seeds[i], 0, 1, 0, end)
+        if words[FAILED] >= 0:
             return i
     return seeds.size
 
@@ -180,9 +174,8 @@ def empty_chunk(numbers):
     return np.empty((numbers, CHUNK))
 
 
-def words(program, noise, recorder, clock):
-    """Return the table of `advance` for these arguments of `run`."""
-    (calls, evaluations, gathers, fused), (_, drawn, _), (recorded, decimation) = program, noise, recorder
-    sizes = len(calls), evaluations, len(gathers), fused, len(drawn), len(recorded)
+def words(calls, evaluations, gathers, drawn, recorded, decimation, clock):
+    """Return the table of `advance`: of calls, of gathers, of places of random numbers and of what is recorded."""
+    sizes = len(calls), evaluations, len(gathers), 0, len(drawn), len(recorded)
     tables = calls.ravel(), gathers.ravel(), drawn, recorded
     return np.concatenate([np.array([*sizes, decimation, *clock, -1, 0], dtype=np.int64), *tables])

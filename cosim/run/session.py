@@ -211,7 +211,9 @@ class Session:
         make_room(run, end, self._room)
         try:
             self._is_running = True
-            if isinstance(self._engine, CompiledEngine):
+            if self._pacer is None and isinstance(
+                self._engine, CompiledEngine
+            ):  # compiling would make paced steps late
                 self._engine.fuse(steps)
             stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
         except KeyboardInterrupt as stop:

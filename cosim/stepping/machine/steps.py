@@ -13,7 +13,8 @@ import hashlib
 import operator
 import platform
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib import resources
 from itertools import pairwise
@@ -136,8 +137,15 @@ def load_or_compile(name: str, compiled: Callable[[], bytes]) -> int:
 
 
 def _compiled(kernel: FunctionType, sections: Sections, name: str) -> bytes:
-    try:
+    with sentences(kernel):
         return machine_code(lowered(*text_of(kernel, sections, name)))
+
+
+@contextmanager
+def sentences(kernel: FunctionType) -> Iterator[None]:
+    """Turn the errors of this compiler at a step function into `KernelError`, upon which numba is used."""
+    try:
+        yield
     except (RuntimeError, RecursionError, ValueError, LookupError, ParseError) as error:  # RuntimeError is LLVM's
         if not lenient:
             raise

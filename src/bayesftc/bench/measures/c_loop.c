@@ -1,17 +1,5 @@
 /* The loop of plain_loop.py as one would write it in C: read the speed, compute the force, set it, make the step. */
-#include <stddef.h>
-
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
-
-typedef int (*Get)(void *, const unsigned int *, size_t, double *);
-typedef int (*Set)(void *, const unsigned int *, size_t, const double *);
-typedef int (*Step)(void *, double, double, int);
-
-enum { WARNING = 1 };
+#include "fmi_calls.h"
 
 /* Record the output of every `every`-th step; return 0, or 1 if the FMU refused a call. */
 EXPORT int c_loop(void *component, Get get, Set set, Step step, unsigned int output, unsigned int input, double gain,

@@ -72,6 +72,24 @@ def test_a_failure_is_told_as_elsewhere(every, as_one, make_block):
     assert told[0] == told[1]
 
 
+def test_what_numba_has_compiled_is_called_by_its_address(as_one, make_block, run_both):
+    def takes_a_slice(u, y):
+        for value in u[:1]:  # C is not written for this
+            y[0] = value
+
+    diagram = cosim.Diagram("1/50")
+    block = make_block(inputs=[Port("u")], outputs=[Port("y")], output=takes_a_slice)
+    diagram.connect(diagram.add(cosim.Ramp(2.0), "ramp")["y"], diagram.add(block, "block")["u"])
+    result = run_both(diagram, 1.0)
+    assert (result["block.y"] == result["ramp.y"]).all()
+
+
+def test_paced_runs_compile_no_loop(monkeypatch):
+    monkeypatch.setattr(compiled, "LOADED", 0)
+    monkeypatch.setattr(compiled, "fused", lambda *_: pytest.fail("It would make the first steps late."))
+    slow_and_fast().simulate(0.1, pace=1000.0)
+
+
 def test_campaigns_have_the_bits_of_single_runs(as_one, campaign_as_alone):
     campaign_as_alone(full_diagram(), 4.0)
 

@@ -1,21 +1,12 @@
 /* The loop of full_loop.py as one would write it by hand for this one experiment: a car as an FMU, two noisy sensors of its speed,
  * one of which freezes, a Kalman filter that learns both precisions, and a controller that follows a sine.
  *
- * The random numbers are those of the engine, and as there they are drawn for 64 steps at a time. Each part can be left out, by a
- * constant that the compiler knows: what is left out costs nothing. */
+ * The random numbers are those of the engine to the last place of log, and as there they are drawn for 64 steps at a time. Each
+ * part can be left out, by a constant that the compiler knows: what is left out costs nothing. */
 #include <math.h>
-#include <stddef.h>
 #include <stdint.h>
 
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
-
-typedef int (*Get)(void *, const unsigned int *, size_t, double *);
-typedef int (*Set)(void *, const unsigned int *, size_t, const double *);
-typedef int (*Step)(void *, double, double, int);
+#include "../fmi_calls.h"
 
 typedef struct {
     void *component;
@@ -31,7 +22,7 @@ typedef struct {
     uint64_t seed, keys[3], channels[3]; /* of the disturbance and of both sensors' noise */
 } Setting;
 
-enum { WARNING = 1, CHUNK = 64, STREAMS = 3, COLUMNS = 8 };
+enum { CHUNK = 64, STREAMS = 3, COLUMNS = 8 };
 enum { RANDOM = 1, FMU = 2, CONTROL = 4, RECORD = 8 };
 
 static void philox(uint64_t c0, uint64_t c1, uint64_t k0, uint64_t k1, uint64_t *words)
