@@ -119,7 +119,8 @@ def exponential(x):
     return value * power_of_two(k + 64.0) * 5.421010862427522e-20  # 2**-64; a subnormal result is rounded once more
 
 
-def _logarithm_of_normal(x, lifted):
+def logarithm_of_normal(x, lifted):
+    """Return log(x / 2**lifted) of a normal number x > 0, without branches."""
     # log(x) = k ln 2 + log(1 + f), log(1 + f) = f - s (f - rest), with s = f / (2 + f) and the rest of 2 artanh(s).
     k = exponent(x) - lifted
     m = significand(x)
@@ -136,9 +137,9 @@ def _logarithm_of_normal(x, lifted):
 def logarithm(x):
     """Return the natural logarithm of `x`."""
     if x >= 2.2250738585072014e-308 and x < _INF:
-        return _logarithm_of_normal(x, 0.0)
+        return logarithm_of_normal(x, 0.0)
     if x > 0.0 and x < _INF:  # subnormal
-        return _logarithm_of_normal(x * 18014398509481984.0, 54.0)
+        return logarithm_of_normal(x * 18014398509481984.0, 54.0)
     if x == 0.0:
         return -_INF
     return x if x == _INF else _NAN

@@ -15,13 +15,18 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba.extending import register_jitable
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, overload, register_jitable
 
-from bayesftc.cosim.elementary import logarithm
+from bayesftc.cosim.elementary import logarithm_of_normal
 from bayesftc.cosim.errors import ModelError
 
 CHUNK = 64
 """Steps that are drawn at a time."""
+
+SPARE = 2
+"""Rows of a buffer of random numbers, after those of the numbers, in which their normal ones are computed."""
 
 
 def stream_key(name: str) -> int:
@@ -36,16 +41,28 @@ def check_seed(seed: int) -> int:
     return int(seed)
 
 
-@register_jitable(error_model="numpy")
 def _multiply(a, b):
     """Return the high and low words of a 128-bit product."""
-    mask = np.uint64(0xFFFFFFFF)
-    half = np.uint64(32)
-    a0, a1, b0, b1 = a & mask, a >> half, b & mask, b >> half
-    low = a0 * b0
-    middle = a1 * b0 + (low >> half)
-    other = a0 * b1 + (middle & mask)
-    return a1 * b1 + (middle >> half) + (other >> half), a * b
+    product = int(a) * int(b)
+    return np.uint64(product >> 64), np.uint64(product & 0xFFFFFFFFFFFFFFFF)
+
+
+@intrinsic
+def _product(typingctx, a, b):
+    """Return the same, by one instruction of the processor."""
+
+    def codegen(context, builder, sig, args):
+        long = ir.IntType(128)
+        product = builder.mul(*(builder.zext(word, long) for word in args))
+        words = builder.lshr(product, long(64)), product
+        return context.make_tuple(builder, sig.return_type, [builder.trunc(w, ir.IntType(64)) for w in words])
+
+    return types.UniTuple(types.uint64, 2)(types.uint64, types.uint64), codegen
+
+
+@overload(_multiply)
+def _multiply_compiled(a, b):
+    return lambda a, b: _product(a, b)
 
 
 @register_jitable(error_model="numpy")
@@ -83,41 +100,75 @@ def _central(q):
     return q * top / bottom
 
 
-@register_jitable(error_model="numpy")
-def _normal(p):
-    """Inverse of the standard normal distribution function (Wichura 1988, AS 241, PPND16)."""
+@register_jitable(error_model="numpy", forceinline=True)
+def _tail(r):
     # fmt: off
-    q = p - 0.5
-    if abs(q) <= CENTRAL:
-        return _central(q)
-    r = math.sqrt(-logarithm(p if q < 0.0 else 1.0 - p))
-    if r <= 5.0:
-        r -= 1.6
-        top = ((((((7.7454501427834140764e-4 * r + 0.0227238449892691845833) * r + 0.24178072517745061177) * r
-            + 1.27045825245236838258) * r + 3.64784832476320460504) * r + 5.7694972214606914055) * r
-            + 4.6303378461565452959) * r + 1.42343711074968357734
-        bottom = ((((((1.05075007164441684324e-9 * r + 5.475938084995344946e-4) * r + 0.0151986665636164571966) * r
-            + 0.14810397642748007459) * r + 0.68976733498510000455) * r + 1.6763848301838038494) * r
-            + 2.05319162663775882187) * r + 1.0
-    else:
-        r -= 5.0
-        top = ((((((2.01033439929228813265e-7 * r + 2.71155556874348757815e-5) * r + 0.0012426609473880784386) * r
-            + 0.026532189526576123093) * r + 0.29656057182850489123) * r + 1.7848265399172913358) * r
-            + 5.4637849111641143699) * r + 6.6579046435011037772
-        bottom = ((((((2.04426310338993978564e-15 * r + 1.4215117583164458887e-7) * r + 1.8463183175100546818e-5) * r
-            + 7.868691311456132591e-4) * r + 0.0148753612908506148525) * r + 0.13692988092273580531) * r
-            + 0.59983220655588793769) * r + 1.0
+    r -= 1.6
+    top = ((((((7.7454501427834140764e-4 * r + 0.0227238449892691845833) * r + 0.24178072517745061177) * r
+        + 1.27045825245236838258) * r + 3.64784832476320460504) * r + 5.7694972214606914055) * r
+        + 4.6303378461565452959) * r + 1.42343711074968357734
+    bottom = ((((((1.05075007164441684324e-9 * r + 5.475938084995344946e-4) * r + 0.0151986665636164571966) * r
+        + 0.14810397642748007459) * r + 0.68976733498510000455) * r + 1.6763848301838038494) * r
+        + 2.05319162663775882187) * r + 1.0
     # fmt: on
-    return -top / bottom if q < 0.0 else top / bottom
+    return top / bottom
+
+
+@register_jitable(error_model="numpy")
+def _far_tail(r):
+    # fmt: off
+    r -= 5.0
+    top = ((((((2.01033439929228813265e-7 * r + 2.71155556874348757815e-5) * r + 0.0012426609473880784386) * r
+        + 0.026532189526576123093) * r + 0.29656057182850489123) * r + 1.7848265399172913358) * r
+        + 5.4637849111641143699) * r + 6.6579046435011037772
+    bottom = ((((((2.04426310338993978564e-15 * r + 1.4215117583164458887e-7) * r + 1.8463183175100546818e-5) * r
+        + 7.868691311456132591e-4) * r + 0.0148753612908506148525) * r + 0.13692988092273580531) * r
+        + 0.59983220655588793769) * r + 1.0
+    # fmt: on
+    return top / bottom
+
+
+@register_jitable(error_model="numpy")
+def _to_normal(row, tails, places):
+    """Turn uniform numbers into normal ones: the inverse of the distribution function (Wichura 1988, AS 241, PPND16).
+
+    The loops have no branches, so that the compiler makes vector instructions of them. So the numbers in the tails, one in seven,
+    are moved to `tails` first.
+    """
+    count = 0
+    for i in range(row.shape[0]):
+        places[count] = i
+        count += abs(row[i] - 0.5) > CENTRAL
+    for i in range(count):
+        p = row[places[i]]
+        tails[i] = p if p < 0.5 else 1.0 - p
+    for i in range(count):
+        tails[i] = math.sqrt(-logarithm_of_normal(tails[i], 0.0))
+    furthest = 0.0
+    for i in range(count):
+        furthest = max(furthest, tails[i])
+    if furthest > 5.0:  # one number in 36 billion
+        for i in range(count):
+            tails[i] = _tail(tails[i]) if tails[i] <= 5.0 else _far_tail(tails[i])
+    else:
+        for i in range(count):
+            tails[i] = _tail(tails[i])
+    for i in range(count):
+        tails[i] = -tails[i] if row[places[i]] < 0.5 else tails[i]
+    for i in range(row.shape[0]):
+        row[i] = _central(row[i] - 0.5)
+    for i in range(count):
+        row[places[i]] = tails[i]
 
 
 @register_jitable(error_model="numpy")
 def fill(seed, streams, first, buffer):
     """Draw the chunk of steps that begins at `first`, a multiple of four.
 
-    ``streams`` has a row (key, channel, draw, 1 for uniform) for each number; ``buffer`` has a row for each number and a
-    column for each step.
+    ``streams`` has a row (key, channel, draw, 1 for uniform) for each number; ``buffer`` has a row for each number, `SPARE`
+    others, and a column for each step.
     """
+    tails, places = buffer[streams.shape[0]], buffer[streams.shape[0] + 1].view(np.int64)
     for j in range(streams.shape[0]):
         row = buffer[j]
         for i in range(0, row.shape[0], 4):
@@ -126,15 +177,7 @@ def fill(seed, streams, first, buffer):
             row[i], row[i + 1] = _uniform(words[0]), _uniform(words[1])
             row[i + 2], row[i + 3] = _uniform(words[2]), _uniform(words[3])
         if streams[j, 3] == np.uint64(0):
-            # First the tails: their normal numbers are far from 0.5, unlike the uniform numbers that are left. Then the
-            # middle, in a loop without branches, which the compiler turns into vector instructions.
-            for i in range(row.shape[0]):
-                if abs(row[i] - 0.5) > CENTRAL:
-                    row[i] = _normal(row[i])
-            for i in range(row.shape[0]):
-                q = row[i] - 0.5
-                z = _central(q)
-                row[i] = z if abs(q) <= CENTRAL else row[i]
+            _to_normal(row, tails, places)
 
 
 @cache
@@ -149,9 +192,10 @@ def draw_chunk(
     seed: int, streams: np.ndarray[Any, np.dtype[np.uint64]], first: int, buffer: np.ndarray[Any, Any]
 ) -> None:
     """Fill `buffer` (steps x numbers) from step `first` on, with the same bits as inside the compiled engine."""
-    rows = np.empty(buffer.shape[::-1])
+    steps, count = buffer.shape
+    rows = np.empty((count + SPARE, steps))
     compiled_fill()(np.uint64(seed), streams, first, rows)
-    buffer[:] = rows.T
+    buffer[:] = rows[:count].T
 
 
 def numbers(seed: int, stream: str, steps: int, *, channel: int = 0, draw: int = 0, uniform: bool = False) -> Any:

@@ -171,10 +171,22 @@ class CompiledEngine:
             return
         from bayesftc.cosim.run.fused.compiled import fused
 
-        run = self._run
-        tables = self._calls, self._drawn, run.recorded, run.decimation, self._clock
-        address = self._words[self._fused_at] = fused(run.schedule, tables, steps)
+        address = self._words[self._fused_at] = fused(self._run.schedule, self._described(), steps)
         self._asked_for = inf if address else steps
+
+    def in_lock_step(self, steps: float) -> int:
+        """Return the address of a function for several runs in lock step; 0 if that does not pay for so many steps."""
+        from bayesftc.cosim.run.fused.compiled import fused_lanes
+
+        return fused_lanes(self._run.schedule, self._described(), steps)
+
+    @property
+    def calls(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """The table of calls, with the columns of `bayesftc.cosim.run.loop`."""
+        return self._calls
+
+    def _described(self) -> tuple[Any, Any, Any, int, tuple[int, int]]:
+        return self._calls, self._drawn, self._run.recorded, self._run.decimation, self._clock
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bayesftc.cosim.diagram.schedule import NOT_FINITE
-from bayesftc.cosim.random import CHUNK, fill
+from bayesftc.cosim.random import CHUNK, SPARE, fill
 from bayesftc.cosim.stepping.by_address import call_block, call_loop, put_back
 from bayesftc.cosim.stepping.numba_called import callee, inlined
 
@@ -25,6 +25,10 @@ TABLES_OF_RUN = "int64[::1], uint64[:, ::1], float64[:, ::1], float64[::1]"  # w
 SIGNATURES = {
     "advance": f"int64({TABLES_OF_RUN}, float64[:, ::1], uint64, int64, int64, int64, int64)",
     "run_many": f"int64({TABLES_OF_RUN}, float64[:, :, ::1], uint64[::1], {BEGINNING}, int64, int64[::1])",
+    "run_lanes": (
+        "int64(int64, int64[:, :, ::1], uint64[:, ::1], float64[:, :, ::1], Tuple((float64[:, ::1], float64[:, ::1])), "
+        "float64[:, :, ::1], uint64[::1], Tuple((float64[:, ::1], int64[:, :, ::1])), int64)"
+    ),
     "phase": "boolean(int64[:, ::1], int64, int64, int64[:, ::1], float64[::1], float64, int64, int64[::1])",
 }
 
@@ -169,9 +173,45 @@ def run_many(words, streams, buffer, memory, recordings, seeds, beginning, end, 
     return seeds.size
 
 
+@callee
+def run_lanes(function, calls, streams, buffers, memories, recordings, seeds, beginning, end):
+    """Make the runs of `seeds` to t_end, as many in lock step as `calls` has tables; return how many are done.
+
+    `memories` are those of the runs, with a row for each, and the one with all lanes of each number. `beginning` has the first
+    content of each run's memory, and for each its table of saved states as in `run_many`. The function stops at the first group
+    of runs of which one fails.
+    """
+    own, wide = memories
+    initial, states = beginning
+    lanes, size = own.shape
+    stride = recordings.shape[1] * recordings.shape[2]
+    for i in range(0, seeds.size - lanes + 1, lanes):
+        for lane in range(lanes):
+            for j in range(size):
+                own[lane, j] = initial[lane, j]
+                wide[j, lane] = initial[lane, j]
+            for j in range(states.shape[1]):
+                status = put_back(states[lane, j, 0], states[lane, j, 1], states[lane, j, 2])
+                if status < 0 or status > 1:
+                    return i
+        k, evaluate = 0, 1
+        while evaluate != 0 or k != end:
+            chunk = (k if evaluate != 0 else k + 1) // CHUNK
+            for lane in range(lanes):
+                fill(seeds[i + lane], streams, chunk * CHUNK, buffers[lane])
+            k = call_loop(
+                function, wide.ctypes.data, calls.ctypes.data, buffers.ctypes.data, recordings[i].ctypes.data,
+                own.ctypes.data, stride, evaluate, k, min(end, chunk * CHUNK + CHUNK - 1),
+            )  # fmt: skip
+            if k < 0:
+                return i
+            evaluate = 0
+    return seeds.size // lanes * lanes
+
+
 def empty_chunk(numbers):
     """Return a buffer of random numbers for `run`."""
-    return np.empty((numbers, CHUNK))
+    return np.empty((numbers + SPARE, CHUNK))
 
 
 def words(calls, evaluations, gathers, drawn, recorded, decimation, clock):

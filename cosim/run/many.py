@@ -17,8 +17,11 @@ import numpy as np
 
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.diagram.schedule import NOT_FINITE, Schedule
+from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.isolation.spares import Spares
 from bayesftc.cosim.run.engines import CompiledEngine, Engine, Run
+from bayesftc.cosim.run.fused.compiled import LANES
+from bayesftc.cosim.run.fused.side_by_side import SideBySide
 from bayesftc.cosim.run.raised import reason_of
 from bayesftc.cosim.run.recording import Selection
 from bayesftc.cosim.run.running import BREATH, advance, choose_engine, explain, open_run, warn_of_arithmetic
@@ -96,6 +99,10 @@ class ManyRuns:
         self._initial: Floats
         self._states: np.ndarray[Any, np.dtype[np.int64]] | None = None
         self._free: list[tuple[int, int, ctypes.c_int64]] = []
+        self._beside: SideBySide | None = None
+        self._function = 0  # address of the loop for runs in lock step
+        self._alone = 0  # number of runs to make one by one before the next ones in lock step
+        self._failures = 0  # groups of runs in lock step of which one has failed
         self._opened = False  # whether there are FMUs and an engine
         self._fresh = False  # whether they are at the beginning of a run
         self._repeats: bool | None = None  # whether restored FMUs give the same bits again
@@ -152,7 +159,10 @@ class ManyRuns:
     def _how_many(self, left: int) -> int:
         if self._pace == 0.0 or self._repeats is None:
             return 1  # the run may be repeated, to compare the memory after it
-        return max(1, min(left, self._few, int(BREATH / self._pace)))
+        few = max(1, min(left, self._few, int(BREATH / self._pace)))
+        if self._alone:
+            return min(few, self._alone)
+        return few if few < LANES else few // LANES * LANES
 
     def _some(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing, *, more: bool) -> Block:
         """Make the first of the runs, or all of them."""
@@ -183,21 +193,24 @@ class ManyRuns:
         self._opening = time.perf_counter() - began
         overhead()
         self._engine = choose_engine("auto", self._run)
+        self._function = 0
         if isinstance(self._engine, CompiledEngine):
             self._engine.fuse(self._steps * self._of)
+            if all(hasattr(instance, "state_functions") for instance in self._run.instances.values()):
+                self._function = self._engine.in_lock_step(self._steps * self._of)
         self._opened = self._fresh = True
         self._initial = self._run.memory.copy()
         if more and self._repeats is not False and all(i.can_save for i in self._run.instances.values()):
-            self._states = self._saved()
+            self._states = self._saved(self._run)
 
-    def _saved(self) -> np.ndarray[Any, np.dtype[np.int64]] | None:
+    def _saved(self, run: Run) -> np.ndarray[Any, np.dtype[np.int64]] | None:
         """Save each FMU's state; return the table for restoring in compiled code, or None if an FMU fails to save.
 
         The FMUs still get the information that no run returns to an earlier step. Without it some repeat their first step for
         ever. The comparison of two runs detects an FMU that therefore cannot return to the beginning.
         """
         rows = []
-        for instance in self._run.instances.values():
+        for instance in run.instances.values():
             addresses = getattr(instance, "state_functions", None)
             if addresses is None:
                 functions = StateFunctions(instance)
@@ -220,6 +233,9 @@ class ManyRuns:
             seeds = seeds[:1]
         states = np.empty((0, 3), dtype=np.int64) if self._states is None else self._states
         recording, reached = self._room(len(seeds)), np.empty(len(seeds), dtype=np.int64)
+        if len(seeds) >= LANES and self._opens_beside():
+            return self._in_lock_step(seeds, recording)
+        self._alone = max(self._alone - len(seeds), 0)
         with run.guard as guard:
             done, failure = engine.advance_many(
                 seeds, self._initial, states, recording, reached, self._steps, fresh=self._fresh
@@ -241,6 +257,50 @@ class ManyRuns:
         if not reasons:
             raise _NotPutBackError
         return Block(recording[: len(reasons)], reached[: len(reasons)], tuple(reasons))
+
+    def _opens_beside(self) -> bool:
+        """Return whether runs can be made in lock step, after making the FMUs of the other lanes."""
+        if self._beside is not None:
+            return True
+        if not self._function or self._alone or self._states is None:
+            return False
+        assert isinstance(self._engine, CompiledEngine)
+        runs, states, engines = [self._run], [self._states], [self._engine]
+        try:
+            for _ in range(LANES - 1):
+                with self._spares.lent():
+                    run = open_run(self._schedule, self._stack, 0, self._selection, 0, self._decimation)
+                kept = self._saved(run)
+                if kept is None:
+                    raise FMUError("An FMU cannot save its state.")
+                runs.append(run)
+                states.append(kept)
+                engines.append(CompiledEngine(run))
+        except Exception:  # noqa: BLE001 - such as an FMU of which a process can have one instance only
+            self._function = 0
+            return False
+        memory = [self._initial, *(run.memory for run in runs[1:])]
+        self._beside = SideBySide(self._function, runs[0].streams(), memory, [e.calls for e in engines], states)
+        return True
+
+    def _in_lock_step(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
+        """Make as many runs as fill all lanes. If one of them fails, they are made again, one by one."""
+        assert self._beside is not None
+        self._fresh = False
+        with self._run.guard as guard:
+            done = self._beside.make(seeds, recording, self._steps)
+        if guard.changed:
+            warn_of_arithmetic(self._run)
+        if guard.interrupted:
+            raise KeyboardInterrupt
+        if not done:
+            self._failures += 1
+            self._alone = (
+                LANES * 2**self._failures
+            )  # a campaign in which many runs fail soon makes all of them one by one
+            self._shut(broken=True)
+            raise _NotPutBackError
+        return Block(recording[:done], np.full(done, self._steps), ("",) * done)
 
     def _single(self, seed: int, keep_going: KeepGoing, *, limited: bool = True) -> Block:
         """Make one run piece by piece, because it is long, slow or interpreted."""
@@ -322,7 +382,7 @@ class ManyRuns:
             for free, component, place in self._free:
                 _STATE(free)(component, ctypes.addressof(place))
         self._free.clear()
-        self._states, self._opened, self._fresh = None, False, False
+        self._states, self._opened, self._fresh, self._beside = None, False, False, None
         with self._spares.lent():
             self._stack.close()
 

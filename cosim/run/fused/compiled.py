@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from types import FunctionType
 from typing import Any
 
@@ -13,8 +14,10 @@ import numpy as np
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.errors import KernelError
+from bayesftc.cosim.run.fused.lanes import Home, Lanes, text_of_lanes, wide_name
 from bayesftc.cosim.run.fused.text import Loop, text_of_loop
 from bayesftc.cosim.stepping.machine.code import machine_code
+from bayesftc.cosim.stepping.machine.lanes import lowered_to_lanes
 from bayesftc.cosim.stepping.machine.lowering import lowered
 from bayesftc.cosim.stepping.machine.steps import environment, load_or_compile, name_of, sentences, text_of
 from bayesftc.cosim.stepping.source.tree import Sections
@@ -31,6 +34,9 @@ Tables = tuple[Whole, Whole, Whole, int, tuple[int, int]]
 
 Steps = Mapping[str, tuple[FunctionType, Sections]]
 """The step functions of a loop by name, and the places of their arguments."""
+
+LANES = 4
+"""Runs that are made in lock step, each in its lane of the processor's vector registers."""
 
 _addresses: dict[str, int] = {}
 
@@ -51,12 +57,44 @@ def fused(schedule: Schedule, tables: Tables, steps: float) -> int:
         return 0
     loop, functions = _described(schedule, tables)
     text = text_of_loop(loop, "loop", set(functions))
+    return _found(text, steps, len(loop.rows), lambda name: _compiled(loop, functions, name))
+
+
+def fused_lanes(schedule: Schedule, tables: Tables, steps: float) -> int:
+    """Return the address of a function for `LANES` runs of a diagram in lock step; 0 if that does not pay.
+
+    Parameters are those of `fused`, and `steps` those of all runs together.
+    """
+    if steps < LOADED * LANES or schedule.groups:  # a group's tables have the address of one run's memory
+        return 0
+    loop, functions = _described(schedule, tables)
+    calls = (*schedule.evaluate, *schedule.advance)
+    begins = [slots.start["state"] for slots in schedule.slots]
+    last = schedule.slots[-1].start["outputs"] + sum(port.size for port in schedule.nodes[-1].outputs)
+    by_address = {
+        c.node for c, f in zip(calls, loop.functions, strict=True) if c.kind != "inputs" and f not in functions
+    }
+    by_address |= {i for i, definition in enumerate(schedule.definitions) if definition is None}
+    lanes = Lanes(
+        count=LANES,
+        nodes=tuple(call.node for call in calls),
+        begins=(*begins, last),
+        size=len(schedule.initial),
+        by_address=frozenset(by_address),
+    )
+    return _found(
+        repr((loop, lanes)), steps, len(loop.rows), lambda name: _compiled_lanes(loop, lanes, functions, name)
+    )
+
+
+def _found(text: str, steps: float, calls: int, compiled: Callable[[str], bytes]) -> int:
+    """Return the address of a loop's code, which depends on `text` alone; 0 if compiling it does not pay."""
     name = "loop_" + hashlib.sha256((environment() + text).encode()).hexdigest()[:24]
     if name not in _addresses:
         is_kept = (cache_directory("compiled") / f"{name}.o").exists()
-        if not is_kept and steps < COMPILED * len(loop.rows):
+        if not is_kept and steps < COMPILED * calls:
             return 0
-        _addresses[name] = load_or_compile(name, lambda: _compiled(loop, functions, name))
+        _addresses[name] = load_or_compile(name, lambda: compiled(name))
     return _addresses[name]
 
 
@@ -88,3 +126,31 @@ def _compiled(loop: Loop, functions: Steps, name: str) -> bytes:
         with suppress(KernelError), sentences(kernel):  # numba has compiled it then: it is called by its address
             parts[function] = lowered(*text_of(kernel, sections, function))
     return machine_code(text_of_loop(loop, name, parts), parts)
+
+
+def _compiled_lanes(loop: Loop, lanes: Lanes, functions: Steps, name: str) -> bytes:
+    parts: dict[str, str] = {}
+    while True:
+        failed = set()
+        homes = lanes.homes(loop)
+        for function, node in zip(loop.functions, lanes.nodes, strict=True):
+            if function and homes[node] is not Home.OWN:
+                try:
+                    _lower(parts, functions[function], function, lanes.count if homes[node] is Home.WIDE else 0)
+                except KernelError:  # it is called by its address
+                    failed.add(node)
+        if not failed:
+            wanted = {f if homes[node] is Home.SAME else wide_name(f) for f, node in zip(loop.functions, lanes.nodes)}
+            parts = {part: text for part, text in parts.items() if part in wanted}
+            return machine_code(text_of_lanes(loop, lanes, name), parts)
+        lanes = replace(lanes, by_address=lanes.by_address | failed)
+
+
+def _lower(parts: dict[str, str], function: tuple[FunctionType, Sections], name: str, lanes: int) -> None:
+    """Add the text of a step function, for one run or for several."""
+    part = wide_name(name) if lanes else name
+    if part not in parts:
+        kernel, sections = function
+        with sentences(kernel):
+            c, apart = text_of(kernel, sections, part)
+            parts[part] = lowered_to_lanes(c, lanes, apart) if lanes else lowered(c, apart)

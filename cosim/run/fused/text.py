@@ -58,16 +58,21 @@ class Loop:
 
 def text_of_loop(loop: Loop, name: str, inlined: Container[str]) -> str:
     """Return the function `name` for a loop, in which the step functions of these names are called by name, others by address."""
-    return _Text(loop, inlined).text(name)
+    return Text(loop, inlined).text(name)
 
 
-class _Text:
+class Text:
+    """The text of a loop for a single run."""
+
+    head = _HEAD
+
     def __init__(self, loop: Loop, inlined: Container[str]):
         self._loop, self._inlined = loop, inlined
         self._lines: list[str] = []
         self._values = 0
 
     def text(self, name: str) -> str:
+        """Return the function `name`."""
         loop = self._loop
         self._label("evaluate")
         self._clock("e")
@@ -84,10 +89,15 @@ class _Text:
         self._label("go")
         for c in range(loop.evaluations, len(loop.rows)):
             self._call(c, "a")
-        self._lines += [f"  store i64 {self._value('add i64 %k.a, 1')}, ptr %place.k", "  br label %evaluate", "}", ""]
-        used = sorted({f for f in loop.functions if f in self._inlined})
-        declared = [f"declare {STEP_FUNCTION.format(function)}" for function in used]
-        return "\n".join([*declared, _HEAD.format(name=name), *self._lines])
+        self._lines += [f"  store i64 {self._value('add i64 %k.a, 1')}, ptr %place.k", "  br label %evaluate"]
+        return "\n".join([*self._declared(), self.head.format(name=name), *self._lines, *self._end(), "}", ""])
+
+    def _declared(self) -> list[str]:
+        used = sorted({f for f in self._loop.functions if f in self._inlined})
+        return [f"declare {STEP_FUNCTION.format(function)}" for function in used]
+
+    def _end(self) -> list[str]:
+        return []
 
     def _value(self, operation: str) -> str:
         self._values += 1
@@ -134,13 +144,19 @@ class _Text:
             self._branch(self._value(f"icmp eq i64 {rest}, 0"), "record", "recorded")
             self._label("record")
             row = self._value(f"sdiv i64 %k.e, {loop.decimation}")
-        first = self._value(f"mul i64 {self._value(f'sub i64 {row}, %before')}, {len(loop.recorded)}")
-        begin = self._element("%recording", first)
-        for j, place in enumerate(loop.recorded):
-            self._copy(self._load(place), begin, j)
+        self._record_row(row)
         if loop.decimation != 1:
             self._lines.append("  br label %recorded")
             self._label("recorded")
+
+    def _record_row(self, row: str) -> None:
+        first = self._value(f"mul i64 {self._value(f'sub i64 {row}, %before')}, {len(self._loop.recorded)}")
+        begin = self._element("%recording", first)
+        for j, place in enumerate(self._loop.recorded):
+            self._copy(self._load(place), begin, j)
+
+    def _gather(self, target: int, source: int) -> None:
+        self._copy(self._load(source), "%memory", target)
 
     def _call(self, c: int, phase: str) -> None:
         row, count = self._loop.rows[c], f"%k.{phase}"
@@ -150,31 +166,43 @@ class _Text:
             self._label(f"call.{c}")
             count = self._value(f"sdiv i64 {count}, {row[EVERY]}")
         for target, source in self._loop.gathers[c]:
-            self._copy(self._load(source), "%memory", target)
+            self._gather(target, source)
         if row[FUNCTION]:
             self._function(c, phase, count)
+        self._check(c, phase)
+        if row[EVERY] != 1:
+            self._lines.append(f"  br label %done.{c}")
+            self._label(f"done.{c}")
+
+    def _check(self, c: int, phase: str) -> None:
+        row = self._loop.rows[c]
         for place in range(row[CHECK_FROM], row[CHECK_TO]):
             value = self._load(place)
             zero = self._value(f"fsub double {value}, {value}")
             fails = self._value(f"fcmp une double {zero}, 0.0")
             self._fail_if(fails, c, phase, str(NOT_FINITE + place), f"{c}.{place}")
-        if row[EVERY] != 1:
-            self._lines.append(f"  br label %done.{c}")
-            self._label(f"done.{c}")
 
     def _function(self, c: int, phase: str, count: str) -> None:
         row, function = self._loop.rows[c], self._loop.functions[c]
         sections = [self._element("%memory", row[section]) for section in (STATE, PARAMETERS, INPUTS, OUTPUTS)]
         if function in self._inlined:
-            arguments = ", ".join(f"ptr {section}" for section in sections)
-            self._value(f"call i32 @{function}({arguments}, double %t.{phase}, i64 {count})")  # its status is always 0
-            return
-        address = self._value(f"load i64, ptr {self._element('%calls', c * COLUMNS + FUNCTION, 'i64')}")
+            self._by_name(function, sections, phase, count)
+        else:
+            self._by_address(c * COLUMNS + FUNCTION, sections, (c, phase, count), str(c))
+
+    def _by_name(self, function: str, sections: list[str], phase: str, count: str) -> None:
+        arguments = ", ".join(f"ptr {section}" for section in sections)
+        self._value(f"call i32 @{function}({arguments}, double %t.{phase}, i64 {count})")  # its status is always 0
+
+    def _by_address(self, place: int, sections: list[str], call: tuple[int, str, str], label: str) -> None:
+        """Call the function whose address is at this place of the table; `call` is its row, phase and count of steps."""
+        c, phase, count = call
+        address = self._value(f"load i64, ptr {self._element('%calls', place, 'i64')}")
         pointer = self._value(f"inttoptr i64 {address} to ptr")
         arguments = ", ".join(f"i64 {self._value(f'ptrtoint ptr {section} to i64')}" for section in sections)
         status = self._value(f"call i32 {pointer}({arguments}, double %t.{phase}, i64 {count})")
         fails = self._value(f"icmp ne i32 {status}, 0")
-        self._fail_if(fails, c, phase, self._value(f"sext i32 {status} to i64"), str(c))
+        self._fail_if(fails, c, phase, self._value(f"sext i32 {status} to i64"), label)
 
     def _fail_if(self, condition: str, c: int, phase: str, status: str, label: str) -> None:
         """Return the last step whose outputs are complete, after writing down the call and its status."""

@@ -24,13 +24,13 @@ _RANKS = (TRUTH, LITERAL, WHOLE, DOUBLE)
 """Of two operands, the one of the lower rank is converted to the other's type."""
 
 _TYPES = {"double": DOUBLE, "int64_t": WHOLE, "int": TRUTH, "void": "void"}
-_LIBRARY = {name: f"llvm.{name}.f64" for name in ops.OF_LIBRARY.values()}
+LIBRARY = {name: f"llvm.{name}.f64" for name in ops.OF_LIBRARY.values()}
 _NUMBERS = {"NAN": float("nan"), "HUGE_VAL": float("inf")}
 _FLOATING = {"+": "fadd", "-": "fsub", "*": "fmul", "/": "fdiv"}
 _COUNTING = {"+": "add", "-": "sub", "*": "mul", "/": "sdiv", "%": "srem"}
 _ORDERED = {"<": "lt", "<=": "le", ">": "gt", ">=": "ge"}
 
-_OPERATIONS = {
+OPERATIONS = {
     # The same bits as C's sum of two terms, with half the operations.
     "op_select": """define internal double @f.op_select(i1 %c, double %a, double %b) {
   %chosen = select i1 %c, double %a, double %b
@@ -109,20 +109,28 @@ def lowered(c: str, apart: Iterable[str] = ()) -> str:
     apart : iterable of str
         Functions whose pointers point to memory that does not overlap.
     """
-    unit, parts = Unit(), [f"declare double @{name}(double)" for name in _LIBRARY.values()]
-    for node in CParser().parse(_plain(c)).ext:
-        if isinstance(node, c_ast.Typedef):
-            parts += _record(unit, node)
-        elif isinstance(node, c_ast.Decl) and isinstance(node.type, c_ast.FuncDecl):
-            parts.append(_outside(unit, node))
-        elif isinstance(node, c_ast.Decl):
-            parts.append(_table(unit, node))
-        else:
-            parts.append(_Function(unit, node, apart=node.decl.name in apart).text())
+    unit, nodes = Unit(), CParser().parse(plain(c)).ext
+    parts = declarations(unit, [node for node in nodes if not isinstance(node, c_ast.FuncDef)])
+    for node in nodes:
+        if isinstance(node, c_ast.FuncDef):
+            parts.append(Function(unit, node, apart=node.decl.name in apart).text())
     return "\n".join(parts) + "\n"
 
 
-def _plain(c: str) -> str:
+def declarations(unit: Unit, nodes: Iterable[c_ast.Node]) -> list[str]:
+    """Return LLVM's text for the types, tables and outside functions of a file, and note them in `unit`."""
+    parts = [f"declare double @{name}(double)" for name in LIBRARY.values()]
+    for node in nodes:
+        if isinstance(node, c_ast.Typedef):
+            parts += _record(unit, node)
+        elif isinstance(node.type, c_ast.FuncDecl):
+            parts.append(_outside(unit, node))
+        else:
+            parts.append(_table(unit, node))
+    return parts
+
+
+def plain(c: str) -> str:
     """Return C without comments and macros."""
     text = re.sub(r"/\*.*?\*/", "", c, flags=re.DOTALL)
     return "typedef long int64_t;\ntypedef unsigned long uint64_t;\n" + re.sub(r"INT64_C\((-?\d+)\)", r"\1", text)
@@ -138,7 +146,7 @@ def _record(unit: Unit, node: c_ast.Typedef) -> list[str]:
 
 def _table(unit: Unit, node: c_ast.Decl) -> str:
     kind = unit.type_of(node.type.type)
-    values = ", ".join(f"{kind} {_number(kind, _literal(value))}" for value in node.init.exprs)
+    values = ", ".join(f"{kind} {number(kind, _literal(value))}" for value in node.init.exprs)
     unit.tables[node.name] = kind
     return f"@t.{node.name} = internal constant [{len(node.init.exprs)} x {kind}] [{values}]"
 
@@ -161,7 +169,7 @@ def _literal(node: c_ast.Node) -> int | float:
     return float(node.value) if node.type == "double" else int(node.value)
 
 
-def _number(kind: str, value: float) -> str:
+def number(kind: str, value: float) -> str:
     """Return a number as LLVM text that preserves every bit."""
     if kind == POINTER:  # a row that is chosen later
         return "null"
@@ -170,7 +178,7 @@ def _number(kind: str, value: float) -> str:
     return str(int(bool(value)) if kind == TRUTH else int(value))
 
 
-def _common(one: Term, other: Term) -> str:
+def common(one: Term, other: Term) -> str:
     """Return the type in which C combines two values."""
     kind = max(one.type, other.type, key=_RANKS.index)
     if kind in {LITERAL, WHOLE}:  # a literal is a double if it has a point
@@ -178,7 +186,16 @@ def _common(one: Term, other: Term) -> str:
     return kind
 
 
-class _Function:
+def operator(op: str, kind: str) -> tuple[str, bool]:
+    """Return LLVM's instruction for an operator on numbers of a type, and whether it compares."""
+    if op in _COUNTING:
+        return (_FLOATING if kind == DOUBLE else _COUNTING)[op], False
+    if kind == DOUBLE:
+        return "fcmp " + ({"==": "oeq", "!=": "une"}.get(op) or f"o{_ORDERED[op]}"), True
+    return "icmp " + ({"==": "eq", "!=": "ne"}.get(op) or f"{'u' if kind == TRUTH else 's'}{_ORDERED[op]}"), True
+
+
+class Function:
     """One function of C."""
 
     def __init__(self, unit: Unit, node: c_ast.FuncDef, *, apart: bool):
@@ -199,8 +216,8 @@ class _Function:
 
     def text(self) -> str:
         """Return the function as LLVM text."""
-        if self.name in _OPERATIONS:
-            return _OPERATIONS[self.name]
+        if self.name in OPERATIONS:
+            return OPERATIONS[self.name]
         for i, (parameter, kind) in enumerate(zip(self.parameters, self.signature.arguments, strict=True)):
             self.emit(f"store {kind} %a{i}, ptr {self.variable(parameter.name, kind).text}")
         self.block(self.node.body)
@@ -413,7 +430,7 @@ class _Function:
             values.append((self.value(part), self.label()))
             self.begin(values[-1][1])  # the end of this alternative, where its conversion is inserted
             self.open = False  # until both types are known
-        kind = _common(*(value for value, _ in values))
+        kind = common(*(value for value, _ in values))
         place = self.variable("", kind)
         for value, label in values:
             lines_before, self.lines, self.open = self.lines, [], True
@@ -442,25 +459,19 @@ class _Function:
             return self.result(
                 POINTER, f"getelementptr inbounds double, ptr {left.text}, i64 {self.turned(right, WHOLE)}"
             )
-        kind = _common(left, right)
-        comparing = op in _ORDERED or op in {"==", "!="}
-        if kind == TRUTH and not comparing:
+        kind = common(left, right)
+        if kind == TRUTH and op in _COUNTING:
             kind = WHOLE
+        instruction, compares = operator(op, kind)
         a, b = self.turned(left, kind), self.turned(right, kind)
-        if not comparing:
-            return self.result(kind, f"{(_FLOATING if kind == DOUBLE else _COUNTING)[op]} {kind} {a}, {b}")
-        if kind == DOUBLE:
-            order = {"==": "oeq", "!=": "une"}.get(op) or f"o{_ORDERED[op]}"
-            return self.result(TRUTH, f"fcmp {order} double {a}, {b}")
-        order = {"==": "eq", "!=": "ne"}.get(op) or f"{'u' if kind == TRUTH else 's'}{_ORDERED[op]}"
-        return self.result(TRUTH, f"icmp {order} {kind} {a}, {b}")
+        return self.result(TRUTH if compares else kind, f"{instruction} {kind} {a}, {b}")
 
     def called(self, node: c_ast.FuncCall) -> Term:
         """Return the value of a call."""
         values = [self.value(argument) for argument in node.args.exprs] if node.args else []
         name = node.name.name
-        if name in _LIBRARY:
-            return self.result(DOUBLE, f"call double @{_LIBRARY[name]}(double {self.turned(values[0], DOUBLE)})")
+        if name in LIBRARY:
+            return self.result(DOUBLE, f"call double @{LIBRARY[name]}(double {self.turned(values[0], DOUBLE)})")
         signature = self.unit.functions[name]
         given = ", ".join(f"{k} {self.turned(v, k)}" for k, v in zip(signature.arguments, values, strict=True))
         line = f"call {signature.returns} @{'' if name in self.unit.outside else 'f.'}{name}({given})"
@@ -495,12 +506,12 @@ class _Function:
     def turned(self, value: Term, kind: str) -> str:
         """Return a value converted to another type."""
         if value.type == LITERAL:
-            return _number(kind, value.text)
+            return number(kind, value.text)
         if value.type == kind:
             return str(value.text)
         if kind == TRUTH:
             compare = "fcmp une double" if value.type == DOUBLE else f"icmp ne {value.type}"
-            return str(self.result(TRUTH, f"{compare} {value.text}, {_number(value.type, 0)}").text)
+            return str(self.result(TRUTH, f"{compare} {value.text}, {number(value.type, 0)}").text)
         if kind == DOUBLE:
             turn = "uitofp" if value.type == TRUTH else "sitofp"
         else:

@@ -1,0 +1,76 @@
+"""Runs in lock step: the bits of single runs, for every kind of call; and what happens if one fails."""
+
+import pytest
+
+from bayesftc import cosim
+from bayesftc.bench.measures.full_loop import full_diagram
+from bayesftc.cosim.ports import Port
+from bayesftc.cosim.run.fused import compiled, side_by_side
+
+
+@pytest.fixture
+def lanes(as_one, monkeypatch):
+    """The numbers of runs that were made in lock step, call by call."""
+    made = []
+
+    def noted(self, *arguments, usual=side_by_side.SideBySide.make):
+        made.append(usual(self, *arguments))
+        return made[-1]
+
+    monkeypatch.setattr(side_by_side.SideBySide, "make", noted)
+    return made
+
+
+def slow_and_fast():
+    """Blocks of three rates with noise, and a part that is the same in all runs."""
+    diagram = cosim.Diagram("1/30")
+    noise = diagram.add(cosim.Gaussian((1.0, 0.5)), "noise")
+    total = diagram.add(cosim.Integrator(1.0, size=2), "total", every=3)
+    late = diagram.add(cosim.UnitDelay(2, 0.5), "late", every=2)
+    goal = diagram.add(cosim.Sine(1.0, period=0.7), "goal")
+    gap = diagram.add(cosim.Sum("+-"), "gap")
+    diagram.connect(noise["y"], total["u"])
+    diagram.connect(total["y"], late["u"])
+    diagram.connect(goal["y"], gap["u[0]"])
+    diagram.connect(late["y[1]"], gap["u[1]"])
+    return diagram
+
+
+DIAGRAMS = {"the whole loop": full_diagram, "three rates": slow_and_fast}
+SEEDS = tuple(range(5, 5 + 3 * compiled.LANES + 2))
+
+
+@pytest.mark.parametrize("name", DIAGRAMS)
+@pytest.mark.parametrize("decimation", [1, 7])
+def test_runs_in_lock_step_have_the_bits_of_single_runs(name, decimation, lanes, campaign_as_alone):
+    diagram = DIAGRAMS[name]()
+    campaign_as_alone(diagram, 130 * diagram.step, SEEDS, decimation=decimation)
+    assert sum(lanes) >= 2 * compiled.LANES
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_a_run_that_fails_is_told_as_elsewhere(every, lanes, make_block, campaign_as_alone):
+    def leave(u, y):
+        y[0] = u[0] if u[0] < 2.8 else 1.0 / (u[0] - u[0])
+
+    diagram = cosim.Diagram("1/50")
+    block = make_block(inputs=[Port("u")], outputs=[Port("y")], output=leave, finite=True)
+    plant = diagram.add(block, "plant", every=every)
+    diagram.connect(diagram.add(cosim.Gaussian(1.0), "noise")["y"], plant["u"])
+    table = campaign_as_alone(diagram, 60 * every * diagram.step, tuple(range(40)))
+    reasons = table["reason"].astype(bool)
+    assert 0 < reasons.sum() < len(table)
+    assert 0 in lanes
+    assert max(lanes) > 0
+
+
+def test_what_cannot_be_put_into_lanes_is_called_run_by_run(lanes, make_block, campaign_as_alone):
+    def takes_a_slice(u, y):
+        for value in u[:1]:  # C is not written for this
+            y[0] = value
+
+    diagram = cosim.Diagram("1/50")
+    block = make_block(inputs=[Port("u")], outputs=[Port("y")], output=takes_a_slice)
+    diagram.connect(diagram.add(cosim.Gaussian(1.0), "noise")["y"], diagram.add(block, "block")["u"])
+    campaign_as_alone(diagram, 1, SEEDS)
+    assert sum(lanes)
