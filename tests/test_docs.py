@@ -107,6 +107,23 @@ def test_links_of_the_pages_lead_somewhere():
                 assert not anchor or anchor in anchors(linked), f"{page.name} links to {target}#{anchor}"
 
 
+SCRIPTS = [ROOT / "docs" / "_site" / "scorer.js", ROOT / "docs" / "_site" / "static" / "site.js"]
+NEWER = {
+    r"\(\?<[=!]": "lookbehind",
+    r"\.(with|at|findLast|findLastIndex|toSorted|toReversed|toSpliced)\(": "a method of arrays since 2022",
+    r"structuredClone": "structuredClone",
+    r"groupBy": "groupBy",
+}
+"""What some browsers of the last five years lack."""
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_scripts_of_the_site_run_in_browsers_that_are_five_years_old(script):
+    text = script.read_text(encoding="utf-8")
+    found = [feature for pattern, feature in NEWER.items() if re.search(pattern, text)]
+    assert not found, f"{script.name} uses {', '.join(found)}"
+
+
 def test_every_page_leads_to_the_glossary():
     for page in PAGES:
         if page.name != "glossary.md":

@@ -18,7 +18,7 @@ document.addEventListener("DOMContentLoaded", () => {
     }
   }
   for (const code of document.querySelectorAll(".bd-article td code span.pre")) {
-    const parts = code.textContent.split(/(?<=[/_(.,=])/);
+    const parts = code.textContent.match(/[^/_(.,=]*[/_(.,=]|[^/_(.,=]+$/g) || [];
     code.replaceChildren(...parts.flatMap((part, i) => (i ? [document.createElement("wbr"), part] : [part])));
   }
   document.addEventListener("keydown", (event) => {
