@@ -85,6 +85,7 @@ html_static_path = ["_site/static"]
 html_favicon = "_site/static/favicon.svg"
 html_css_files = ["site.css"]
 html_js_files = ["site.js"]
+html_sidebars = {page: [] for page in ("index", "versions", "project/changelog", "search", "genindex")}  # of no part
 html_search_scorer = str(Path(__file__).parent / "_site" / "scorer.js")  # the order of results
 html_copy_source = False
 html_show_sourcelink = False

@@ -6,8 +6,10 @@ import re
 import subprocess
 import sys
 import tomllib
+import unicodedata
 from dataclasses import is_dataclass
 from pathlib import Path
+from urllib.parse import unquote
 
 import public_names
 import pytest
@@ -105,6 +107,53 @@ def test_links_of_the_pages_lead_somewhere():
                 linked = page.parent / target if target else page
                 assert linked.exists(), f"{page.name} links to {target}"
                 assert not anchor or anchor in anchors(linked), f"{page.name} links to {target}#{anchor}"
+
+
+CITATION = (
+    r"([A-Z][a-z][\w'-]+)(?:,? [A-Z][\w'-]+)*(?:,? and [A-Z][\w'-]+| et al\.)?"
+    r"(?: \(|, |,? [A-Z][^()]{0,60}, | )((?:19|20)\d\d)\b"
+)
+"""Names and a year: "Kim 1994", "Dennis, Gay and Welsch (1981)", "Huang et al., IEEE TAES 53, 2017"."""
+
+
+def unaccented(text):
+    return unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+
+
+def test_each_cited_work_has_a_row_in_the_page_of_papers():
+    papers = ROOT / "docs" / "reference" / "literature.md"
+    rows = [unaccented(row) for row in papers.read_text(encoding="utf-8").splitlines() if row.startswith("|")]
+    sources = [file for folder in ("controllers", "cosim", "src") for file in (ROOT / folder).rglob("*.py")]
+    for file in {*PAGES, *sources} - {papers}:
+        for name, year in re.findall(CITATION, unaccented(" ".join(file.read_text(encoding="utf-8").split()))):
+            known = name in {"Dymola", "November"} or any(
+                name.removesuffix("'s") in row and year in row for row in rows
+            )
+            assert known, f"{file.name} cites {name} {year}: add it to docs/reference/literature.md"
+
+
+def test_links_to_papers_have_the_doi_that_they_show():
+    text = (ROOT / "docs" / "reference" / "literature.md").read_text(encoding="utf-8")
+    links = re.findall(r"\[(10\.[^\]]+)\]\(https://doi\.org/([^)]+)\)", text)
+    assert len(links) > 40
+    assert all(unquote(target) == shown for shown, target in links)
+
+
+SCRIPTS = [ROOT / "docs" / "_site" / "scorer.js", ROOT / "docs" / "_site" / "static" / "site.js"]
+NEWER = {
+    r"\(\?<[=!]": "lookbehind",
+    r"\.(with|at|findLast|findLastIndex|toSorted|toReversed|toSpliced)\(": "a method of arrays since 2022",
+    r"structuredClone": "structuredClone",
+    r"groupBy": "groupBy",
+}
+"""What some browsers of the last five years lack."""
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_scripts_of_the_site_run_in_browsers_that_are_five_years_old(script):
+    text = script.read_text(encoding="utf-8")
+    found = [feature for pattern, feature in NEWER.items() if re.search(pattern, text)]
+    assert not found, f"{script.name} uses {', '.join(found)}"
 
 
 def test_every_page_leads_to_the_glossary():

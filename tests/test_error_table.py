@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
+from bayesftc.cosim.base.extras import extra
 from bayesftc.cosim.errors import BayesFTCError
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "how-to" / "index.md"
@@ -167,6 +168,7 @@ PROVOKED = {
     ),
     "The campaign in": two_campaigns,
     "which cannot be exported again": lambda: cosim.export_fmu(loop(), "all.fmu"),
+    "which is not installed": lambda: extra("a_package_of_no_extra", "A stored campaign"),
     "The recording ... cannot be read": lambda: cosim.Table.read("drive.csv", "speed"),
 }
 

@@ -1,4 +1,4 @@
-"""The search of the site in a real browser, over three small pages that are built here."""
+"""The search of the site in a real browser, over four small pages that are built here."""
 
 import re
 import shutil
@@ -14,7 +14,8 @@ pytestmark = [
     pytest.mark.skipif(BROWSER is None, reason="there is no Chromium; apt-get install chromium"),
 ]
 PAGES = {
-    "index": "Start\n=====\n\n.. toctree::\n\n   freeze\n   questions\n",
+    "index": "Start\n=====\n\n.. toctree::\n\n   all\n   freeze\n   questions\n",
+    "all": "A sensor drifts, freezes, jumps\n===============================\n\nSamples of each.\n",
     "freeze": "A sensor freezes\n================\n\nThe sample repeats, as in a broken encoder.\n",
     "questions": "Answers\n=======\n\nMy encoder drifts slowly\n------------------------\n\nDrift is found late.\n",
 }
@@ -47,6 +48,11 @@ def test_a_word_that_no_page_has_does_not_count(site):
 def test_a_page_with_every_word_comes_before_one_with_most(site):
     pages = found(site, "encoder broken sample")
     assert pages[0] == "freeze.html"
+
+
+def test_of_two_titles_with_every_word_the_shorter_comes_first(site):
+    pages = found(site, "sensor freezes")
+    assert pages.index("freeze.html") < pages.index("all.html")
 
 
 def test_a_page_with_most_words_is_found(site):

@@ -4,10 +4,13 @@ var Scorer = {
   score: ([page, title, anchor, description, score, file, kind]) => {
     const question = new URLSearchParams(window.location.search).get("q") || "";
     const ignored = /^(a|an|and|are|as|at|by|can|do|does|for|from|have|how|i|in|is|it|me|my|of|on|or|the|to|use|what|when|why|with)$/;
-    const words = (question.toLowerCase().match(/[a-z0-9_]+/g) || []).filter((word) => !ignored.test(word));
+    const telling = (text) => (text.toLowerCase().match(/[a-z0-9_]+/g) || []).filter((word) => !ignored.test(word));
+    const words = telling(question);
     const isIn = (word) =>
       new RegExp(word.length < 4 ? `\\b${word}\\b` : `\\b${word.length > 5 ? word.slice(0, -2) : word}`, "i").test(title);
-    const share = words.length ? words.filter(isIn).length / words.length : 0;
+    const matched = words.filter(isIn).length;
+    const share = words.length ? matched / words.length : 0;
+    const closeness = matched / Math.max(matched, telling(title).length, 1); // of two titles, the shorter one comes first
     const folders = {
       "how-to/questions": anchor ? 19 : 8, "how-to/": 8, "install": 14, "tutorials/": 6, "explanation/": 5, "reference/": 3, "gallery/": 2, "reports/": 1,
       "reference/api/": -1, "reference/extend": -8, "project/": -10,
@@ -15,7 +18,7 @@ var Scorer = {
     const folder = Object.keys(folders).filter((name) => page.startsWith(name)).sort((a, b) => b.length - a.length)[0];
     const overview = /(^|\/)index$|^reference\/api\/[^/]*$|-keys$/.test(page) ? -8 : 0;
     const member = kind === "object" && share < 1 ? -12 : 0;
-    return score + 20 * share + (folder ? folders[folder] : 0) + overview + member;
+    return score + 20 * share + 4 * closeness + (folder ? folders[folder] : 0) + overview + member;
   },
   objNameMatch: 11,
   objPartialMatch: 6,
@@ -31,7 +34,9 @@ var Scorer = {
 // too, further down, and so is a section whose heading has most of them. A word counts by its rarity. Unknown words do not count.
 const MOST = 0.5;
 const COST_OF_MISSING = 40;
+const SCORE = 4; // its place in a result
 const pagesWithAll = Search.performTermsSearch;
+const scored = (result, score) => [...result.slice(0, SCORE), score, ...result.slice(SCORE + 1)];
 
 function weighed(words, excluded) {
   const known = [...words].map((word) => ({ word, pages: pagesWithAll(new Set([word]), excluded) })).filter((each) => each.pages.length);
@@ -45,10 +50,10 @@ function pagesWithMost(words) {
   for (const { pages, weight } of words) {
     for (const page of pages) {
       const before = results.get(page[0]) || { share: 0, score: 0 };
-      results.set(page[0], { share: before.share + weight, score: Math.max(before.score, page[4]), page });
+      results.set(page[0], { share: before.share + weight, score: Math.max(before.score, page[SCORE]), page });
     }
   }
-  return [...results.values()].map(({ share, score, page }) => ({ share, result: page.with(4, score) }));
+  return [...results.values()].map(({ share, score, page }) => ({ share, result: scored(page, score) }));
 }
 
 function sectionsWithMost(words) {
@@ -67,5 +72,5 @@ Search.performTermsSearch = (words, excluded) => {
   const known = weighed(words, excluded);
   return [...pagesWithMost(known), ...sectionsWithMost(known)]
     .filter(({ share }) => share >= MOST)
-    .map(({ share, result }) => result.with(4, result[4] - COST_OF_MISSING * (1 - share)));
+    .map(({ share, result }) => scored(result, result[SCORE] - COST_OF_MISSING * (1 - share)));
 };

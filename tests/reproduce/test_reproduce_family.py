@@ -287,7 +287,7 @@ def test_the_page_gets_the_table_between_its_marks(report, tmp_path):
     cell = report["table"]["healthy"]["gamma"]["ratio"]
     assert rows["| `gamma`"][1] == f"{cell:.2f} / {cell:.2f}"
     above = [case for case, cells in report["table"].items() if cells["explicit"]["ratio"] > family_page.BAR]
-    assert f"`explicit` is above 1.10 in {len(above)}: " in text
+    assert f"`explicit` is above 1.10 in {len(above)} of 3 cases: " in text
     page.write_text("no marks")
     with pytest.raises(SystemExit, match="lacks the lines"):
         family_page.main([str(file), str(page)])

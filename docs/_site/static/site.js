@@ -1,5 +1,6 @@
 // Names for controls of the theme that show only a sign, and the whole visible text for the button of the search.
 // "/" opens the search, a chosen color mode keeps the focus at its menu, and the page of results begins at its search box.
+// A formula that is wider than the page can be scrolled by keys.
 // The empty corner of a table is no heading. Long code in a table breaks between its words, not within them.
 document.addEventListener("DOMContentLoaded", () => {
   for (const summary of document.querySelectorAll(".bd-sidebar-primary summary")) {
@@ -18,7 +19,7 @@ document.addEventListener("DOMContentLoaded", () => {
     }
   }
   for (const code of document.querySelectorAll(".bd-article td code span.pre")) {
-    const parts = code.textContent.split(/(?<=[/_(.,=])/);
+    const parts = code.textContent.match(/[^/_(.,=]*[/_(.,=]|[^/_(.,=]+$/g) || [];
     code.replaceChildren(...parts.flatMap((part, i) => (i ? [document.createElement("wbr"), part] : [part])));
   }
   document.addEventListener("keydown", (event) => {
@@ -32,4 +33,15 @@ document.addEventListener("DOMContentLoaded", () => {
     choice.addEventListener("click", () => choice.closest(".dropdown").querySelector(".theme-switch-button").focus());
   }
   document.querySelector("#search-results")?.parentElement.querySelector("input[type=search]")?.focus();
+});
+
+window.addEventListener("load", () => {
+  const reach = () => {
+    for (const formula of document.querySelectorAll("div.math mjx-container")) {
+      if (formula.scrollWidth > formula.clientWidth) formula.setAttribute("tabindex", "0");
+      else formula.removeAttribute("tabindex");
+    }
+  };
+  window.MathJax?.startup?.promise?.then(reach);
+  window.addEventListener("resize", reach);
 });

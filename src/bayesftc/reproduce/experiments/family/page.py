@@ -47,12 +47,12 @@ def _losses(table: Mapping[str, Mapping[str, Any]], name: str) -> str:
     if not bad:
         return f"`{name}` is above {BAR:.2f} in no case."
     losses = sentence_list([_loss(case, table[case], name) for case in bad])
-    return f"`{name}` is above {BAR:.2f} in {len(bad)}: {losses}."
+    return f"`{name}` is above {BAR:.2f} in {len(bad)} of {len(table)} cases: {losses}."
 
 
 def _loss(case: str, of: Mapping[str, Any], name: str) -> str:
     best = min(of, key=lambda other: ratio_of(of[other]))
-    return f"{case} {ratio_of(of[name]):.2f} (best: `{best}` {ratio_of(of[best]):.2f})"
+    return f'{ratio_of(of[name]):.2f} in "{case}" (best: `{best}` {ratio_of(of[best]):.2f})'
 
 
 def rewritten(page: str, report: Mapping[str, Any]) -> str:
