@@ -58,15 +58,15 @@ _C4, _C5, _C6 = (-2.755731721268659e-07, 2.0876134024090145e-09, -1.138175465366
 
 # fmt: off
 _TWO_OVER_PI = (
-    10680707.0, 7228996.0, 1387004.0, 2578385.0, 16069853.0, 12639074.0, 9804092.0, 4427841.0, 16666979.0, 11263675.0,
-    12935607.0, 2387514.0, 4345298.0, 14681673.0, 3074569.0, 13734428.0, 16653803.0, 1880361.0, 10960616.0, 8533493.0,
-    3062596.0, 8710556.0, 7349940.0, 6258241.0, 3772886.0, 3769171.0, 3798172.0, 8675211.0, 12450088.0, 3874808.0,
-    9961438.0, 366607.0, 15675153.0, 9132554.0, 7151469.0, 3571407.0, 2607881.0, 12013382.0, 4155038.0, 6285869.0,
-    7677882.0, 13102053.0, 15825725.0, 473591.0, 9065106.0, 15363067.0, 6271263.0, 9264392.0, 5636912.0, 4652155.0,
-    7056368.0, 13614112.0, 10155062.0, 1944035.0, 9527646.0, 15077376.0,
+    0.0, 0.0, 0.0, 0.0, 10680707.0, 7228996.0, 1387004.0, 2578385.0, 16069853.0, 12639074.0, 9804092.0, 4427841.0,
+    16666979.0, 11263675.0, 12935607.0, 2387514.0, 4345298.0, 14681673.0, 3074569.0, 13734428.0, 16653803.0,
+    1880361.0, 10960616.0, 8533493.0, 3062596.0, 8710556.0, 7349940.0, 6258241.0, 3772886.0, 3769171.0, 3798172.0,
+    8675211.0, 12450088.0, 3874808.0, 9961438.0, 366607.0, 15675153.0, 9132554.0, 7151469.0, 3571407.0, 2607881.0,
+    12013382.0, 4155038.0, 6285869.0, 7677882.0, 13102053.0, 15825725.0, 473591.0, 9065106.0, 15363067.0, 6271263.0,
+    9264392.0, 5636912.0,
 )
 # fmt: on
-"""Digits of 2 / pi behind the point, to the base 2**24."""
+"""Digits of 2 / pi to the base 2**24: four before the point, and those behind it."""
 
 
 def power_of_two(k):
@@ -152,10 +152,15 @@ def _quadrant(n):
 
 
 def _reduced(x):
-    """Return n modulo 4 and x - n pi / 2 as the sum of two numbers, for magnitudes of `x` below a million (Cody and Waite)."""
+    """Return n and x - n pi / 2 as the sum of two numbers, for magnitudes of `x` below a million (Cody and Waite)."""
     n = (x * 0.6366197723675814 + ROUNDER) - ROUNDER
-    # Products with the first three parts are exact, and so are the differences with what they miss.
+    # Products with parts of 33 bits are exact, and so is the first difference. The second part of pi / 2 has all its bits.
     first = x - n * 1.5707963267341256
+    part = n * 6.077100506506192e-11
+    r = first - part
+    least = n * 1.2e-7
+    if r * r >= least * least:  # what the second product misses is below 2**-63 of this
+        return n, r, (first - r) - part
     part = n * 6.077100506303966e-11
     second = first - part
     back = second - first
@@ -166,21 +171,16 @@ def _reduced(x):
     missed = missed + ((second - (third - back)) - (part + back))
     missed = missed - n * 8.4784276603689e-32
     r = third + missed
-    return _quadrant(n), r, (third - r) + missed
-
-
-def _digit(j):
-    """Return a digit of 2 / pi."""
-    return _TWO_OVER_PI[j] if j >= 0 else 0.0
+    return n, r, (third - r) + missed
 
 
 def _product(a, b, c, d, j):
-    """Return a digit of the product of a number with 2 / pi, before carries."""
-    return (a * _digit(j) + b * _digit(j - 1)) + (c * _digit(j - 2) + d * _digit(j - 3))
+    """Return digit `j` of the product of a number with 2 / pi, before carries; 0 is the last before the point."""
+    return (a * _TWO_OVER_PI[j + 3] + b * _TWO_OVER_PI[j + 2]) + (c * _TWO_OVER_PI[j + 1] + d * _TWO_OVER_PI[j])
 
 
 def _reduced_far(x):
-    """Return the same as `_reduced` for larger magnitudes: only some digits of 2 / pi count (Payne and Hanek)."""
+    """Return the same for larger magnitudes, with n modulo 4: only some digits of 2 / pi count (Payne and Hanek)."""
     size = x if x > 0.0 else -x
     k = exponent(size)
     e = 0
@@ -194,32 +194,22 @@ def _reduced_far(x):
     rest = (rest - b) * 16777216.0
     c = (rest + ROUNDER) - ROUNDER
     d = (rest - c) * 16777216.0
-    # The first three digits of the product have, modulo 4, no more than 53 bits: these sums are exact.
-    whole = _product(a, b, c, d, e - 1)
-    turns = whole - 4.0 * ((0.25 * whole + ROUNDER) - ROUNDER)
-    part = _product(a, b, c, d, e) * 5.960464477539063e-08  # 2**-24
-    turns = (turns + (part - 4.0 * ((0.25 * part + ROUNDER) - ROUNDER))) + _product(
-        a, b, c, d, e + 1
-    ) * 3.552713678800501e-15  # 2**-48
-    n = (turns + ROUNDER) - ROUNDER
-    high = turns - n
-    part = _product(a, b, c, d, e + 2) * 2.117582368135751e-22  # 2**-72
-    total = high + part
-    back = total - high
-    low = (high - (total - back)) + (part - back)
-    high = total
-    part = _product(a, b, c, d, e + 3) * 1.262177448353619e-29  # 2**-96
-    total = high + part
-    back = total - high
-    low = low + ((high - (total - back)) + (part - back))
-    high = total
-    part = _product(a, b, c, d, e + 4) * 7.52316384526264e-37  # 2**-120
-    total = high + part
-    back = total - high
-    low = low + ((high - (total - back)) + (part - back))
-    low = low + (
-        _product(a, b, c, d, e + 5) * 4.484155085839415e-44 + _product(a, b, c, d, e + 6) * 2.6727647100921956e-51
-    )  # 2**-144, 2**-168
+    # The first three digits of the product have, modulo 4, no more than 53 bits: their sum is exact.
+    n = 0.0
+    total = 0.0
+    low = 0.0
+    unit = 1.0
+    for j in range(8):
+        if j == 3:
+            n = (total + ROUNDER) - ROUNDER
+            total = total - n
+        part = _product(a, b, c, d, e + j) * unit
+        part = part - 4.0 * ((0.25 * part + ROUNDER) - ROUNDER)
+        high = total
+        total = high + part
+        back = total - high
+        low = low + ((high - (total - back)) + (part - back))
+        unit = unit * 5.960464477539063e-08  # 2**-24
     # Times pi / 2, in parts of 26 and 53 bits; the first factor is split in the same way.
     split = 134217729.0 * total
     front = split - (split - total)
@@ -258,13 +248,13 @@ def _turned(x, quarters):
     else:
         return _NAN
     q = _quadrant(q + quarters)
-    if q == 0.0:
-        return _sine_of_part(r, low)
-    if q == 1.0:
-        return _cosine_of_part(r, low)
-    if q == 2.0:
-        return -_sine_of_part(r, low)
-    return -_cosine_of_part(r, low)
+    if q == 1.0 or q == 3.0:
+        value = _cosine_of_part(r, low)
+    else:
+        value = _sine_of_part(r, low)
+    if q >= 2.0:
+        return -value
+    return value
 
 
 def sine(x):

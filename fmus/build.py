@@ -19,6 +19,9 @@ from bayesftc.fmus.spec import Model
 __all__ = ["FMI_VERSIONS", "CompilerError", "build_fmu", "fmu_files", "own_files", "write_zip"]
 
 _C_FOLDER = Path(__file__).resolve().parent / "c"
+_SHARED = ("elementary.h", "runge_kutta.h")
+"""Headers for models, which an FMU contains if its model includes them."""
+
 _FMI_HEADERS = {
     "2.0": ("fmi2FunctionTypes.h", "fmi2Functions.h", "fmi2TypesPlatform.h"),
     "3.0": ("fmi3FunctionTypes.h", "fmi3Functions.h", "fmi3PlatformTypes.h"),
@@ -43,7 +46,7 @@ def _with_token(model: Model, fmi: str, token: str) -> dict[str, bytes]:
         model = model.flat()
     sources, compiled = _own_sources(model), _compiled_sources(model, fmi)
     needed = [compiled[0], "instance.h", "model.h"]
-    needed += ["runge_kutta.h"] * any(b'"runge_kutta.h"' in text for text in sources.values())
+    needed += [name for name in _SHARED if any(f'"{name}"'.encode() in text for text in sources.values())]
     files = {
         **{f"sources/{name}": text for name, text in sources.items()},
         **{f"sources/{name}": (_C_FOLDER / name).read_bytes() for name in needed},

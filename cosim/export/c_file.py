@@ -24,7 +24,7 @@ _FILL = (
     "    }",
     "}",
 )
-_CAREFUL = """\
+CAREFUL = """\
 #if defined __FAST_MATH__ || (defined __FINITE_MATH_ONLY__ && __FINITE_MATH_ONLY__) || defined __ASSOCIATIVE_MATH__ \\
     || defined __RECIPROCAL_MATH__ || defined _M_FP_FAST
 #error "Compile without -ffast-math or parts of it: a NaN is a missing sample, and the order of sums must stay."
@@ -34,9 +34,12 @@ _CAREFUL = """\
 #elif defined(__GNUC__)
 /* Every product and sum is rounded separately; and gcc 12 replaces 0.0 - n by -n where n cannot be a negative zero. */
 #pragma GCC optimize("fp-contract=off", "rounding-math")
-#ifndef __OPTIMIZE_SIZE__
+#endif"""
+"""Lines at the beginning of a C file, by which compilers compute what the text says."""
+
+_FAST = """\
+#if defined __GNUC__ && !defined __clang__ && !defined __OPTIMIZE_SIZE__
 #pragma GCC optimize("peel-loops") /* short loops are unrolled: a fifth faster, and a fifth longer */
-#endif
 #endif"""
 _HOW = """\
 /* {name}: a step every {step} s.
@@ -165,7 +168,8 @@ def _source(
         "",
         f'#include "{name}.h"',
         "",
-        _CAREFUL,
+        CAREFUL,
+        _FAST,
         "",
         body,
         "",

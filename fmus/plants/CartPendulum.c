@@ -6,18 +6,17 @@
  * with a, alpha the accelerations of cart and angle, l from the pivot to the pendulum's centre of mass and I its moment of
  * inertia about that. Force and torque are held during a step, which runge_kutta.h integrates.
  */
-#include <math.h>
-
+#include "elementary.h"
 #include "model.h"
 
 #define STATES 4
 
 static void derivative(const double *x, const double *s, double *ds)
 {
-    const double ml = x[X_m] * x[X_l], c = cos(s[1]), sine = sin(s[1]);
+    const double ml = x[X_m] * x[X_l], c = cosine(s[1]), d = sine(s[1]);
     const double M11 = x[X_M_cart] + x[X_m], M12 = ml * c, M22 = x[X_I] + ml * x[X_l];
-    const double f1 = x[X_force] - x[X_c] * s[2] + ml * s[3] * s[3] * sine;
-    const double f2 = ml * x[X_g] * sine - x[X_b] * s[3] + x[X_torque];
+    const double f1 = x[X_force] - x[X_c] * s[2] + ml * s[3] * s[3] * d;
+    const double f2 = ml * x[X_g] * d - x[X_b] * s[3] + x[X_torque];
     const double determinant = M11 * M22 - M12 * M12;
 
     ds[0] = s[2];

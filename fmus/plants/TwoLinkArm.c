@@ -6,8 +6,7 @@
  * Torques are held during a communication step, which runge_kutta.h integrates. A step fails with code 1 where max_substep is
  * not a positive number, with code 2 where it would take more than MOST_SUBSTEPS substeps.
  */
-#include <math.h>
-
+#include "elementary.h"
 #include "model.h"
 
 #define STATES 4
@@ -16,7 +15,7 @@
 static void derivative(const double *x, const double *s, double *ds)
 {
     const double m1 = x[X_m1], m2 = x[X_m2], L1 = x[X_L1], Lg1 = x[X_Lg1], Lg2 = x[X_Lg2], g = x[X_g];
-    const double c1 = cos(s[0]), c12 = cos(s[0] + s[1]), c2 = cos(s[1]), s2 = sin(s[1]);
+    const double c1 = cosine(s[0]), c12 = cosine(s[0] + s[1]), c2 = cosine(s[1]), s2 = sine(s[1]);
     const double v1 = s[2], v2 = s[3], coupling = m2 * L1 * Lg2;
 
     const double M11 = x[X_I1] + x[X_I2] + m1 * Lg1 * Lg1 + m2 * (L1 * L1 + Lg2 * Lg2) + 2.0 * coupling * c2;
@@ -43,8 +42,8 @@ static void write_outputs(double *x, const double *s)
     x[X_q2] = s[1];
     x[X_dq1] = s[2];
     x[X_dq2] = s[3];
-    x[X_x] = x[X_L1] * cos(s[0]) + x[X_L2] * cos(s[0] + s[1]);
-    x[X_y] = x[X_L1] * sin(s[0]) + x[X_L2] * sin(s[0] + s[1]);
+    x[X_x] = x[X_L1] * cosine(s[0]) + x[X_L2] * cosine(s[0] + s[1]);
+    x[X_y] = x[X_L1] * sine(s[0]) + x[X_L2] * sine(s[0] + s[1]);
 }
 
 void model_initialize(double *x)

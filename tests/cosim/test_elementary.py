@@ -43,6 +43,10 @@ def samples(name, count=600):
     halves = (RANDOM.integers(-1000, 1000, count) + 0.5) * math.log(2)
     numbers.append(np.nextafter(halves if name == "exp" else np.exp(np.clip(halves, -700, 700)), 0))
     if name in {"cos", "sin"}:  # the doubles next to multiples of pi / 2, where the reduction needs most digits
+        n = RANDOM.integers(
+            1, 2 ** RANDOM.integers(1, 20, count)
+        )  # where a shorter reduction just suffices, and just not
+        numbers.append(n * (math.pi / 2 + RANDOM.choice([-1.2e-7, 1.2e-7], count) * RANDOM.uniform(0.5, 2.0, count)))
         with mpmath.workprec(1200):
             near = [mpmath.mpf(int(n)) * mpmath.pi / 2 for n in RANDOM.integers(1, 2 ** RANDOM.integers(1, 62, count))]
             numbers.append(np.array([float(number) for number in [*near, mpmath.mpf(2) ** 797 * 6381956970095103]]))

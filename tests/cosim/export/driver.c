@@ -1,5 +1,7 @@
 /* Runs an FMU of FMI 2 beside no Python: driver LIBRARY GUID STEP INPUTS OUTPUTS < doubles > doubles.
  *
+ * With LINKED the FMU's sources are linked into this program, and LIBRARY is ignored.
+ *
  * From stdin the inputs of each step, to stdout the outputs after it, as the bytes of doubles. The value references are those
  * that an exported block has: its inputs, then its outputs. */
 #include <stdio.h>
@@ -8,7 +10,15 @@
 
 #include "fmi2Functions.h"
 
-#ifdef _WIN32
+#ifdef LINKED
+#define OPEN(path) ((void *)(path))
+#define GET(function) function
+#else
+#define GET(function) ((function##TYPE *)find(#function))
+#endif
+
+#if defined LINKED
+#elif defined _WIN32
 #include <fcntl.h>
 #include <io.h>
 #include <windows.h>
@@ -28,6 +38,7 @@ static void log_line(void *environment, fmi2String instance, fmi2Status status, 
 
 static void *library;
 
+#ifndef LINKED
 static void *find(const char *name)
 {
     void *found = FIND(library, name);
@@ -38,10 +49,11 @@ static void *find(const char *name)
     }
     return found;
 }
+#endif
 
 #define CALL(function, ...) \
     do { \
-        if (((function##TYPE *)find(#function))(__VA_ARGS__) != fmi2OK) { \
+        if (GET(function)(__VA_ARGS__) != fmi2OK) { \
             fprintf(stderr, #function " failed\n"); \
             return 4; \
         } \
@@ -71,8 +83,7 @@ int main(int count, char **arguments)
     for (k = 0; k < 256; ++k) {
         references[k] = (fmi2ValueReference)k;
     }
-    c = ((fmi2InstantiateTYPE *)find("fmi2Instantiate"))("driven", fmi2CoSimulation, arguments[2], "", &callbacks, fmi2False,
-                                                         fmi2False);
+    c = GET(fmi2Instantiate)("driven", fmi2CoSimulation, arguments[2], "", &callbacks, fmi2False, fmi2False);
     if (c == NULL) {
         return 3;
     }
@@ -85,6 +96,6 @@ int main(int count, char **arguments)
         CALL(fmi2GetReal, c, references + inputs, outputs, values);
         fwrite(values, sizeof *values, outputs, stdout);
     }
-    ((fmi2FreeInstanceTYPE *)find("fmi2FreeInstance"))(c);
+    GET(fmi2FreeInstance)(c);
     return 0;
 }
