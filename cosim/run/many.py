@@ -100,6 +100,10 @@ class ManyRuns:
         self._states: np.ndarray[Any, np.dtype[np.int64]] | None = None
         self._free: list[tuple[int, int, ctypes.c_int64]] = []
         self._beside: SideBySide | None = None
+        self._beside_allowed = True  # whether runs in lock step may be tried
+        self._agrees = not any(
+            d is None for d in schedule.definitions
+        )  # whether they have given what runs one by one give
         self._function = 0  # address of the loop for runs in lock step
         self._alone = 0  # number of runs to make one by one before the next ones in lock step
         self._failures = 0  # groups of runs in lock step of which one has failed
@@ -196,7 +200,7 @@ class ManyRuns:
         self._function = 0
         if isinstance(self._engine, CompiledEngine):
             self._engine.fuse(self._steps * self._of)
-            if all(hasattr(instance, "state_functions") for instance in self._run.instances.values()):
+            if self._beside_allowed and all(hasattr(i, "state_functions") for i in self._run.instances.values()):
                 self._function = self._engine.in_lock_step(self._steps * self._of)
         self._opened = self._fresh = True
         self._initial = self._run.memory.copy()
@@ -227,15 +231,19 @@ class ManyRuns:
         return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
 
     def _compiled(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
-        engine, run = self._engine, self._run
-        assert isinstance(engine, CompiledEngine)
-        if self._states is None:
-            seeds = seeds[:1]
-        states = np.empty((0, 3), dtype=np.int64) if self._states is None else self._states
-        recording, reached = self._room(len(seeds)), np.empty(len(seeds), dtype=np.int64)
+        recording = self._room(len(seeds))
         if len(seeds) >= LANES and self._opens_beside():
             return self._in_lock_step(seeds, recording)
         self._alone = max(self._alone - len(seeds), 0)
+        return self._one_by_one(seeds, recording)
+
+    def _one_by_one(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
+        engine, run = self._engine, self._run
+        assert isinstance(engine, CompiledEngine)
+        if self._states is None:
+            seeds, recording = seeds[:1], recording[:1]
+        states = np.empty((0, 3), dtype=np.int64) if self._states is None else self._states
+        reached = np.empty(len(seeds), dtype=np.int64)
         with run.guard as guard:
             done, failure = engine.advance_many(
                 seeds, self._initial, states, recording, reached, self._steps, fresh=self._fresh
@@ -277,7 +285,7 @@ class ManyRuns:
                 states.append(kept)
                 engines.append(CompiledEngine(run))
         except Exception:  # noqa: BLE001 - such as an FMU of which a process can have one instance only
-            self._function = 0
+            self._function, self._beside_allowed = 0, False
             return False
         memory = [self._initial, *(run.memory for run in runs[1:])]
         self._beside = SideBySide(self._function, runs[0].streams(), memory, [e.calls for e in engines], states)
@@ -285,6 +293,19 @@ class ManyRuns:
 
     def _in_lock_step(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
         """Make as many runs as fill all lanes. If one of them fails, they are made again, one by one."""
+        if not self._agrees:
+            return self._twice(seeds[:LANES], recording)
+        done = self._together(seeds, recording)
+        if done < len(seeds) // LANES * LANES:
+            self._failures += 1
+            # A campaign in which many runs fail soon makes all of them one by one.
+            self._alone = LANES * 2**self._failures
+            self._shut(broken=True)
+        if not done:
+            raise _NotPutBackError
+        return Block(recording[:done], np.full(done, self._steps), ("",) * done)
+
+    def _together(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> int:
         assert self._beside is not None
         self._fresh = False
         with self._run.guard as guard:
@@ -293,14 +314,20 @@ class ManyRuns:
             warn_of_arithmetic(self._run)
         if guard.interrupted:
             raise KeyboardInterrupt
-        if not done:
-            self._failures += 1
-            self._alone = (
-                LANES * 2**self._failures
-            )  # a campaign in which many runs fail soon makes all of them one by one
-            self._shut(broken=True)
-            raise _NotPutBackError
-        return Block(recording[:done], np.full(done, self._steps), ("",) * done)
+        return done
+
+    def _twice(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
+        """Make the first runs one by one, and then in lock step: instances of an FMU may share something that they hide."""
+        block = self._one_by_one(seeds, recording)
+        if len(block.steps) == len(seeds) and not any(block.reasons):
+            alone = recording[: len(seeds)].copy()
+            self._agrees = self._together(seeds, recording) == len(seeds)
+            self._agrees = self._agrees and recording[: len(seeds)].tobytes() == alone.tobytes()
+            recording[: len(seeds)] = alone
+            if not self._agrees:
+                self._beside_allowed = False
+                self._shut()
+        return block
 
     def _single(self, seed: int, keep_going: KeepGoing, *, limited: bool = True) -> Block:
         """Make one run piece by piece, because it is long, slow or interpreted."""

@@ -38,6 +38,8 @@ from bayesftc.cosim.stepping.machine.lowering import (
 LANES = "lanes"
 """The type of a pointer to wide numbers; `POINTER` is one to single numbers."""
 
+CHOSEN = "Whole arrays are chosen by numbers that differ between runs."
+
 _JUMPS = (c_ast.Return, c_ast.Break, c_ast.Continue)
 
 
@@ -90,7 +92,7 @@ class _File:
             return kind if kind.endswith(".w") else f"{kind}.w"
         if kind == POINTER:
             return LANES
-        return kind if self.is_wide(kind) else f"<{self.lanes} x {kind}>"
+        return kind if self.is_wide(kind) or kind == "void" else f"<{self.lanes} x {kind}>"
 
     @staticmethod
     def is_wide(kind: str) -> bool:
@@ -161,6 +163,7 @@ class _Lanes(Function):
         self.around: list[_Loop] = []
         self.variables: dict[str, tuple[object, int]] = {}  # for each place: its declaration and its depth
         self.returned = self.result_place = ""
+        self.refusal = ""  # it counts in the last pass only
 
     def text(self) -> str:
         """Return the function as LLVM text."""
@@ -171,6 +174,8 @@ class _Lanes(Function):
             wide = "return" in self.noted or self.returned_kind.startswith("%")
             self.signature.returns = self.file.wide(self.returned_kind) if wide else self.returned_kind
             self._body()
+        if self.refusal:
+            raise KernelError(self.refusal)
         marks = {POINTER: " noalias" if self.apart else "", LANES: " noalias" if self.apart else ""}
         arguments = [f"{_in_llvm(kind)}{marks.get(kind, '')} %a{i}" for i, kind in enumerate(self.signature.arguments)]
         arguments += [f"{self.all_of(TRUTH)} %mask"] * self.masked
@@ -334,15 +339,17 @@ class _Lanes(Function):
         declared, depth = self.variables.get(place.text, (None, 0))
         masked = self.depth > depth if is_variable else bool(self.mask)
         if place.type == LANES or place.type == POINTER:
-            if masked or (place.type == LANES and value.type == POINTER):
-                raise KernelError("Whole arrays are chosen by numbers of each run.")
             if value.type == LANES and place.type == POINTER:
                 self.note(id(declared))
                 return
+            if masked or value.type != place.type:
+                self.refusal = self.refusal or CHOSEN
+                return
         elif not self.file.is_wide(place.type) and not place.type.startswith("%") and (masked or self.is_wide(value)):
-            if not is_variable:
-                raise KernelError("A parameter is written.")
-            self.note(id(declared))
+            if is_variable:
+                self.note(id(declared))
+            else:
+                self.refusal = self.refusal or "A parameter is written."
             return
         new = self.turned(value, place.type) if not place.type.startswith("%") else value.text
         if masked:
@@ -596,7 +603,8 @@ class _Lanes(Function):
     def combined(self, op: str, left: Term, right: Term) -> Term:
         if LANES in {left.type, right.type}:
             if self.is_wide(right):
-                raise KernelError("Whole arrays are chosen by numbers of each run.")
+                self.refusal = self.refusal or CHOSEN
+                return left
             element = self.all_of(DOUBLE)
             at = f"getelementptr inbounds {element}, ptr {left.text}, i64 {super().turned(right, WHOLE)}"
             return self.result(LANES, at)
@@ -631,7 +639,11 @@ class _Lanes(Function):
         else:
             kinds = [self._passed(value, base) for value, base in zip(values, bases, strict=True)]
         needs_mask = any(base in {POINTER, WHOLE} for base in bases) and bool(self.mask)
-        called, returns = self.file.made(name, tuple(kinds), masked=needs_mask)
+        try:
+            called, returns = self.file.made(name, tuple(kinds), masked=needs_mask)
+        except KernelError as error:  # it need not be the last pass
+            self.refusal = self.refusal or str(error)
+            return Term(self.all_of(self.unit.functions[name].returns), "poison")
         given = [f"{_in_llvm(k)} {self.turned(v, k)}" for k, v in zip(kinds, values, strict=True)]
         given += [f"{self.all_of(TRUTH)} {self.mask}"] * needs_mask
         line = f"call {returns} @{called}({', '.join(given)})"

@@ -1,4 +1,4 @@
-"""Random step functions of all that the language has: the same bits as plain Python, compiled by numba, and as C."""
+"""Random step functions of all that the language has: the same bits as plain Python, compiled by numba, as C, and in lanes."""
 
 import importlib.util
 import random
@@ -6,8 +6,10 @@ import random
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings, strategies as st
+from in_lanes import stepped_in_lanes
 
 from bayesftc import cosim
+from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.export.program import program_of
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 1e308, -1e308, 5e-324, -1e-310, np.inf, -np.inf, np.nan]
@@ -322,6 +324,24 @@ def check(seeded, folder, compiled_together, same_bits, *, functions, by_numba):
         if i < by_numba:
             online = block.online(0.1, compiled=True)
             same_bits(trajectory(lambda u, online=online: online(u=u).y, values), expected[name], f"{name} by numba")
+    refused = sum(not check_lanes(block, values, expected[name], same_bits, name) for name, block in blocks.items())
+    assert refused < len(blocks)
+
+
+def check_lanes(block, values, expected, same_bits, name):
+    """Compare four lanes, of which each gets other inputs; return False if a whole array is chosen by numbers of a lane."""
+    others = [np.roll(values, shift, axis=0) for shift in (7, 0, 13, 2)]
+    try:
+        found = stepped_in_lanes(block, 0.1, np.stack(others, axis=1))
+    except KernelError as refused:
+        if "Whole arrays are chosen" in str(refused):
+            return False
+        raise
+    for lane, inputs in enumerate(others):
+        online = block.online(0.1, compiled=False)
+        alone = expected if lane == 1 else trajectory(lambda u, online=online: online(u=u).y, inputs)
+        same_bits(found[:, lane], alone, f"{name} in lane {lane}")
+    return True
 
 
 @pytest.mark.parametrize(

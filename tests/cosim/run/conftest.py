@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesftc.cosim.run.fused import compiled
+from bayesftc.cosim.run.fused import compiled, side_by_side
 
 
 @pytest.fixture
@@ -20,3 +20,16 @@ def as_one(monkeypatch):
     yield used
     assert used
     assert all(used)
+
+
+@pytest.fixture
+def lanes(as_one, monkeypatch):
+    """The numbers of runs that were made in lock step, call by call."""
+    made = []
+
+    def noted(self, *arguments, usual=side_by_side.SideBySide.make):
+        made.append(usual(self, *arguments))
+        return made[-1]
+
+    monkeypatch.setattr(side_by_side.SideBySide, "make", noted)
+    return made

@@ -5,20 +5,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.bench.measures.full_loop import full_diagram
 from bayesftc.cosim.ports import Port
-from bayesftc.cosim.run.fused import compiled, side_by_side
-
-
-@pytest.fixture
-def lanes(as_one, monkeypatch):
-    """The numbers of runs that were made in lock step, call by call."""
-    made = []
-
-    def noted(self, *arguments, usual=side_by_side.SideBySide.make):
-        made.append(usual(self, *arguments))
-        return made[-1]
-
-    monkeypatch.setattr(side_by_side.SideBySide, "make", noted)
-    return made
+from bayesftc.cosim.run.fused import compiled
 
 
 def slow_and_fast():
