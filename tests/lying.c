@@ -32,7 +32,7 @@
 enum { SEGFAULT = 1000, EXIT, ABORT, ENDLESS, DISCARD, ERROR_, FATAL, NOT_A_NUMBER, INFINITE, RANDOM, LONG_LINE, MANY_LINES,
        CRASH_IN_GET, CRASH_IN_FREE, ENDLESS_IN_GET, KILLED, LAST_WORDS, SLEEPS, CRASH_AT_START, ENDLESS_AT_START, BAD_STATUS,
        STARTS_A_PROGRAM, EXIT_AT_START, WRITES_NOTHING, LEAVES_A_CHILD, CLOSES_ALL, GOES_ON_TWICE, BABBLES,
-       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH, REMEMBERS, REPEATS, MINUS_ONE, PRINTS };
+       ROUNDS_UP, GOES_AWAY, TAKES_CTRL_C, SPEAKS_LATE, WRITES_TOO_MUCH, REMEMBERS, REPEATS, MINUS_ONE, PRINTS, SHARES };
 
 #ifdef FMI2
 fmi2Component original_Instantiate(fmi2String, fmi2Type, fmi2String, fmi2String, const fmi2CallbackFunctions *, fmi2Boolean,
@@ -238,17 +238,22 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 STATUS GET(COMPONENT c, VALUES)
 {
     static int gets = 0, ever = 0;
+    static COMPONENT before = NULL;
     const int mode = what(c);
     const STATUS status = mode == WRITES_NOTHING ? 0 : original_Get(c, PASSED);
 
     if (n == 1 && vr[0] == 2 && mode != WRITES_NOTHING) {
         gets = y[0] == 0.0 ? 1 : gets + 1; /* counts from the start, where the car stands */
+        if (gets == 1) {
+            before = c;
+        }
         if (gets > 5) {
             switch (mode) {
             case NOT_A_NUMBER: y[0] = NAN; break;
             case INFINITE: y[0] = INFINITY; break;
             case CRASH_IN_GET: crash(); break;
             case ENDLESS_IN_GET: for_ever(); break;
+            case SHARES: y[0] += before != c; before = c; break; /* whatever the instance before has left */
             case REMEMBERS: y[0] += ++ever; break; /* in no state that it saves */
             }
         }

@@ -34,6 +34,8 @@ KeepGoing = Callable[[], bool]
 """Called about twenty times a second; returns whether to continue. From a call on, time counts for the runs."""
 Overhead = Callable[[], None]
 """Called before work that counts for no time limit of a run: building, compiling, metrics."""
+WORTH = 2.0
+"""How many times longer than making the FMUs of the other lanes all runs must take, to be made in lock step."""
 WELL = (0, 1)
 """FMI's status ``ok`` and ``warning``."""
 _STATE = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
@@ -271,6 +273,8 @@ class ManyRuns:
         if self._beside is not None:
             return True
         if not self._function or self._alone or self._states is None:
+            return False
+        if self._pace * self._of < WORTH * LANES * self._opening:
             return False
         assert isinstance(self._engine, CompiledEngine)
         runs, states, engines = [self._run], [self._states], [self._engine]
