@@ -51,13 +51,9 @@ def work(
     """
     if progress:
         progress(done, job.plan.runs, failed)
-    quiet = (
-        nullcontext()
-        if progress
-        else reported(
-            f"Making {sum(map(len, pieces))} runs. To see how many are done, give progress=, a function of (done, of, failed)."
-        )
-    )
+    count = sum(map(len, pieces))
+    what = f"Making {count} run{'s' * (count != 1)}. To see how many are done, give progress=, a function of (done, of, failed)."
+    quiet = nullcontext() if progress else reported(what)
     with quiet, closing(executor.run(job, pieces)) as outcomes:
         for outcome in outcomes:
             keep(outcome)

@@ -203,7 +203,8 @@ def test_an_address_of_no_kind_that_dask_knows_leaves_no_client_behind():
     """One that is half made is closed when Python ends: after 20 seconds, with a traceback."""
     done = subprocess.run([sys.executable, "-c", NO_KIND], capture_output=True, text=True, timeout=100, check=True)
     assert "There is no Dask scheduler at 'nonsense://x:1' (unknown address scheme 'nonsense'" in done.stdout
-    assert done.stderr in {"", f"{SENTENCE}\n"}  # the first run on a machine compiles, and says so
+    said = [line for line in done.stderr.splitlines() if not line.startswith("Making 1 run.")]  # on a busy machine
+    assert said in ([], [SENTENCE])  # the first run on a machine compiles, and says so
 
 
 CLIENT = """
