@@ -62,7 +62,7 @@ def car(controller: cosim.Block, faults: tuple[cosim.Block, ...] = (), **plant: 
     """Return the README's loop."""
     fmu = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}, **plant)
     wiring = {"control": "force", "measured": "v", "sensors": cosim.Sensors(count=2, std=1.0)}
-    noise, goal = cosim.Gaussian(std=0.001**0.5), cosim.Sine(amplitude=5.0, period=8.0, offset=20.0)
+    noise, goal = cosim.Gaussian(std=np.sqrt(0.001)), cosim.Sine(amplitude=5.0, period=8.0, offset=20.0)
     return cosim.closed_loop(
         fmu, controller, **wiring, noise={"disturbance": noise}, faults=list(faults), reference=goal
     )
