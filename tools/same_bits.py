@@ -3,7 +3,8 @@
     python tools/same_bits.py write before.json     # on the commit before
     python tools/same_bits.py check before.json     # after each step: lists differences and exits with 1
 
-The bits depend on the machine and on the versions of NumPy and numba, so the file is not for the repository. A run takes minutes.
+Designed and identified models depend on the processor (LAPACK) and on versions, so the file is not for the repository.
+A run takes minutes.
 """
 
 from __future__ import annotations
