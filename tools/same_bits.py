@@ -3,7 +3,8 @@
     python tools/same_bits.py write before.json     # on the commit before
     python tools/same_bits.py check before.json     # after each step: lists differences and exits with 1
 
-The bits depend on the machine and on the versions of NumPy and numba, so the file is not for the repository. A run takes minutes.
+Designed and identified models depend on the processor (LAPACK) and on versions, so the file is not for the repository.
+A run takes minutes.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def car(controller: cosim.Block, faults: tuple[cosim.Block, ...] = (), **plant: 
     """Return the README's loop."""
     fmu = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}, **plant)
     wiring = {"control": "force", "measured": "v", "sensors": cosim.Sensors(count=2, std=1.0)}
-    noise, goal = cosim.Gaussian(std=0.001**0.5), cosim.Sine(amplitude=5.0, period=8.0, offset=20.0)
+    noise, goal = cosim.Gaussian(std=np.sqrt(0.001)), cosim.Sine(amplitude=5.0, period=8.0, offset=20.0)
     return cosim.closed_loop(
         fmu, controller, **wiring, noise={"disturbance": noise}, faults=list(faults), reference=goal
     )

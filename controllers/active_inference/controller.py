@@ -33,6 +33,7 @@ from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import sqrt
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.stepping.source.written import function_from_text
 from bayesftc.cosim.types import Floats
@@ -237,7 +238,7 @@ class UnbiasedActiveInference(Block):
         screens, screen_parameters = screening(self, self._learned_model())
         parameters = {
             "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": weights_of(self._groups),
-            "settings": learner.settings, "limit": ERROR_CAP**0.5 * sigma, "rate": h * np.asarray(self.belief_rate),
+            "settings": learner.settings, "limit": sqrt(ERROR_CAP) * sigma, "rate": h * np.asarray(self.belief_rate),
             "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
             "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
             "prior_curvature": self._prior_curvature(), "root_rate": np.sqrt(rates), "largest": largest,

@@ -105,7 +105,7 @@ class StateEstimator(Block):
         variances, delays = np.ones(len(A)), self.model.delays
         for i in range(len(A) - self.model.disturbances, len(A)):
             if abs(A[i, i]) < 1:
-                variances[i] = Q[i, i] / (1 - A[i, i] ** 2)
+                variances[i] = Q[i, i] / (1 - A[i, i] * A[i, i])
         return frozen(variances if delays is None else np.delete(variances, delays.places))
 
     @property

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bayesftc.controllers.estimation.observers import Observers, observers
+from bayesftc.cosim.elementary import exponential, logarithm
 from bayesftc.cosim.ops import absolute, both, maximum, minimum, select
 from bayesftc.cosim.stepping.records import named_alike
 
@@ -92,7 +93,7 @@ def moments_of(bank: Observers | None, m: int) -> tuple[dict[str, Any], list[flo
     weight = 1.0 / WINDOW
     sizes = np.array([np.nan] if bank is None else [len(chosen) for chosen in bank.sensors], float)
     count = len(sizes)
-    settled = 1.0 if bank is None else (1.0 - weight) ** (float(bank.settling) - 0.5)
+    settled = 1.0 if bank is None else exponential((float(bank.settling) - 0.5) * logarithm(1.0 - weight))
     # Mean and mean product have the variances of averages over so many scalars; without observers all is NaN.
     scalars = (2.0 - weight) / weight * sizes
     state = {

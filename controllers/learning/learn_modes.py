@@ -21,6 +21,7 @@ from bayesftc.controllers.switching.fault_modes import FaultMode, Frozen, Noisie
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.controllers.switching.sensor_kernels import LEAST
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import sqrt, square
 from bayesftc.cosim.types import Floats
 
 PRIOR_FAULTS = 0.5
@@ -261,7 +262,7 @@ def _expect(
             squares = (float(size) * float(size) for size in (mode.jump, mode.slope, mode.walk))
             offsets(begun, lasts, e, variance, nominal, k, *squares, sizes[k])
         elif isinstance(mode, Noisier):
-            gamma = float(mode.shape), float(mode.shape * mode.scale**2), float(mode.forgetting)
+            gamma = float(mode.shape), float(mode.shape * square(mode.scale)), float(mode.forgetting)
             scatter(begun, lasts, e, variance, k, *gamma, sizes[k])
     occurring = filtered[:, :, 1:].max(axis=(0, 1)) > LEAST  # other modes have no part in this form
     return float(estimates["log_density"].sum()), np.where(
@@ -293,10 +294,10 @@ def _maximised(start: FaultMode, now: FaultMode, expected: Floats, step: float) 
         "time_to_recovery": (step * faulty + c * start.time_to_recovery) / (recoveries + c),
     }
     if isinstance(start, Offset):
-        learned["jump"] = ((first + c * start.jump**2) / (times + c)) ** 0.5
-        learned["slope"] = ((second + c * start.slope**2) / (times + c)) ** 0.5
+        learned["jump"] = sqrt((first + c * square(start.jump)) / (times + c))
+        learned["slope"] = sqrt((second + c * square(start.slope)) / (times + c))
     elif isinstance(start, Noisier):
-        learned["scale"] = ((times + c) / (first + c * start.scale**-2)) ** 0.5
+        learned["scale"] = sqrt((times + c) / (first + c / square(start.scale)))
     return replace(now, **{name: float(value) for name, value in learned.items()})
 
 

@@ -11,7 +11,7 @@ from bayesftc.controllers.models.pulse_responses import BENDS, PoorFitWarning
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
-STEPS = 10.0 ** -np.arange(1, 11)
+STEPS = np.array([float(f"1e-{k}") for k in range(1, 11)])
 """Steps to try, as shares of an element's size."""
 
 

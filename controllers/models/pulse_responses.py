@@ -227,7 +227,7 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
     baseline = plant.respond()
     for decade in range(DECADES):
         pulse = np.zeros(inputs)
-        pulse[j] = full * 10.0**-decade
+        pulse[j] = full * float(f"1e-{decade}")
         try:
             up, down = plant.respond(pulse) - baseline, baseline - plant.respond(-pulse)
         except ModelError:  # too large for this plant

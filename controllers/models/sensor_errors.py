@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import exp
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayesftc.controllers.models.checks import as_number, as_vector
+from bayesftc.cosim.elementary import exponential
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def with_sensor_errors(
     if common:
         reads = reads @ (deviations / deviations[0])[:, None]
         deviations, times = deviations[:1], times[:1]
-    decay = np.array([exp(-float(model.step) / time) for time in times])
+    decay = np.array([exponential(-float(model.step) / time) for time in times])
     return replace(
         model,
         A=_beside(model.matrix("A"), np.diag(decay)),

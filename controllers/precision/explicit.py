@@ -18,7 +18,7 @@ from bayesftc.controllers.precision.threshold import ChebyshevThreshold, FittedT
 from bayesftc.controllers.signals import port
 from bayesftc.cosim.base.timebase import whole_steps
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.ops import both, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import both, maximum, minimum, select, sqrt, square
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
@@ -251,7 +251,7 @@ class ExplicitDetection(PrecisionLearner):
             )
         members[list(group)] = 1.0
         if not isinstance(threshold, FittedThreshold):
-            return [np.array([0.0, float(threshold) ** 2]), members, mean, covariance.ravel()]
+            return [np.array([0.0, square(threshold)]), members, mean, covariance.ravel()]
         if threshold.size != len(group):
             raise ModelError(
                 f"The threshold is for {threshold.size} residual(s), but the group {tuple(group)} has {len(group)} sensor(s); "
@@ -259,7 +259,7 @@ class ExplicitDetection(PrecisionLearner):
             )
         mean[list(group)] = threshold.mean
         covariance[np.ix_(list(group), list(group))] = threshold.covariance
-        return [np.array([1.0, threshold.bound**2]), members, mean, covariance.ravel()]
+        return [np.array([1.0, square(threshold.bound)]), members, mean, covariance.ravel()]
 
     @property
     def why_no_probability(self) -> str | None:

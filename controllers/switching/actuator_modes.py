@@ -22,6 +22,7 @@ from typing import ClassVar
 
 from bayesftc.controllers.models.checks import check_number
 from bayesftc.controllers.switching.default_time import DefaultTime
+from bayesftc.cosim.ops import square
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ class LostEffect(ActuatorMode):
 
     def expected(self, scale: float) -> tuple[float, float, float]:
         """See `ActuatorMode.expected`."""
-        return self.share, self.spread**2, self.walk**2
+        return self.share, square(self.spread), square(self.walk)
 
 
 @dataclass(frozen=True)

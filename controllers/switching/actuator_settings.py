@@ -11,6 +11,7 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.controllers.switching.given import expected_of
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import sqrt
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
@@ -23,7 +24,7 @@ def control_scales(model: LinearModel) -> list[float]:
     """
     precision = np.linalg.pinv(model.matrix("process_covariance"), hermitian=True)
     information = [float(effect @ precision @ effect) for effect in model.effects.T]
-    return [value**-0.5 if value > 0 else 0.0 for value in information]
+    return [1.0 / sqrt(value) if value > 0 else 0.0 for value in information]
 
 
 def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Sequence[str]) -> list[float]:

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import log, nan, sqrt
+from math import nan
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -40,6 +40,7 @@ from bayesftc.controllers.switching import mode_kernels as kernels
 from bayesftc.controllers.switching.course import COURSE, COURSE_SCRATCH, ORDER
 from bayesftc.controllers.switching.default_time import DefaultTime
 from bayesftc.controllers.switching.mode_kernels import ENTERED, FACTOR, OWN, SIZE, TRUST, log_density
+from bayesftc.cosim.ops import log, sqrt, square
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
@@ -72,7 +73,7 @@ class FaultMode:
     Examples
     --------
     >>> from dataclasses import dataclass
-    >>> from math import log
+    >>> from bayesftc.cosim.ops import log
     >>> from bayesftc import controllers
     >>> def any_value(e, present, variance, nominal, change, healthy, memory, at, settings, first):
     ...     return settings[first]
@@ -175,7 +176,7 @@ class Frozen(FaultMode):
         nominal = float(model.matrix("sensor_covariance")[sensor, sensor])
         resolution = as_vector("The resolution of Frozen", self.resolution, model.sensors)
         width = max(float(resolution[sensor]), 1e-9 * sqrt(nominal))
-        spread = 2 * self.dither**2 * nominal + width**2 / 6
+        spread = 2 * square(self.dither) * nominal + square(width) / 6
         near = log(1 - self.repeats) - 0.5 * (log(spread) + LOG_2_PI)
         return 0.5 * width, log(self.repeats / width), near, spread
 
@@ -242,7 +243,7 @@ class Offset(FaultMode):
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
-        return self.jump**2, self.slope**2, self.walk**2, float(self.jump > 0)
+        return square(self.jump), square(self.slope), square(self.walk), float(self.jump > 0)
 
 
 @dataclass(frozen=True)
@@ -389,11 +390,11 @@ class Noisier(FaultMode):
     @property
     def first(self) -> tuple[float, ...]:
         """See `FaultMode.first`."""
-        return min(self.scale**-2, 1.0), self.scale, self.shape, self.shape * self.scale**2
+        return min(1.0 / square(self.scale), 1.0), self.scale, self.shape, self.shape * square(self.scale)
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
-        return self.shape, self.shape * self.scale**2, self.forgetting
+        return self.shape, self.shape * square(self.scale), self.forgetting
 
 
 @dataclass(frozen=True)
@@ -470,9 +471,9 @@ class Unmodelled(FaultMode):
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
-        weights = [deviation**-2 for deviation in self.deviations]
-        explained = sum(weight * mean**2 for weight, mean in zip(weights, self.means, strict=True))
-        rate = self.shape * self.scale**2 + 0.5 * explained
+        weights = [1.0 / square(deviation) for deviation in self.deviations]
+        explained = sum(weight * square(mean) for weight, mean in zip(weights, self.means, strict=True))
+        rate = self.shape * square(self.scale) + 0.5 * explained
         repeats = self.repeats * self.repeats_strength, self.repeats_strength
         return self.forgetting, self.fading, self.shape, rate, *self.means, *weights, *repeats
 

@@ -39,6 +39,7 @@ from bayesftc.controllers.switching.mode_kernels import TRUST
 from bayesftc.controllers.switching.process_modes import PROCESS_MODES, NoisierProcess
 from bayesftc.controllers.switching.step_text import learner_functions, sensor_functions
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import square
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
@@ -254,7 +255,7 @@ class SwitchingPrecision(PrecisionLearner):
         for i in range(m):
             loss = float(losses[i])
             settings += [1.0 - loss, loss, self.noise_forgetting, shape]
-            settings += [self.noise_factor**-2, self.noise_factor**2, *self._repeats(model, i)]
+            settings += [1.0 / square(self.noise_factor), square(self.noise_factor), *self._repeats(model, i)]
             for mode, begin, end, values in zip(self.modes, begins, ends, mode_settings[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 block = [begin, 1.0 - end, end, arrives, 1.0 - arrives, *values]

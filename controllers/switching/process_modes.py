@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from bayesftc.controllers.models.checks import check_number
 from bayesftc.controllers.switching.default_time import DefaultTime
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.ops import square
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class NoisierProcess:
         sample on and may be 0, so that its probability per sample is step / (step + T).
         """
         begins, ends = step / (step + self.time_to_fault), step / (step + self.time_to_recovery)
-        return begins, ends, self.scale**2 - 1.0, self.fading - 1.0
+        return begins, ends, square(self.scale) - 1.0, self.fading - 1.0
 
 
 PROCESS_MODES: tuple[NoisierProcess, ...] = (

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from fractions import Fraction
-from math import log
 
 import numpy as np
 
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.blocks.sources import TAU, Source
+from bayesftc.cosim.elementary import logarithm
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import exp, floor, select, sin
 
@@ -218,7 +218,7 @@ class Chirp(Source):
         parameters = {name: getattr(self, name) for name in names}
         if self.sweep == "linear" or self.begin == self.end:
             return Definition(_linear_chirp, parameters=parameters)
-        return Definition(_exponential_chirp, parameters=parameters | {"growth": log(self.end / self.begin)})
+        return Definition(_exponential_chirp, parameters=parameters | {"growth": logarithm(self.end / self.begin)})
 
 
 __all__ = ["PRBS", "Chirp", "Pulse"]

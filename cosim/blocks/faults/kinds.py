@@ -30,7 +30,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
 from functools import partial
-from math import expm1, inf, isfinite, isinf
+from math import inf, isfinite, isinf
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from bayesftc.cosim.base.numbers import real, reals
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.blocks.faults import kernels
 from bayesftc.cosim.blocks.faults.base import Fault
+from bayesftc.cosim.elementary import exponential, logarithm
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 
@@ -391,6 +392,15 @@ class Rounding(Fault):
             raise ModelError(f"Rounding has resolution={self.resolution!r}; it must be positive.")
 
 
+def _share(x: float) -> float:
+    """Return 1 - exp(-x) of a positive number without cancellation (Kahan)."""
+    left = exponential(-x)
+    share = float(1.0 - left)
+    if share == 0.0:
+        return x
+    return share * float(x / -logarithm(left)) if share < 1.0 else share
+
+
 @dataclass(frozen=True, kw_only=True)
 class Lag(Fault):
     """The channel is a low-pass filter of first order that starts at the last sample before the onset.
@@ -425,7 +435,7 @@ class Lag(Fault):
 
     def numbers(self, step: Fraction) -> tuple[float, ...]:
         """See `Fault.numbers`."""
-        return (-expm1(-float(step) / self.time_constant) if self.time_constant else 1.0,)
+        return (_share(float(step) / self.time_constant) if self.time_constant else 1.0,)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,17 +1,32 @@
-"""The environment on which a campaign's numbers depend: versions, the C library, features of the processor."""
+"""The environment on which a campaign's numbers depend: versions, the platform, and digits that libraries compute.
+
+Step functions, random numbers and the shipped FMUs have the same bits on every machine. FMUs of other tools and functions of
+the user call the C library, and settings that are computed beforehand (such as the gains of `design`) come from NumPy and LAPACK.
+Whether these have the same last digits is seen by computing some.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import math
 import platform
+import random
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from itertools import pairwise
 from typing import Any
 
-PACKAGES = ("bayesftc", "numpy", "numba", "fmpy")
+import numpy as np
+
+PACKAGES = ("bayesftc", "numpy", "scipy", "numba", "fmpy")
+FUNCTIONS = ("exp", "expm1", "log", "log1p", "log2", "log10", "sin", "cos", "tan", "atan", "sinh", "cosh", "tanh")
+SAMPLES = 5000
+"""Numbers for each function. Of two good libraries, one in a thousand results differs."""
 
 
 def environment() -> dict[str, Any]:
-    """Return the versions, the C library, and the processor's kind and features, but no name of the machine."""
+    """Return the versions, the platform, and digits of libraries, but no name of the machine."""
     import llvmlite.binding as llvm
 
     return {
@@ -20,37 +35,63 @@ def environment() -> dict[str, Any]:
         "machine": platform.machine(),
         "libc": " ".join(part for part in platform.libc_ver() if part),
         "processor": llvm.get_host_cpu_name(),
-        "features": sorted(name for name, present in llvm.get_host_cpu_features().items() if present),
+        "digits": {"functions": _digits_of_functions(), "linear algebra": _digits_of_linear_algebra()},
     }
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Return the differences of two environments that may change the last digit of a number, as texts.
 
-    The name of the processor is left out, because compiled code depends only on its features.
+    The C library and the processor count only if what they compute has other digits; in a store that records no digits, if they
+    have other names.
     """
+    versions = before["versions"]
     texts = [
-        f"{name} {before['versions'].get(name)} before, {number} now"
+        f"{name} {versions[name]} before, {number} now"
         for name, number in now["versions"].items()
-        if before["versions"].get(name) != number
+        if versions.get(name, number) != number
     ]
-    for key, words in (("system", "system"), ("machine", "machine"), ("libc", "C library")):
-        if before.get(key) != now[key]:
-            texts.append(f"{words} {before.get(key) or 'unknown'} before, {now[key] or 'unknown'} now")
-    lost, gained = (set(a) - set(b) for a, b in _both_ways(before.get("features", ()), now["features"]))
-    if lost or gained:
-        parts = [f"{word} {_some(names)}" for word, names in (("without", lost), ("with", gained)) if names]
-        texts.append(f"processor ({now['processor']}) {', '.join(parts)}")
+    texts += [_change(key, before, now) for key in ("system", "machine") if before.get(key) != now[key]]
+    digits = before.get("digits", {})
+    for what, key in (("functions", "libc"), ("linear algebra", "processor")):
+        if digits[what] != now["digits"][what] if digits else before.get(key) != now[key]:
+            texts.append(f"other last digits of {what} ({_change(key, before, now)})")
     return texts
 
 
-def _both_ways(a: Any, b: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    return (a, b), (b, a)
+def _change(key: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    return f"{_WORDS.get(key, key)} {before.get(key) or 'unknown'} before, {now[key] or 'unknown'} now"
 
 
-def _some(names: set[str]) -> str:
-    shown = sorted(names)
-    return ", ".join(shown[:4]) + (f" and {len(shown) - 4} more" if len(shown) > 4 else "")
+_WORDS = {"libc": "C library"}
+
+
+@cache
+def _digits_of_functions() -> str:
+    """Return a hash of functions of many numbers, by the C library and by NumPy."""
+    draw = random.Random(1)
+    numbers = [draw.uniform(0.01, 20.0) for _ in range(SAMPLES)]
+    parts = [np.array([function(x) for x in numbers]) for function in (getattr(math, name) for name in FUNCTIONS)]
+    parts.append(np.array([x**y for x, y in pairwise(numbers)]))
+    array = np.array(numbers)
+    parts += [np.exp(array), np.log(array), np.sin(array), array**1.7]
+    return _hash(*parts)
+
+
+@cache
+def _digits_of_linear_algebra() -> str:
+    """Return a hash of products, solutions and decompositions of some matrices."""
+    draw, parts = random.Random(2), []
+    for n in (2, 3, 5, 8, 16, 40):
+        a = np.array([[draw.uniform(-1.0, 1.0) for _ in range(n)] for _ in range(n)])
+        product = a @ a.T + np.eye(n)
+        parts += [product, np.linalg.solve(a, product), np.linalg.cholesky(product), np.linalg.eigvals(a)]
+        parts += [np.linalg.svd(a)[1], np.linalg.eigvalsh(product)]
+    return _hash(*parts)
+
+
+def _hash(*arrays: Any) -> str:
+    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:16]
 
 
 def _version(package: str) -> str | None:

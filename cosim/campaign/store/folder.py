@@ -127,7 +127,7 @@ class CampaignStore(StoredCampaign):
         Warns
         -----
         UserWarning
-            If versions, the C library or the processor's features have changed, or pieces are damaged.
+            If versions, the platform or last digits of libraries have changed, or pieces are damaged.
         """
         path = Path(path).absolute()
         given = metadata_of(description, plan, signals, time, metrics, fmus, labels)

@@ -26,7 +26,7 @@ class PlantModel:
     ... class Settling(monitoring.PlantModel):  # a quantity that returns to 0 with a time constant of 5 s
     ...     std: float
     ...     def matrices(self, dt):
-    ...         return np.array([[np.exp(-dt / 5.0)]]), None, np.array([[self.std**2 * dt]])
+    ...         return np.array([[np.exp(-dt / 5.0)]]), None, np.array([[self.std * self.std * dt]])
     >>> monitoring.Monitor(0.1, Settling(std=0.2), {"a": monitoring.Sensor(std=0.1)}).model.A.round(3).tolist()
     [[0.98]]
     """
@@ -69,7 +69,7 @@ class RandomWalk(PlantModel):
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
         """See `PlantModel.matrices`."""
-        return np.eye(1), None, np.full((1, 1), self.std**2 * dt)
+        return np.eye(1), None, np.full((1, 1), self.std * self.std * dt)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Integrator(RandomWalk):
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
         """See `PlantModel.matrices`."""
-        return np.eye(1), np.full((1, 1), dt), np.full((1, 1), self.std**2 * dt)
+        return np.eye(1), np.full((1, 1), dt), np.full((1, 1), self.std * self.std * dt)
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,12 @@ class ConstantRate(RandomWalk):
 
     def matrices(self, dt: float) -> tuple[Floats, Floats | None, Floats]:
         """See `PlantModel.matrices`."""
-        q = self.std**2
-        return np.array([[1.0, dt], [0.0, 1.0]]), None, q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        q = self.std * self.std
+        return (
+            np.array([[1.0, dt], [0.0, 1.0]]),
+            None,
+            q * np.array([[dt * dt * dt / 3, dt * dt / 2], [dt * dt / 2, dt]]),
+        )
 
 
 @dataclass(frozen=True)

@@ -126,7 +126,7 @@ class Monitor:
         if self._input_errors:
             # The covariance must be positive, even for an error that never changes.
             walks = [max(given.error_walk, SMALL) for given in self.inputs.values()]
-            model = model.with_disturbance([walk**2 * float(model.step) for walk in walks])
+            model = model.with_disturbance([walk * walk * float(model.step) for walk in walks])
         order = list(self.sensors)
         for errors in self.errors:
             chosen = None if errors.sensors is None else [order.index(name) for name in errors.sensors]
@@ -289,7 +289,7 @@ class Monitor:
         mean = inverse @ first if self.initial_mean is None else as_vector("initial_mean", self.initial_mean, plant)
         if self.initial_std is None:
             errors = C[:, plant:] @ covariance[plant:, plant:] @ C[:, plant:].T + noise
-            covariance[:plant, :plant] = FLAT**2 * inverse @ errors @ inverse.T
+            covariance[:plant, :plant] = FLAT * FLAT * inverse @ errors @ inverse.T
         else:
             covariance[:plant, :plant] = np.diag(as_vector("initial_std", self.initial_std, plant) ** 2)
         return tuple(map(float, mean)), (covariance + covariance.T) / 2

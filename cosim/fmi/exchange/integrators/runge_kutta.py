@@ -10,6 +10,7 @@ Tableau, error norm, first step and interpolant (Shampine 1986) are those of ``s
 import numpy as np
 from numba import carray
 
+from bayesftc.cosim.elementary import exponential, logarithm
 from bayesftc.cosim.fmi.exchange.right import indicators, place, slope, step_is_completed
 from bayesftc.cosim.fmi.exchange.words import (
     CALL,
@@ -84,7 +85,7 @@ def _first_step(table, t, span, x, k, stage, scale, direct):
         stage[i] = k[1, i] - k[0, i]
     d2 = _norm(stage, scale) / h
     largest = max(d1, d2)
-    other = max(1e-6, h * 1e-3) if largest <= 1e-15 else (0.01 / largest) ** 0.2
+    other = max(1e-6, h * 1e-3) if largest <= 1e-15 else exponential(0.2 * logarithm(0.01 / largest))
     return min(100 * h, other, span)
 
 
@@ -175,7 +176,7 @@ def runge_kutta(table, t, end):
         if code > 0 or not error < 1.0:  # the equations do not hold there, or the step is too large
             if code > 0 and h <= 100.0 * EPS * max(abs(t), abs(end)):
                 return _stop(table, CALL, -1)
-            h *= 0.2 if code > 0 or not error < np.inf else max(0.2, 0.9 * error**-0.2)
+            h *= 0.2 if code > 0 or not error < np.inf else max(0.2, 0.9 * exponential(-0.2 * logarithm(error)))
             rejected = True
             continue
         if m > 0 and not _same_signs(before, after):
@@ -214,7 +215,7 @@ def runge_kutta(table, t, end):
             k[0, i] = k[6, i]
         for i in range(m):
             before[i] = after[i]
-        growth = 5.0 if error == 0.0 else min(5.0, 0.9 * error**-0.2)
+        growth = 5.0 if error == 0.0 else min(5.0, 0.9 * exponential(-0.2 * logarithm(error)))
         h *= min(1.0, growth) if rejected else max(growth, 0.2)
         rejected = False
     return _stop(table, TOO_MANY, -1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from math import sqrt
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.reproduce.settings import Car
@@ -43,8 +44,8 @@ def closed_loop(
         controller=_controller(car, learner, start_speed),
         control="force",
         measured="v",
-        noise={"disturbance": cosim.Gaussian(std=car.process_variance**0.5)},
-        sensors=cosim.Sensors(count=car.sensors, std=car.sensor_variance**0.5, resolution=car.resolution),
+        noise={"disturbance": cosim.Gaussian(std=sqrt(car.process_variance))},
+        sensors=cosim.Sensors(count=car.sensors, std=sqrt(car.sensor_variance), resolution=car.resolution),
         faults=faults,
         reference=reference,
     )

@@ -277,13 +277,20 @@ def test_another_machine_is_a_warning_and_is_noted(tmp_path):
     create(tmp_path / "s").close()
     path = tmp_path / "s" / "campaign.json"
     text = json.loads(path.read_text())
-    assert set(text["environment"]["versions"]) == {"python", "bayesftc", "numpy", "numba", "fmpy"}
+    assert set(text["environment"]["versions"]) == {"python", "bayesftc", "numpy", "scipy", "numba", "fmpy"}
     del text["sha256"]  # as of a store of before there was one
-    text["environment"]["features"] += ["amx-wings"]
-    text["environment"]["libc"] = "glibc 1.0"
-    text["environment"]["versions"]["numba"] = "0.1"
+    text["environment"]["libc"], text["environment"]["processor"] = "glibc 1.0", "abacus"
     path.write_text(json.dumps(text))
-    with pytest.warns(UserWarning, match=r"numba 0.1 before, .* now; C library glibc 1.0 before.*without amx-wings"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # these compute the same digits
+        resume(tmp_path / "s").close()
+    text["environment"]["versions"]["numba"] = "0.1"
+    text["environment"]["digits"]["functions"] = "0"
+    path.write_text(json.dumps(text))
+    here = (
+        r"\(.*numba 0.1 before, [^;]* now; other last digits of functions \(C library glibc 1.0 before, [^;]* now\)\)"
+    )
+    with pytest.warns(UserWarning, match=here):
         store = resume(tmp_path / "s")
     store.write(outcome(PLAN.pieces[0]))
     store.close()

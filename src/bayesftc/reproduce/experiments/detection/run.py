@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
-from math import exp, log
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -107,9 +107,9 @@ class Bench:
                 "factor_range."
             )
         while high / low > 1 + s.factor_tolerance:
-            middle = exp(0.5 * (log(low) + log(high)))
+            middle = sqrt(low * high)
             low, high = (middle, high) if baseline(middle) < s.baseline_auc else (low, middle)
-        middle = exp(0.5 * (log(low) + log(high)))
+        middle = sqrt(low * high)
         return middle, baseline(middle)
 
     def choose(self, faults: Faults, seeds: Sequence[int]) -> tuple[controllers.GammaPrecision, list[dict[str, Any]]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import inf, pi
+from math import inf, pi, sqrt
 from typing import Any
 
 from bayesftc import cosim
@@ -40,7 +40,7 @@ class Plant:
 PLANTS: Mapping[str, Plant] = {
     CAR: Plant(
         "CruiseControl", ("v",), (cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),), ("v",), ("force",), (1.0,),
-        {"disturbance": 0.001**0.5}, 20.0, (6.0, 14.0),
+        {"disturbance": sqrt(0.001)}, 20.0, (6.0, 14.0),
     ),
     "servo": Plant(
         "PositionServo", ("angle",), (cosim.Sine(amplitude=0.5, period=4.0),), ("angle",), ("voltage",), (0.01,),
@@ -234,7 +234,7 @@ def _car() -> Iterator[Case]:
 
 def added_noise(times: float) -> float:
     """Return the standard deviation of added noise that makes a noise of 1 `times` as large."""
-    return float((times**2 - 1.0) ** 0.5)
+    return sqrt(times * times - 1.0)
 
 
 def _of_plant(name: str, sensor: int, lag: float) -> Iterator[Case]:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc import cosim
+from bayesftc.cosim.elementary import exponential, logarithm
 from bayesftc.cosim.random import check_seed
 from bayesftc.reproduce.experiments.family.cases import CAR, PLANTS, Case, added_noise
 
@@ -55,7 +56,7 @@ class Draw:
 
     def size(self, low: float, high: float) -> float:
         """Return a positive number of a range, with a uniform logarithm."""
-        return rounded(float(np.exp(self.random.uniform(np.log(low), np.log(high)))))
+        return rounded(exponential(self.random.uniform(logarithm(low), logarithm(high))))
 
     def sds(self, low: float, high: float) -> float:
         """Return such a number in standard deviations of the sensor, in the sensor's unit."""

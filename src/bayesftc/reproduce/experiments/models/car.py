@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
-from math import atan, exp, inf, sin
+from math import inf, sqrt
 from typing import Any
 
 import numpy as np
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.elementary import exponential
 from bayesftc.cosim.ops import absolute, maximum, minimum, select
 from bayesftc.cosim.ports import Port
 from bayesftc.reproduce.settings import Car, Models
@@ -75,9 +76,9 @@ class TrueCar(Block):
             "mass": self.mass,
             "drag": self.drag,
             "quadratic": self.quadratic_drag,
-            "slope_force": self.mass * GRAVITY * sin(atan(self.slope)),
+            "slope_force": self.mass * GRAVITY * self.slope / sqrt(1.0 + self.slope * self.slope),
             "limit": self.force_limit,
-            "follows": 1.0 - exp(-float(step) / self.lag) if self.lag else 1.0,
+            "follows": 1.0 - exponential(-float(step) / self.lag) if self.lag else 1.0,
         }
         state: dict[str, Any] = {"speed": self.start_speed, "engine": 0.0, "sent": np.zeros(self.delay + 1)}
         return Definition(_look, _move, state=state, parameters=parameters)
@@ -143,7 +144,7 @@ def believed(settings: Models, car: Car) -> dict[str, controllers.LinearModel]:
 
 def disturbed(settings: Models, car: Car, time: float) -> controllers.LinearModel:
     """Return the model with an unknown force, whose random walk reaches its standard deviation within `time` seconds."""
-    return model(car).with_disturbance(settings.unmodelled_force**2 * car.step / time)
+    return model(car).with_disturbance(settings.unmodelled_force * settings.unmodelled_force * car.step / time)
 
 
 @cache
@@ -173,18 +174,20 @@ def loop(
     faults: Sequence[cosim.Fault] = (),
 ) -> cosim.Diagram:
     """Return the car of a condition with a controller's model; car and belief start on the reference."""
-    s, std = settings, car.sensor_variance**0.5
+    s, std = settings, sqrt(car.sensor_variance)
     limit = s.force_limit if condition.known_limit else inf
     parameters: dict[str, Any] = {"mass": car.mass, "drag": car.drag, **condition.car}
     # At the end of the run the noise and the added growing noise have the requested standard deviation together.
-    growth = std * (condition.ageing**2 - 1.0) ** 0.5 / s.duration
+    growth = std * sqrt(condition.ageing * condition.ageing - 1.0) / s.duration
     ageing = [cosim.NoiseGrowth(slope=growth, sensor=i) for i in range(car.sensors)] if growth else []
     return cosim.closed_loop(
         TrueCar(s.mean_speed, **parameters),
-        _controller(believed, learner, s.mean_speed, (car.initial_variance, s.unmodelled_force**2), limit),
+        _controller(
+            believed, learner, s.mean_speed, (car.initial_variance, s.unmodelled_force * s.unmodelled_force), limit
+        ),
         control="force",
         measured="v",
-        noise={"disturbance": cosim.Gaussian(std=car.process_variance**0.5)},
+        noise={"disturbance": cosim.Gaussian(std=sqrt(car.process_variance))},
         sensors=cosim.Sensors(count=car.sensors, std=condition.noise * std, resolution=car.resolution),
         faults=[*ageing, *faults],
         reference=cosim.Sine(s.amplitude, s.period, offset=s.mean_speed),

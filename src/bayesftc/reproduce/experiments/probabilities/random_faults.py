@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import sqrt
 from typing import Any
 
 import numpy as np
 
 from bayesftc import cosim
+from bayesftc.cosim.elementary import exponential, logarithm
 from bayesftc.cosim.types import Floats
 from bayesftc.reproduce.settings import Probabilities
 
@@ -39,7 +41,7 @@ KINDS: Mapping[str, Callable[..., tuple[cosim.Fault, ...]]] = {
     "drift": lambda size, sign, period, **when: (cosim.Drift(slope=sign * size, **when),),
     "gain": lambda size, sign, period, **when: (cosim.GainFault(factor=size, **when),),
     "oscillation": lambda size, sign, period, **when: (cosim.Injection(amplitude=size, period=period, **when),),
-    "noise": lambda size, sign, period, **when: (cosim.NoiseIncrease(std=(size**2 - 1.0) ** 0.5, **when),),
+    "noise": lambda size, sign, period, **when: (cosim.NoiseIncrease(std=sqrt(size * size - 1.0), **when),),
     "low-pass": lambda size, sign, period, **when: (cosim.Lag(time_constant=size, **when),),
 }
 """Functions that make the faults of each kind from size, sign and period, for sensors with standard deviation 1."""
@@ -50,7 +52,7 @@ def random_fault(settings: Probabilities, lengths: tuple[float, float], sensors:
     rng = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:
-        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+        return float(exponential(rng.uniform(logarithm(low), logarithm(high))))
 
     kind, smallest, largest = settings.kinds[int(rng.integers(len(settings.kinds)))]
     size, sign, period = between(smallest, largest), float(rng.choice([-1.0, 1.0])), between(*settings.periods)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayesftc import controllers, cosim
+from bayesftc.cosim.elementary import logarithm
 from bayesftc.cosim.judging.metrics import NAN, without_nan
 from bayesftc.cosim.run.repeat import repeat
 from bayesftc.cosim.statistics import calibration
@@ -94,7 +95,7 @@ def judged_learners(
 def mean_times(settings: Probabilities, lengths: tuple[float, float], car: Car) -> tuple[float, float]:
     """Return the mean time to a fault of one sensor, and to its recovery, in seconds."""
     shortest, longest = lengths
-    mean = shortest if shortest == longest else (longest - shortest) / float(np.log(longest / shortest))
+    mean = shortest if shortest == longest else (longest - shortest) / logarithm(longest / shortest)
     return car.sensors * settings.duration - mean, mean
 
 
