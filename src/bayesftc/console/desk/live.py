@@ -19,6 +19,7 @@ from bayesftc.cosim.ports import labels
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bayesftc.cosim.live.recorder import Recording
     from bayesftc.cosim.live.steppers import Stepper
     from bayesftc.cosim.live.wires import Incoming, Outgoing, Wire
     from bayesftc.cosim.types import Floats
@@ -81,6 +82,13 @@ class LiveRun:
         The run.
     wires : mapping of str to Wire
         Its wires.
+    recording : Recording, optional
+        How it is recorded.
+
+    Attributes
+    ----------
+    folder : Path or None
+        The folder with the pieces of its recording; None before there is one.
     """
 
     only_shows = True
@@ -90,8 +98,10 @@ class LiveRun:
     late = 0
     running = True
 
-    def __init__(self, name: str, lane: LiveLane, wires: Mapping[str, Wire]):
+    def __init__(self, name: str, lane: LiveLane, wires: Mapping[str, Wire], recording: Recording | None = None):
         self.name, self.lane, self.pace = name, lane, 1.0
+        self.recording = recording
+        self.folder: Path | None = None
         self.events = Events()
         self.view: Any = None
         self._wires = wires
@@ -107,6 +117,7 @@ class LiveRun:
     def opened(self, wires: Sequence[Incoming | Outgoing], folder: Path | None) -> None:
         """Take the wires when they are open, and the folder of the recording; `opened` of `LiveSettings`."""
         self._opened = {wire.name: wire for wire in wires}
+        self.folder = folder
 
     def feed(self, time: float, inputs: Floats, outputs: Floats) -> None:
         """Take a step of the run; the watcher of `LiveSettings`."""

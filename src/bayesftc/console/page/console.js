@@ -87,6 +87,9 @@ function onLayout(message) {
   document.title = `${layout.scenario}: bayesftc console`;
   $("scenario").textContent = layout.scenario;
   document.body.classList.toggle("only-shown", Boolean(layout.only_shown));
+  document.body.classList.toggle("not-recorded", layout.recorded === false);
+  $("recorded").hidden = !layout.only_shown;
+  put($("recorded"), layout.recorded ? "The signals up to the last complete piece of the recording." : "The signals are not recorded: start the run with --record DIR to download them.");
   loop = new Loop($("loop"), layout);
   scenes = new Scenes($("scenes"), layout);
   strips.forEach((strip) => strip.remove());

@@ -24,7 +24,7 @@ def _layout(run: LiveRun) -> dict[str, Any]:
         "type": "layout", "epoch": 1, "only_shown": True, "scenario": run.name, "step": float(lane.step),
         "lanes": [{"name": lane.name, "columns": lane.columns, "branch": "live"}], "units": units_of(lane),
         "strips": strips(lane), "devices": _devices(run), "goals": _goals(run), "inputs": [], "kinds": [],
-        "branches": [], "furthest": 0, "faults": [], "actions": [],
+        "branches": [], "furthest": 0, "faults": [], "actions": [], "recorded": run.recording is not None,
     }  # fmt: skip
 
 

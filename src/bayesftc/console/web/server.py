@@ -21,7 +21,8 @@ from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import MOST_EXTRA, Broadcast, Cursor, View
 from bayesftc.console.web.access import Access, Guard
 from bayesftc.console.web.commands import LONGEST, carry_out, read_command
-from bayesftc.console.web.downloads import DOWNLOADS, EVENTS, Kept, kept_of
+from bayesftc.console.web.downloads import DOWNLOADS, EVENTS, Kept, file_name, kept_of
+from bayesftc.console.web.recorded import SIGNALS, Streamed, signals_of
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 FRAMES = 30
@@ -31,6 +32,8 @@ UNREAD = 10.0
 CLOSING = 1.0
 """Seconds for the end of a connection to be sent."""
 MOST_VIEWERS = 32
+MOST_STREAMS = 2
+"""Most downloads of a live run at a time."""
 PAGE = Path(__file__).parent.parent / "page"
 FILES = {
     "console.js": "text/javascript",
@@ -61,7 +64,7 @@ class Server:
         self._viewers: dict[WebSocket, asyncio.Lock] = {}
         self._operator: WebSocket | None = None
         self._closing = False
-        self._downloads = asyncio.Semaphore(1)
+        self._downloads, self._streams = asyncio.Semaphore(1), asyncio.Semaphore(MOST_STREAMS)
         routes = [
             Route("/", self._page),
             Route("/page/{name}", self._file),
@@ -102,6 +105,8 @@ class Server:
 
     async def _download(self, request: Request) -> Response:
         name = request.path_params["name"]
+        if isinstance(self._engine, LiveRun) and name in SIGNALS:
+            return await self._signals(self._engine, name)
         if name not in DOWNLOADS or (self._engine.desk is None and name != EVENTS):
             return PlainTextResponse("There is no such file.", status_code=404)
         lane = request.query_params.get("lane", "0")
@@ -116,8 +121,26 @@ class Server:
             if not self._closing:
                 raise
             return PlainTextResponse("The console has ended.", status_code=503)
-        shown = f'attachment; filename="{_safe(kept.name)}_{name}"'
-        return Response(data, media_type=kind, headers={"content-disposition": shown})
+        return Response(data, media_type=kind, headers=_kept_as(kept.name, name))
+
+    async def _signals(self, run: LiveRun, name: str) -> Response:
+        if self._streams.locked():
+            return PlainTextResponse(f"There are already {MOST_STREAMS} downloads. Try again later.", status_code=503)
+        await self._streams.acquire()
+        try:
+            parts = await asyncio.to_thread(signals_of, run, name)
+        except BaseException as error:
+            self._streams.release()
+            if not isinstance(error, BayesFTCError):
+                raise
+            return PlainTextResponse(str(error), status_code=409)
+
+        def ended(sentence: str) -> None:
+            self._streams.release()
+            if sentence:
+                self._note(sentence)
+
+        return Streamed(parts, ended, media_type=DOWNLOADS[name][0], headers=_kept_as(run.name, name))
 
     def _is_closing(self) -> bool:
         return self._closing
@@ -245,8 +268,8 @@ class Server:
             await asyncio.wait_for(send(content), UNREAD)
 
 
-def _safe(name: str) -> str:
-    return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in name)[:80]
+def _kept_as(name: str, of: str) -> dict[str, str]:
+    return {"content-disposition": f'attachment; filename="{file_name(name, of)}"'}
 
 
 __all__ = ["MOST_VIEWERS", "Server"]

@@ -70,7 +70,7 @@ def live(
         if serve:
             from bayesftc.console.desk.live import LiveLane, LiveRun
 
-            shown = LiveRun(Path(controller).stem, LiveLane(loaded, stepper), wires.wires)
+            shown = LiveRun(Path(controller).stem, LiveLane(loaded, stepper), wires.wires, wires.recording(record))
             stack.enter_context(page_beside(shown, host, port, open_page))
             watchers.append(shown.feed)
             opened = shown.opened
