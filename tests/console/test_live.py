@@ -3,6 +3,8 @@
 import csv
 import re
 import signal
+import socket
+import struct
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from bayesftc.console.desk.live import LiveLane, LiveRun
 from bayesftc.console.shown.broadcast import Broadcast, Cursor
 from bayesftc.console.shown.live import view_of_live
 from bayesftc.cosim import live
+from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.scenario.live import live_controller
 
 ENDS = {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 0, signal.SIGINT: 0}
@@ -91,6 +94,43 @@ def test_missing_samples_are_counted_by_wire_and_reason():
     assert (force["sent"], force["lost"]) == (summary.steps, 0)
 
 
+def test_samples_of_a_wire_are_dropped_by_hand():
+    """Over real UDP: they are counted by reason, and the action is in the log."""
+    controller = live_controller("live_car", ["controller.y[0]", "controller.y[1]"])
+    wires = {f"speed{i}": live.Wire(live.UDP(port=0), to=f"controller.y[{i}]") for i in range(2)}
+    wires["force"] = live.Wire(live.UDP(port=free_port()), source="controller.u", safe=0.0)
+    with controller.stepper() as stepper, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        stepper.prepare()
+        run, stop = LiveRun("live_car", LiveLane(controller, stepper), wires, drops=True), live.Stop()
+        with pytest.raises(UnknownNameError, match=r"No open wire 'speed0' brings samples"):
+            run.drop("speed0", 1.0)
+
+        def watch(time, inputs, outputs):
+            run.feed(time, inputs, outputs)
+            k = round(time / 0.02)
+            if k == 20:
+                run.drop("speed0", 0.5)
+            if k > 20 and not run.wires()[0]["dropping"] and np.isfinite(inputs[0]):  # samples are used again
+                stop.request("Enough.")
+            for i in range(2):
+                sender.sendto(struct.pack("<d", 20.0), ("127.0.0.1", wires[f"speed{i}"].bridge.port_number))
+
+        summary = live.run_live(stepper, wires, live.LiveSettings(watcher=watch, opened=run.opened), stop)
+    dropped = [summary.wires_in[f"speed{i}"]["missing"].get("dropped by hand", 0) for i in range(2)]
+    assert 0 < dropped[0] < summary.steps - 20
+    assert dropped[1] == 0
+    first = run.wires()[0]
+    assert first["missing"]["dropped by hand"] == dropped[0]
+    assert first["rejected"]["dropped by hand"] >= dropped[0]
+    assert first["dropping"] == 0.0
+    words = "drop the samples of speed0 for 0.5 s"
+    assert run.actions() == [{"t": 0.4, "words": words}]
+    assert ("action", words) in [(each.what, each.words) for each in run.events.all()]
+    for wrong, sentence in (("force", "brings samples"), ("sped0", "did you mean 'speed0'")):
+        with pytest.raises(UnknownNameError, match=sentence):
+            run.drop(wrong, 1.0)
+
+
 def has_samples(viewer):
     return np.isfinite(viewer.column("controller.y[0]")[-20:]).any()
 
@@ -147,6 +187,63 @@ def test_wires_are_cut_and_restored_and_the_run_is_killed(tmp_path, how):
     finally:
         again.close()
     assert live.read_recording(tmp_path / "recording").time[-1] > 0.0
+
+
+@pytest.mark.slow
+def test_only_the_operator_drops_samples_and_only_with_drops(tmp_path):
+    port = free_port()
+    run = LiveProcess(tmp_path, port, "--drops")
+    try:
+        with car(port, freeze=60.0), Cable(port), Viewer(run.address) as viewer, Viewer(run.address) as second:
+            viewer.ready().claim()
+            viewer.until(lambda: has_samples(viewer))
+            second.ready()
+            drop = {"do": "drop", "wire": "speed0", "seconds": 1.0}
+            assert second.ask(**drop)["sentence"] == "This page only watches: another one has the controls."
+            assert second.ask(do="claim")["sentence"] == "Another page has the controls. Close it first."
+            for wrong in ({"wire": "speed9"}, {"wire": "force"}, {"seconds": -1.0}, {"seconds": 1e4}, {"seconds": "1"}):
+                assert viewer.ask(**{**drop, **wrong})["type"] == "error"
+            for do in ("run", "fault", "goal", "step"):
+                assert viewer.ask(do=do)["type"] == "error"
+            assert viewer.do(**drop)
+            viewer.until(lambda: not has_samples(viewer))
+            assert 0.0 < viewer.header["wires"][0]["dropping"] <= 1.0
+            viewer.until(lambda: has_samples(viewer))
+            assert viewer.header["wires"][0]["missing"]["dropped by hand"] > 20
+            assert "dropped by hand" not in viewer.header["wires"][1]["missing"]
+            assert [each["words"] for each in viewer.header["actions"]] == ["drop the samples of speed0 for 1 s"]
+            events = [*csv.DictReader(get(run.address, "/download/events.csv")[2].decode().splitlines())]
+            assert ["action", "drop the samples of speed0 for 1 s"] in [[e["what"], e["event"]] for e in events]
+            status, printed, is_left = run.end(signal.SIGTERM)
+        assert (status, is_left) == (0, False), printed
+    finally:
+        run.close()
+
+
+@pytest.mark.slow
+def test_samples_are_dropped_on_the_page(tmp_path, tmp_path_factory):
+    text, port = axe(tmp_path_factory), free_port()
+    browser, run = open_browser(tmp_path), LiveProcess(tmp_path, port, "--drops")
+    try:
+        with car(port, freeze=60.0), Cable(port):
+            page = Page(browser, run.address)
+            page.set("#wire-list li:first-child input", "0.5")
+            page.click("[aria-label='Drop samples of speed0']")
+            page.until(lambda: "dropped by hand" in page.text("#wire-list li:first-child .numbers"))
+            page.until(lambda: "by hand: drop the samples of speed0 for 0.5 s" in page.text("#log"))
+            assert not page.all("#wire-list li:last-child form")
+            assert "start the run with --record DIR" in page.text("#recorded")
+            shown = [each.text for each in page.all("button, .links a") if each.is_displayed()]
+            assert shown == ["drop samples", "drop samples", "Events of this session (CSV)"]
+            for width, dark in ((1280, False), (1280, True), (390, False), (390, True)):
+                page.look(width, dark=dark)
+                assert violations(browser, text) == []
+                inner, outer = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+                assert inner <= outer
+            assert [e["message"] for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
+    finally:
+        browser.quit()
+        run.close()
 
 
 @pytest.mark.slow

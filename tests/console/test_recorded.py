@@ -52,6 +52,7 @@ def words_of(run):
     return [event.words for event in run.events.all()]
 
 
+@pytest.mark.slow
 def test_a_run_that_goes_on_is_downloaded(tmp_path):
     run = LiveProcess(tmp_path, free_port())
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -10,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.console.desk.alarms import Alarm, Alarms
-from bayesftc.console.desk.desk import MEMORY
+from bayesftc.console.desk.desk import MEMORY, MOST_ACTIONS
 from bayesftc.console.desk.events import Events
 from bayesftc.console.desk.history import History, Recorded
 from bayesftc.cosim.diagram.roles import LoopRoles, find_roles
+from bayesftc.cosim.errors import UnknownNameError, brief, did_you_mean
+from bayesftc.cosim.live.wires import Incoming
 from bayesftc.cosim.ports import labels
 
 if TYPE_CHECKING:
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
 
     from bayesftc.cosim.live.recorder import Recording
     from bayesftc.cosim.live.steppers import Stepper
-    from bayesftc.cosim.live.wires import Incoming, Outgoing, Wire
+    from bayesftc.cosim.live.wires import Outgoing, Wire
     from bayesftc.cosim.types import Floats
     from bayesftc.scenario.live.controller import LiveController
 
@@ -72,7 +75,7 @@ class LiveLane:
 
 
 class LiveRun:
-    """What the server shows of a live run, in place of an `Engine`: there are no commands.
+    """What the server shows of a live run, in place of an `Engine`. The only command is to drop samples, if that is allowed.
 
     Parameters
     ----------
@@ -84,6 +87,8 @@ class LiveRun:
         Its wires.
     recording : Recording, optional
         How it is recorded.
+    drops : bool
+        Whether an operator may drop samples.
 
     Attributes
     ----------
@@ -91,15 +96,23 @@ class LiveRun:
         The folder with the pieces of its recording; None before there is one.
     """
 
-    only_shows = True
     failure: str | None = None
     desk = None
     busy = None
     late = 0
     running = True
 
-    def __init__(self, name: str, lane: LiveLane, wires: Mapping[str, Wire], recording: Recording | None = None):
+    def __init__(
+        self,
+        name: str,
+        lane: LiveLane,
+        wires: Mapping[str, Wire],
+        recording: Recording | None = None,
+        *,
+        drops: bool = False,
+    ):
         self.name, self.lane, self.pace = name, lane, 1.0
+        self.only_shows = not drops
         self.recording = recording
         self.folder: Path | None = None
         self.events = Events()
@@ -107,6 +120,7 @@ class LiveRun:
         self._wires = wires
         self._opened: Mapping[str, Incoming | Outgoing] = {}
         self._steps = 0
+        self._actions: deque[dict[str, Any]] = deque(maxlen=MOST_ACTIONS)
 
     def start(self) -> None:
         """Start nothing: the run has its own clock."""
@@ -128,14 +142,41 @@ class LiveRun:
         for alarm in lane.watch.after(k - 1):
             self.events.add("alarm", lane.watch.words_of(alarm), "live", time)
 
+    def drop(self, name: str, seconds: float) -> None:
+        """Drop the samples of a wire for some seconds.
+
+        Raises
+        ------
+        BayesFTCError
+            If no open wire of this name brings samples, or the time is too long.
+        """
+        open_ones = {each.name: each.inbox for each in self._opened.values() if isinstance(each, Incoming)}
+        if name not in open_ones:
+            raise UnknownNameError(f"No open wire {brief(name)} brings samples; {did_you_mean(name, open_ones)}")
+        open_ones[name].drop(seconds)
+        words = f"drop the samples of {name} for {seconds:g} s" if seconds else f"use the samples of {name} again"
+        time = self.lane.rows.last * float(self.lane.step)
+        self._actions.append({"t": time, "words": words})
+        self.events.add("action", words, "live", time)
+
+    def actions(self) -> list[dict[str, Any]]:
+        """Return the last actions of operators."""
+        return [*self._actions]
+
     def wires(self) -> list[dict[str, Any]]:
         """Return the state of each wire, and its numbers when it is open."""
         return [
             {"name": name, "signals": ", ".join(wire.names), "is_input": wire.is_input,
-             "connected": wire.bridge.connected, "problem": wire.bridge.problem,
-             **(self._opened[name].numbers(self._steps) if name in self._opened else {})}
+             "connected": wire.bridge.connected, "problem": wire.bridge.problem, **self._numbers(name)}
             for name, wire in self._wires.items()
         ]  # fmt: skip
+
+    def _numbers(self, name: str) -> dict[str, Any]:
+        wire = self._opened.get(name)
+        if wire is None:
+            return {}
+        dropping = {"dropping": wire.inbox.dropping} if isinstance(wire, Incoming) else {}
+        return {**wire.numbers(self._steps), **dropping}
 
 
 def _without_plant(roles: LoopRoles) -> LoopRoles:

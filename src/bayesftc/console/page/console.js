@@ -9,7 +9,7 @@ const $ = (id) => document.getElementById(id);
 let socket, layout, buffer, state, loop, scenes, strips = [], extra = [], cards = new Map(), waiting = new Map(), number = 0;
 let dragging = false, dirty = false, shownLog = "";
 const memory = { forms: new Map() };
-const wires = new Wires($("wires"), $("wire-list"));
+const wires = new Wires($("wires"), $("wire-list"), act);
 
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
@@ -139,10 +139,10 @@ function showChoices() {
 
 function enable(on) {
   const may = on && layout && layout.operator;
-  document.querySelectorAll("#run, #step, #pace, #moment, #cards button, #cards input, #cards select, #settings button, #settings input, #branch-list button")
+  document.querySelectorAll("#run, #step, #pace, #moment, #cards button, #cards input, #cards select, #settings button, #settings input, #branch-list button, #wire-list button, #wire-list input")
     .forEach((each) => { each.disabled = !may; });
   if (!layout) return;
-  if (layout.only_shown) {
+  if (layout.only_shown && !layout.drops) {
     if (socket.readyState === WebSocket.OPEN) $("status").textContent = "A live run: faults are shown, not made.";
     return;
   }
@@ -354,6 +354,7 @@ function updateTime() {
 function updateLog() {
   const words = { true: "alarm", false: "alarm ends" };
   const events = [...layout.actions.map((a) => [a.t, `by hand: ${a.words}`, a.later ? "later" : "hand"]),
+    ...state.actions.map((a) => [a.t, `by hand: ${a.words}`, "hand"]),
     ...state.alarms.map((a) => [a.t, `${a.device} ${a.device === "sensor" ? a.number : (layout.devices.find((d) => d.id === `actuator:${a.number}`) || { name: a.number }).name.replace("actuator ", "")}: ${words[a.begins]}`, a.begins ? "alarm" : "end"])]
     .sort((a, b) => a[0] - b[0]).slice(-200);
   const text = JSON.stringify(events) + state.furthest;
@@ -382,7 +383,7 @@ function draw() {
   updateTime();
   updateCards();
   updateLog();
-  wires.show(state.wires);
+  wires.show(state.wires, layout);
   loop.show(buffer, state.cards);
   scenes.show(state.scenes, buffer, state.stopped);
   const seconds = Number($("window").value);

@@ -109,6 +109,7 @@ class Broadcast:
                     "late": engine.late,
                     "busy": engine.busy,
                     "wires": engine.wires(),
+                    "actions": engine.actions(),
                     "cards": cards(lane),
                     "scenes": [scene.lines() for scene in view.scenes],
                     "stopped": [each.stopped for each in view.lanes],

@@ -25,6 +25,7 @@ def _layout(run: LiveRun) -> dict[str, Any]:
         "lanes": [{"name": lane.name, "columns": lane.columns, "branch": "live"}], "units": units_of(lane),
         "strips": strips(lane), "devices": _devices(run), "goals": _goals(run), "inputs": [], "kinds": [],
         "branches": [], "furthest": 0, "faults": [], "actions": [], "recorded": run.recording is not None,
+        "drops": not run.only_shows,
     }  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from bayesftc.console.desk.engine import Engine
 from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import MOST_EXTRA, Broadcast, Cursor, View
 from bayesftc.console.web.access import Access, Guard
-from bayesftc.console.web.commands import LONGEST, carry_out, read_command
+from bayesftc.console.web.commands import COMMANDS, LIVE_COMMANDS, LONGEST, carry_out, read_command
 from bayesftc.console.web.downloads import DOWNLOADS, EVENTS, Kept, file_name, kept_of
 from bayesftc.console.web.recorded import SIGNALS, Streamed, signals_of
 from bayesftc.cosim.errors import BayesFTCError, ModelError
@@ -232,7 +232,7 @@ class Server:
                 raise ModelError("A command must be an object.")
             number = content.pop("id", None)
             number = number if isinstance(number, int) else None
-            if isinstance(self._engine, LiveRun) and content.get("do") != "show":
+            if self._engine.only_shows and content.get("do") != "show":
                 raise ModelError("A live run is only shown: it has no controls.")
             if content.get("do") == "claim":
                 if self._operator not in (None, socket):
@@ -244,9 +244,13 @@ class Server:
                 raise ModelError("This page only watches: another one has the controls.")
             elif isinstance(self._engine, Engine):
                 began = time.perf_counter()
-                await asyncio.wrap_future(self._engine.call(carry_out(self._engine, read_command(content))))
+                command = read_command(content, COMMANDS)
+                await asyncio.wrap_future(self._engine.call(carry_out(self._engine, command)))
                 seconds = round(time.perf_counter() - began, 3)
                 return {"type": "done", "id": number, "seconds": seconds, "running": self._engine.running}
+            else:
+                drop = read_command(content, LIVE_COMMANDS)
+                self._engine.drop(drop.wire, drop.seconds)
         except BayesFTCError as error:
             return {"type": "error", "id": number, "sentence": str(error)}
         return {"type": "done", "id": number}

@@ -18,7 +18,7 @@ from bayesftc.cli.live_report import (
     run_between,
 )
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
-from bayesftc.cli.page import HOST, PORT, Host, OpenPage, PagePort, need_console, page_beside
+from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort, page_beside
 from bayesftc.cosim.live.run import LiveSettings, Watcher
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.watching import ActuatorWatch, AlarmWatch
@@ -45,7 +45,8 @@ def live(
     ] = 1.0,
     json: Json = False,
     quiet: Quiet = False,
-    serve: Annotated[bool, typer.Option("--serve", help="Show the run on a page, as bayesftc serve.")] = False,
+    serve: Beside = False,
+    drops: Drops = False,
     host: Host = HOST,
     port: PagePort = PORT,
     open_page: OpenPage = False,
@@ -54,8 +55,8 @@ def live(
 
     Ctrl-C and SIGTERM end the run: the safe values are sent, and the recording is completed.
     """
-    if serve:
-        need_console("bayesftc live --serve")
+    page = PageBeside(serve, drops, host, port, open_page)
+    page.check("bayesftc live")
     wires = load_wires(bridge)
     received = [name for wire in wires.wires.values() if wire.is_input for name in wire.names]
     loaded = live_controller(controller, received)
@@ -70,8 +71,9 @@ def live(
         if serve:
             from bayesftc.console.desk.live import LiveLane, LiveRun
 
-            shown = LiveRun(Path(controller).stem, LiveLane(loaded, stepper), wires.wires, wires.recording(record))
-            stack.enter_context(page_beside(shown, host, port, open_page))
+            lane, recording = LiveLane(loaded, stepper), wires.recording(record)
+            shown = LiveRun(Path(controller).stem, lane, wires.wires, recording, drops=drops)
+            stack.enter_context(page_beside(shown, page))
             watchers.append(shown.feed)
             opened = shown.opened
         settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), _all_of(watchers), opened)
