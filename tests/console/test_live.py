@@ -12,7 +12,7 @@ from browser import Page, axe, open_browser, violations
 from served import Viewer, get
 from wired import Cable, LiveProcess, car, free_port
 
-from bayesftc.console.desk.live import LiveLane, LiveRun
+from bayesftc.console.desk.live import LiveRun, controller_lane
 from bayesftc.console.shown.broadcast import Broadcast, Cursor
 from bayesftc.console.shown.live import view_of_live
 from bayesftc.cosim import live
@@ -28,7 +28,7 @@ def test_rows_alarms_and_wires_are_shown():
     with controller.stepper() as stepper:
         stepper.prepare()
         run = LiveRun(
-            "live_car", LiveLane(controller, stepper), {"speed": live.Wire(live.UDP(port=0), to="controller.y")}
+            "live_car", controller_lane(controller, stepper), {"speed": live.Wire(live.UDP(port=0), to="controller.y")}
         )
         speed, inputs = 20.0, []
         for k in range(200):
@@ -67,7 +67,7 @@ def test_missing_samples_are_counted_by_wire_and_reason():
     wires["force"] = live.Wire(live.UDP(port=free_port()), source="controller.u", safe=0.0)
     with controller.stepper() as stepper:
         stepper.prepare()
-        run, stop = LiveRun("live_car", LiveLane(controller, stepper), wires), live.Stop()
+        run, stop = LiveRun("live_car", controller_lane(controller, stepper), wires), live.Stop()
         assert "missing" not in run.wires()[0]
         inboxes = {}
 
@@ -101,7 +101,7 @@ def test_samples_of_a_wire_are_dropped_by_hand():
     wires["force"] = live.Wire(live.UDP(port=free_port()), source="controller.u", safe=0.0)
     with controller.stepper() as stepper, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         stepper.prepare()
-        run, stop = LiveRun("live_car", LiveLane(controller, stepper), wires, drops=True), live.Stop()
+        run, stop = LiveRun("live_car", controller_lane(controller, stepper), wires, drops=True), live.Stop()
         with pytest.raises(UnknownNameError, match=r"No open wire 'speed0' brings samples"):
             run.drop("speed0", 1.0)
 

@@ -17,7 +17,7 @@ import pytest
 from served import get, until
 from wired import LiveProcess, free_port
 
-from bayesftc.console.desk.live import LiveLane, LiveRun
+from bayesftc.console.desk.live import LiveRun, controller_lane
 from bayesftc.console.web import recorded
 from bayesftc.console.web.serving import Where, shown_beside
 from bayesftc.cosim import live
@@ -42,7 +42,7 @@ def page_of(recording, folder):
     controller, said = live_controller("live_car", ["controller.y[0]", "controller.y[1]"]), []
     with controller.stepper() as stepper:
         stepper.prepare()
-        run = LiveRun("live_car", LiveLane(controller, stepper), {}, recording)
+        run = LiveRun("live_car", controller_lane(controller, stepper), {}, recording)
         with shown_beside(run, Where("127.0.0.1", 0), said.append):
             run.opened((), folder)
             yield re.search(r"http://\S+", said[-1])[0], run

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.console.desk.alarms import Alarm, Alarms
+from bayesftc.console.desk.alarms import Alarm, Alarms, sensor_names
 from bayesftc.console.desk.desk import MEMORY, MOST_ACTIONS
 from bayesftc.console.desk.events import Events
 from bayesftc.console.desk.history import History, Recorded
@@ -32,29 +31,34 @@ SAMPLES = "controller.y"
 
 
 class LiveLane:
-    """The rows of a live controller: its inputs and outputs at each step.
+    """The rows of a live run: its inputs and outputs at each step.
 
     Parameters
     ----------
-    controller : LiveController
-        The controller.
+    name : str
+        Of the precision learner.
     stepper : Stepper
         What runs; it is prepared.
+    roles : LoopRoles
+        The roles of its signals.
+    sensors : sequence of str
+        The names of the sensors; by default their numbers.
+    prefix : str
+        Beginning of the names of the outputs, if the stepper's have none.
     """
 
     stopped: str | None = None
     plants: Mapping[str, Any] = {}
 
-    def __init__(self, controller: LiveController, stepper: Stepper):
-        ports = {**stepper.inputs, **stepper.outputs}
-        self.step: Fraction = stepper.step
-        self.roles = _without_plant(find_roles(controller.diagram))
+    def __init__(self, name: str, stepper: Stepper, roles: LoopRoles, sensors: Sequence[str] = (), prefix: str = ""):
+        ports = {**stepper.inputs, **{prefix + output: port for output, port in stepper.outputs.items()}}
+        self.name, self.step, self.roles = name, stepper.step, roles
+        self.sensors = tuple(sensors) or sensor_names(roles)
         self.shapes = {name: port.shape for name, port in ports.items()}
         self.units = {name: port.unit for name, port in ports.items() if port.unit}
         self.columns = [label for name, shape in self.shapes.items() for label in labels(name, shape)]
         self.place = {label: i for i, label in enumerate(self.columns)}
-        self.name = controller.learner
-        self.watch = Alarms(self.roles, self.place)
+        self.watch = Alarms(self.roles, self.place, self.sensors)
         self._history = History(len(self.columns), MEMORY)
 
     @property
@@ -179,6 +183,11 @@ class LiveRun:
         return {**wire.numbers(self._steps), **dropping}
 
 
+def controller_lane(controller: LiveController, stepper: Stepper) -> LiveLane:
+    """Return the rows of a live controller."""
+    return LiveLane(controller.learner, stepper, _without_plant(find_roles(controller.diagram)))
+
+
 def _without_plant(roles: LoopRoles) -> LoopRoles:
     """Return the roles of a loop whose samples come from outside: nothing is known of what is true.
 
@@ -200,4 +209,4 @@ def _without_plant(roles: LoopRoles) -> LoopRoles:
     return replace(roles, sensors=sensors, quantities=quantities)
 
 
-__all__ = ["LiveLane", "LiveRun"]
+__all__ = ["LiveLane", "LiveRun", "controller_lane"]

@@ -91,6 +91,7 @@ function onLayout(message) {
   $("recorded").hidden = !layout.only_shown;
   put($("recorded"), layout.recorded ? "The signals up to the last complete piece of the recording." : "The signals are not recorded: start the run with --record DIR to download them.");
   loop = new Loop($("loop"), layout);
+  $("loop").hidden = $("h-loop").hidden = layout.has_loop === false; // a monitor only listens
   scenes = new Scenes($("scenes"), layout);
   strips.forEach((strip) => strip.remove());
   strips = layout.strips.map((plan) => new Strip($("strips"), plan, layout.lanes));
@@ -355,7 +356,7 @@ function updateLog() {
   const words = { true: "alarm", false: "alarm ends" };
   const events = [...layout.actions.map((a) => [a.t, `by hand: ${a.words}`, a.later ? "later" : "hand"]),
     ...state.actions.map((a) => [a.t, `by hand: ${a.words}`, "hand"]),
-    ...state.alarms.map((a) => [a.t, `${a.device} ${a.device === "sensor" ? a.number : (layout.devices.find((d) => d.id === `actuator:${a.number}`) || { name: a.number }).name.replace("actuator ", "")}: ${words[a.begins]}`, a.begins ? "alarm" : "end"])]
+    ...state.alarms.map((a) => [a.t, `${(layout.devices.find((d) => d.id === `${a.device}:${a.number}`) || { name: `${a.device} ${a.number}` }).name}: ${words[a.begins]}`, a.begins ? "alarm" : "end"])]
     .sort((a, b) => a[0] - b[0]).slice(-200);
   const text = JSON.stringify(events) + state.furthest;
   if (text === shownLog) return;
