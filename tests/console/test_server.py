@@ -12,12 +12,12 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pandas
 import pytest
-from served import Viewer, connect_without_reading, get, served
+from served import Viewer, connect_without_reading, get, served, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from bayesftc.console.desk.history import Rows
 from bayesftc.console.shown.frames import thinned
-from bayesftc.console.web.access import Access
+from bayesftc.console.web.access import SOON, Access, Once
 from bayesftc.console.web.server import MOST_VIEWERS
 from bayesftc.console.web.serving import MOST_CONNECTIONS, SILENT
 from bayesftc.cosim.live.connections.credentials import is_loopback
@@ -305,7 +305,15 @@ def test_other_addresses_need_the_token():
         token = re.search(r"token=(\S+)", shown)[1]
         address = shown.replace("0.0.0.0", "127.0.0.1")
         assert len(token) > 30
-        for path in ("/", "/page/console.js", "/download/scenario.toml", "/?token=", "/?token=wrong"):
+        for path in (
+            "/",
+            "/page/console.js",
+            "/download/scenario.toml",
+            "/?token=",
+            "/?token=wrong",
+            "/?xtoken=1",
+            "/?x=once=1",
+        ):
             assert get(address, path)[0] == 403
         for cookie in ("", "token=x", f"other={token}", f"bayesftc-1={token}", ";;==", "a" * 5000):
             assert get(address, "/", Cookie=cookie)[0] in (400, 403)
@@ -324,6 +332,47 @@ def test_other_addresses_need_the_token():
         with Viewer(address, additional_headers={"Cookie": cookie}) as viewer:
             viewer.ready()
             assert [lane["name"] for lane in viewer.layout["lanes"]] == ["SwitchingPrecision"]
+
+
+def test_a_browser_is_opened_with_a_pass_for_one_use(tmp_path, monkeypatch):
+    """The arguments of a browser's process are in the list of processes: the token is not among them."""
+    browser, seen = tmp_path / "browser", tmp_path / "seen"
+    browser.write_text(f'#!/bin/sh\necho "$@" > {seen}.part\nmv {seen}.part {seen}\n')
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    with served("cruise_control", "--alone", "--host", "0.0.0.0", "--open") as (_, shown):
+        token = re.search(r"token=(\S+)", shown)[1]
+        until(seen.exists)
+        opened = seen.read_text().strip()
+        assert token not in opened
+        address, query = re.fullmatch(r"(http://0\.0\.0\.0:\d+)/(\?once=\S{40,})", opened).groups()
+        address = address.replace("0.0.0.0", "127.0.0.1")
+        for wrong in ("/?once=", "/?once=x", f"/page/console.js{query}", f"/download/scenario.toml{query}"):
+            assert get(address, wrong)[0] == 403
+        status, headers, _ = get(address, f"/{query}")
+        assert (status, headers["location"]) == (303, "/")
+        assert {"HttpOnly", "SameSite=strict", "Path=/"} <= {*headers["set-cookie"].split("; ")}
+        cookie = headers["set-cookie"].split(";")[0]
+        assert get(address, "/", Cookie=cookie)[0] == 200
+        status, headers, body = get(address, f"/{query}")  # once more
+        assert (status, body) == (
+            403, b"This address does not count any more. Open the one with the token that has been printed.",
+        )  # fmt: skip
+        assert "set-cookie" not in headers
+
+
+def test_a_pass_counts_once_and_soon():
+    now = [100.0]
+    once = Once(lambda: now[0])
+    first, second, third = (once.issue() for _ in range(3))
+    assert len({first, second, third}) == 3
+    assert once.redeem(second)
+    assert not once.redeem(second)
+    assert not once.redeem("")
+    now[0] += SOON - 1.0
+    assert once.redeem(first)
+    now[0] += 2.0
+    assert not once.redeem(third)
 
 
 def test_addresses_of_this_machine():

@@ -87,11 +87,12 @@ class Server:
             await asyncio.to_thread(self._engine.stop)
 
     async def _page(self, request: Request) -> Response:
-        given = request.query_params.get("token")
-        if given is None:
+        let_in = self._access.lets_in(request.query_params)
+        if let_in is None:
             return FileResponse(PAGE / "index.html", media_type="text/html")
-        if not self._access.is_token(given):
-            return PlainTextResponse("This is not the token that bayesftc serve has printed.", status_code=403)
+        if not let_in:
+            sentence = "This address does not count any more. Open the one with the token that has been printed."
+            return PlainTextResponse(sentence, status_code=403)
         answer = RedirectResponse("/", status_code=303)
         if self._access.token is not None:
             answer.set_cookie(self._access.cookie, self._access.token, httponly=True, samesite="strict", path="/")
