@@ -3,8 +3,11 @@
 import csv
 import http.client
 import io
+import itertools
+import json
 import re
 import socket
+import threading
 import time
 import tomllib
 from contextlib import ExitStack, suppress
@@ -16,9 +19,10 @@ from served import Viewer, connect_without_reading, get, served, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from bayesftc.console.desk.history import Rows
+from bayesftc.console.shown.broadcast import PAUSE
 from bayesftc.console.shown.frames import thinned
 from bayesftc.console.web.access import SOON, Access, Once
-from bayesftc.console.web.server import MOST_VIEWERS
+from bayesftc.console.web.server import BETWEEN, MOST_VIEWERS
 from bayesftc.console.web.serving import MOST_CONNECTIONS, SILENT
 from bayesftc.cosim.live.connections.credentials import is_loopback
 from bayesftc.scenario import load_scenario
@@ -243,6 +247,40 @@ def test_an_operator_that_does_not_read_loses_the_controls():
                 time.sleep(0.2)
             assert viewer.ask(do="run", on=False)["type"] == "done"
         stuck.close()
+
+
+@pytest.mark.parametrize("columns", [[["controller.beta[0]"]], [["controller.beta[0]"], ["controller.beta[1]"]]])
+def test_choices_of_signals_without_end_cost_little(address, columns):
+    """The same signals change nothing, others are sent now and then, and commands are read one by one with a pause."""
+    with Viewer(address) as viewer, suppress(ConnectionClosed):
+        viewer.ready()
+        first = columns[0]
+        viewer.do(do="show", columns=first)
+        viewer.until(lambda: (0, first[0]) in viewer.columns)
+        texts = [json.dumps({"do": "show", "columns": each, "id": 7}) for each in columns]
+        over = threading.Event()
+
+        def flood():
+            with suppress(ConnectionClosed):
+                for text in itertools.cycle(texts):
+                    if over.is_set():
+                        return
+                    viewer.socket.send(text)
+
+        thread, began, resets, answers = threading.Thread(target=flood), time.monotonic(), 0, 0
+        thread.start()
+        try:
+            while time.monotonic() < began + 2.0:
+                message = viewer.receive()
+                resets += bool(message.get("reset"))
+                answers += message.get("id") == 7
+            seconds = time.monotonic() - began
+        finally:
+            over.set()
+            viewer.socket.close_socket()
+            thread.join()
+        assert 1 < answers <= seconds / BETWEEN + 1
+        assert (len(columns) > 1) <= resets <= (len(columns) > 1) * (seconds / PAUSE + 1)
 
 
 def test_a_viewer_that_does_not_read_delays_nobody(address):

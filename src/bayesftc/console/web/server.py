@@ -29,6 +29,8 @@ FRAMES = 30
 """Frames a second."""
 UNREAD = 10.0
 """Seconds after which a connection ends whose page reads nothing."""
+BETWEEN = 0.02
+"""Seconds between two commands of a viewer: one that sends them without end must not cost the engine."""
 CLOSING = 1.0
 """Seconds for the end of a connection to be sent."""
 MOST_VIEWERS = 32
@@ -219,6 +221,7 @@ class Server:
                     return
                 text = message.get("text")
                 await self._send(socket, await self._answer(socket, cursor, text))
+                await asyncio.sleep(BETWEEN)
 
     async def _answer(self, socket: WebSocket, cursor: Cursor, text: str | None) -> dict[str, Any]:
         number: Any = None
@@ -261,8 +264,7 @@ class Server:
         if not isinstance(columns, list) or len(columns) > MOST_EXTRA or view is None:
             raise ModelError(f"Choose at most {MOST_EXTRA} further signals.")
         known = {name for lane in view.lanes for name in lane.columns}
-        cursor.extra = tuple(dict.fromkeys(name for name in columns if isinstance(name, str) and name in known))
-        cursor.epoch = -1
+        cursor.wanted = tuple(dict.fromkeys(name for name in columns if isinstance(name, str) and name in known))
 
     async def _send(self, socket: WebSocket, content: dict[str, Any]) -> None:
         await self._sent(socket, socket.send_text, json.dumps(content, separators=(",", ":")))
