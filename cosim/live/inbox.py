@@ -24,7 +24,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.formats import Format, decode
 from bayesftc.cosim.types import Floats
 
-NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE, STATUS = REASONS = (
+NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE, STATUS, DROPPED = REASONS = (
     "no message",
     "late",
     "stale",
@@ -35,6 +35,7 @@ NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE, STATUS = REASONS
     "not decodable",
     "wrong size",
     "bad status",
+    "dropped by hand",
 )
 """Reasons of missing samples. A step without a sample counts the reason of the last message since the step before."""
 
@@ -55,6 +56,9 @@ BEHIND = 8
 
 MOST = 2 + BEHIND
 """Most samples that wait."""
+
+LONGEST_DROP = 3600.0
+"""Most seconds for which messages are dropped by hand."""
 
 CLOCKS, YEAR = 1.0, 3.2e7
 """Largest lead of a sender's clock, and largest age of a sample that the other side has kept, in seconds."""
@@ -161,6 +165,7 @@ class Inbox:
         self._born = -inf
         self._used, self._came, self._calm = False, False, CALM
         self._why = NONE
+        self._drops_until = -inf
         self._stamps: dict[str, float] = {}
         self._old: list[float] = []
         self._least: float | None = None
@@ -195,6 +200,8 @@ class Inbox:
         raw = np.atleast_1d(np.asarray(values, dtype=np.float64))
         with self._lock:
             self.received += 1
+            if self._is_dropped(now):
+                return
             if raw.shape != (self.size,):
                 self._refuse(SIZE, f"{SIZE}: {raw.size} instead of {self.size}")
                 return
@@ -238,7 +245,8 @@ class Inbox:
         """Count a message that cannot be decoded, from any thread; `reason` is shown as the last one."""
         with self._lock:
             self.received += 1
-            self._refuse(DECODING, f"{DECODING}: {reason}")
+            if not self._is_dropped(self._clock()):
+                self._refuse(DECODING, f"{DECODING}: {reason}")
 
     def fail(self, reason: str) -> None:
         """Note that the other side has no valid sample now, from any thread; a held sample ends."""
@@ -246,6 +254,24 @@ class Inbox:
             self.received += 1
             self._refuse(STATUS, f"{STATUS}: {reason}")
             self._drop(0)
+
+    def drop(self, seconds: float) -> None:
+        """Use no message that arrives in the next seconds, for a test, from any thread. With 0 they are used again.
+
+        Raises
+        ------
+        ModelError
+            If it is not from 0 to 3600 s.
+        """
+        if not 0 <= seconds <= LONGEST_DROP:
+            raise ModelError(f"Samples are to be dropped for {seconds:g} s; it must be from 0 to {LONGEST_DROP:g} s.")
+        with self._lock:
+            self._drops_until = self._clock() + seconds
+
+    @property
+    def dropping(self) -> float:
+        """Seconds for which messages are still dropped by hand."""
+        return max(self._drops_until - self._clock(), 0.0)
 
     def take(self, late: float = 0.0, behind: int = 0) -> Floats:
         """Return the sample for a step, with NaN for each missing element.
@@ -320,6 +346,13 @@ class Inbox:
             self._waiting.popleft()
             self.replaced += not self._used
             self._used = False
+
+    def _is_dropped(self, now: float) -> bool:
+        """Return whether messages are dropped by hand now; then this one is counted."""
+        dropped = now < self._drops_until
+        if dropped:
+            self._refuse(DROPPED)
+        return dropped
 
     def _is_stale(self, sample: _Sample, now: float) -> bool:
         return self.limits.stale_after is not None and now - sample.born > self.limits.stale_after

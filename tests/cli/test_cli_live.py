@@ -258,3 +258,9 @@ def test_mistakes_end_with_a_sentence(options, code, words, tmp_path, monkeypatc
     done = CliRunner().invoke(app, ["live", *options])
     assert done.exit_code == code, done.output
     assert words in " ".join(done.output.replace("│", " ").split())
+
+
+def test_drops_without_a_page_are_refused(tmp_path):
+    done = CliRunner().invoke(app, ["live", "live_car", "--bridge", "car_by_udp", "--drops"])
+    assert done.exit_code == 2
+    assert "add --serve" in " ".join(done.output.replace("│", " ").split())

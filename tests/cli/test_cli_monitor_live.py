@@ -221,6 +221,8 @@ def test_sensors_that_are_silent_are_named(tmp_path, sent):
         (["--live", "wires.toml"], "--live needs --model"),
         (["--live", "wires.toml", "--model", "model.toml", "--out", "results"], "--record keeps"),
         (["data.csv", "--model", "model.toml", "--duration", "3"], "add --live"),
+        (["data.csv", "--model", "model.toml", "--serve"], "add --live"),
+        (["--live", "wires.toml", "--model", "model.toml", "--drops"], "add --serve"),
         (["--model", "model.toml"], "there is no recording"),
     ],
 )

@@ -56,6 +56,14 @@ def get(address, path, **headers):
     return answer.status, dict(answer.getheaders()), body
 
 
+def until(condition):
+    """Wait until a condition holds."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
 def connect_without_reading(address):
     """Return the socket of a viewer that reads nothing, with a small buffer."""
     host = re.search(r"http://([^/]+)", address)[1]

@@ -1,25 +1,22 @@
 """``bayesftc live --serve``: a live run between wires on the page, which is only shown."""
 
 import csv
-import os
 import re
 import signal
 import socket
-import subprocess
-import sys
-import threading
-from contextlib import contextmanager, suppress
+import struct
 
 import numpy as np
 import pytest
 from browser import Page, axe, open_browser, violations
-from served import Viewer, get, read_address
+from served import Viewer, get
+from wired import Cable, LiveProcess, car, free_port
 
-from bayesftc.console.desk.live import LiveLane, LiveRun
+from bayesftc.console.desk.live import LiveRun, controller_lane
 from bayesftc.console.shown.broadcast import Broadcast, Cursor
 from bayesftc.console.shown.live import view_of_live
 from bayesftc.cosim import live
-from bayesftc.scenario import find_scenario
+from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.scenario.live import live_controller
 
 ENDS = {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 0, signal.SIGINT: 0}
@@ -31,7 +28,7 @@ def test_rows_alarms_and_wires_are_shown():
     with controller.stepper() as stepper:
         stepper.prepare()
         run = LiveRun(
-            "live_car", LiveLane(controller, stepper), {"speed": live.Wire(live.UDP(port=0), to="controller.y")}
+            "live_car", controller_lane(controller, stepper), {"speed": live.Wire(live.UDP(port=0), to="controller.y")}
         )
         speed, inputs = 20.0, []
         for k in range(200):
@@ -70,7 +67,7 @@ def test_missing_samples_are_counted_by_wire_and_reason():
     wires["force"] = live.Wire(live.UDP(port=free_port()), source="controller.u", safe=0.0)
     with controller.stepper() as stepper:
         stepper.prepare()
-        run, stop = LiveRun("live_car", LiveLane(controller, stepper), wires), live.Stop()
+        run, stop = LiveRun("live_car", controller_lane(controller, stepper), wires), live.Stop()
         assert "missing" not in run.wires()[0]
         inboxes = {}
 
@@ -97,93 +94,41 @@ def test_missing_samples_are_counted_by_wire_and_reason():
     assert (force["sent"], force["lost"]) == (summary.steps, 0)
 
 
-def free_port():
-    """Return the first of six UDP ports that are free."""
-    for port in range(20_000 + os.getpid() % 10_000, 60_000, 7):
-        with suppress(OSError):
-            for each in range(port, port + 6):
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-                    probe.bind(("127.0.0.1", each))
-            return port
-    raise AssertionError("no port is free")
+def test_samples_of_a_wire_are_dropped_by_hand():
+    """Over real UDP: they are counted by reason, and the action is in the log."""
+    controller = live_controller("live_car", ["controller.y[0]", "controller.y[1]"])
+    wires = {f"speed{i}": live.Wire(live.UDP(port=0), to=f"controller.y[{i}]") for i in range(2)}
+    wires["force"] = live.Wire(live.UDP(port=free_port()), source="controller.u", safe=0.0)
+    with controller.stepper() as stepper, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        stepper.prepare()
+        run, stop = LiveRun("live_car", controller_lane(controller, stepper), wires, drops=True), live.Stop()
+        with pytest.raises(UnknownNameError, match=r"No open wire 'speed0' brings samples"):
+            run.drop("speed0", 1.0)
 
+        def watch(time, inputs, outputs):
+            run.feed(time, inputs, outputs)
+            k = round(time / 0.02)
+            if k == 20:
+                run.drop("speed0", 0.5)
+            if k > 20 and not run.wires()[0]["dropping"] and np.isfinite(inputs[0]):  # samples are used again
+                stop.request("Enough.")
+            for i in range(2):
+                sender.sendto(struct.pack("<d", 20.0), ("127.0.0.1", wires[f"speed{i}"].bridge.port_number))
 
-@contextmanager
-def car(port, freeze):
-    """Run the car of the example in another process; end it without a farewell."""
-    command = [sys.executable, "-m", "bayesftc.examples.live_car.car", "--port", str(port), "--freeze", str(freeze)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert process.stdout.readline() == "The car drives.\n"
-        yield
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
-
-
-class Cable:
-    """Forwards the samples of the two sensors, unless it is cut."""
-
-    def __init__(self, port):
-        self.is_cut, self.over = False, threading.Event()
-        self.threads = [threading.Thread(target=self.forward, args=(port + i, port + 4 + i)) for i in range(2)]
-
-    def forward(self, source, target):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as cable:
-            cable.bind(("127.0.0.1", source))
-            cable.settimeout(0.1)
-            while not self.over.is_set():
-                with suppress(TimeoutError, ConnectionError):
-                    packet = cable.recv(100)
-                    if not self.is_cut:
-                        cable.sendto(packet, ("127.0.0.1", target))
-
-    def __enter__(self):
-        for thread in self.threads:
-            thread.start()
-        return self
-
-    def __exit__(self, *error):
-        self.over.set()
-        for thread in self.threads:
-            thread.join()
-
-
-def wires_file(folder, port):
-    """Write the wires of the example with other ports: the samples come through the cable."""
-    text = find_scenario("car_by_udp", "wires").read_text()
-    for i, other in enumerate((port + 4, port + 5, port + 2, port + 3)):
-        text = text.replace(f"port = {47000 + i}\n", f"port = {other}\n")
-    file = folder / "wires.toml"
-    file.write_text(f"{text}\n[recording]\nseconds = 0.5\n")
-    return file
-
-
-class LiveProcess:
-    """``bayesftc live --serve`` in a group of processes of its own."""
-
-    def __init__(self, folder, port):
-        command = [sys.executable, "-m", "bayesftc", "live", "live_car", "--bridge", str(wires_file(folder, port))]
-        command += ["--record", str(folder / "recording"), "--serve", "--port", "0", "-q"]
-        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
-        self.address = read_address(self.process)
-
-    def end(self, how):
-        """Send a signal; return the exit status, all that was printed, and whether a process is left."""
-        self.process.send_signal(how)
-        printed = self.process.communicate(timeout=10)[1]
-        try:
-            os.killpg(self.process.pid, 0)
-        except ProcessLookupError:
-            return self.process.returncode, printed, False
-        return self.process.returncode, printed, True
-
-    def close(self):
-        with suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
-        self.process.stderr.close()
+        summary = live.run_live(stepper, wires, live.LiveSettings(watcher=watch, opened=run.opened), stop)
+    dropped = [summary.wires_in[f"speed{i}"]["missing"].get("dropped by hand", 0) for i in range(2)]
+    assert 0 < dropped[0] < summary.steps - 20
+    assert dropped[1] == 0
+    first = run.wires()[0]
+    assert first["missing"]["dropped by hand"] == dropped[0]
+    assert first["rejected"]["dropped by hand"] >= dropped[0]
+    assert first["dropping"] == 0.0
+    words = "drop the samples of speed0 for 0.5 s"
+    assert run.actions() == [{"t": 0.4, "words": words}]
+    assert ("action", words) in [(each.what, each.words) for each in run.events.all()]
+    for wrong, sentence in (("force", "brings samples"), ("sped0", "did you mean 'speed0'")):
+        with pytest.raises(UnknownNameError, match=sentence):
+            run.drop(wrong, 1.0)
 
 
 def has_samples(viewer):
@@ -223,7 +168,7 @@ def test_wires_are_cut_and_restored_and_the_run_is_killed(tmp_path, how):
             assert viewer.ask(do="show", columns=["controller.beta[0]"])["type"] == "done"
             events = [*csv.DictReader(get(run.address, "/download/events.csv")[2].decode().splitlines())]
             assert "sensor 0: alarm" in [each["event"] for each in events]
-            assert get(run.address, "/download/signals.csv")[0] == 404
+            assert get(run.address, "/download/figure.png")[0] == 404
             reached = viewer.header["t"]
             status, printed, is_left = run.end(how)
         assert (status, is_left) == (ENDS[how], False), printed
@@ -245,6 +190,63 @@ def test_wires_are_cut_and_restored_and_the_run_is_killed(tmp_path, how):
 
 
 @pytest.mark.slow
+def test_only_the_operator_drops_samples_and_only_with_drops(tmp_path):
+    port = free_port()
+    run = LiveProcess(tmp_path, port, "--drops")
+    try:
+        with car(port, freeze=60.0), Cable(port), Viewer(run.address) as viewer, Viewer(run.address) as second:
+            viewer.ready().claim()
+            viewer.until(lambda: has_samples(viewer))
+            second.ready()
+            drop = {"do": "drop", "wire": "speed0", "seconds": 1.0}
+            assert second.ask(**drop)["sentence"] == "This page only watches: another one has the controls."
+            assert second.ask(do="claim")["sentence"] == "Another page has the controls. Close it first."
+            for wrong in ({"wire": "speed9"}, {"wire": "force"}, {"seconds": -1.0}, {"seconds": 1e4}, {"seconds": "1"}):
+                assert viewer.ask(**{**drop, **wrong})["type"] == "error"
+            for do in ("run", "fault", "goal", "step"):
+                assert viewer.ask(do=do)["type"] == "error"
+            assert viewer.do(**drop)
+            viewer.until(lambda: not has_samples(viewer))
+            assert 0.0 < viewer.header["wires"][0]["dropping"] <= 1.0
+            viewer.until(lambda: has_samples(viewer))
+            assert viewer.header["wires"][0]["missing"]["dropped by hand"] > 20
+            assert "dropped by hand" not in viewer.header["wires"][1]["missing"]
+            assert [each["words"] for each in viewer.header["actions"]] == ["drop the samples of speed0 for 1 s"]
+            events = [*csv.DictReader(get(run.address, "/download/events.csv")[2].decode().splitlines())]
+            assert ["action", "drop the samples of speed0 for 1 s"] in [[e["what"], e["event"]] for e in events]
+            status, printed, is_left = run.end(signal.SIGTERM)
+        assert (status, is_left) == (0, False), printed
+    finally:
+        run.close()
+
+
+@pytest.mark.slow
+def test_samples_are_dropped_on_the_page(tmp_path, tmp_path_factory):
+    text, port = axe(tmp_path_factory), free_port()
+    browser, run = open_browser(tmp_path), LiveProcess(tmp_path, port, "--drops")
+    try:
+        with car(port, freeze=60.0), Cable(port):
+            page = Page(browser, run.address)
+            page.set("#wire-list li:first-child input", "0.5")
+            page.click("[aria-label='Drop samples of speed0']")
+            page.until(lambda: "dropped by hand" in page.text("#wire-list li:first-child .numbers"))
+            page.until(lambda: "by hand: drop the samples of speed0 for 0.5 s" in page.text("#log"))
+            assert not page.all("#wire-list li:last-child form")
+            assert "start the run with --record DIR" in page.text("#recorded")
+            shown = [each.text for each in page.all("button, .links a") if each.is_displayed()]
+            assert shown == ["drop samples", "drop samples", "Events of this session (CSV)"]
+            for width, dark in ((1280, False), (1280, True), (390, False), (390, True)):
+                page.look(width, dark=dark)
+                assert violations(browser, text) == []
+                inner, outer = browser.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
+                assert inner <= outer
+            assert [e["message"] for e in browser.get_log("browser") if e["level"] == "SEVERE"] == []
+    finally:
+        browser.quit()
+        run.close()
+
+
+@pytest.mark.slow
 def test_the_page_only_shows(tmp_path, tmp_path_factory):
     text, port = axe(tmp_path_factory), free_port()
     browser, run = open_browser(tmp_path), LiveProcess(tmp_path, port)
@@ -258,7 +260,7 @@ def test_the_page_only_shows(tmp_path, tmp_path_factory):
             assert re.fullmatch(r"\d+ messages, \d+\.\d % of the samples missing: .*no message \d+.*", shown)
             assert re.fullmatch(r"\d+ sent, 0 lost, \d+ safe values", page.text("#wire-list li:last-child .numbers"))
             shown = [each.text for each in page.all("button, .links a") if each.is_displayed()]
-            assert shown == ["Events of this session (CSV)"]
+            assert shown == ["Signals (CSV)", "Signals (Parquet)", "Events of this session (CSV)"]
             for width, dark in ((1280, False), (390, True)):
                 page.look(width, dark=dark)
                 assert violations(browser, text) == []

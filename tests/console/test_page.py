@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 from browser import Page, axe, open_browser, violations
-from served import served
+from served import served, until
 
 from bayesftc.scenario import load_scenario
 
@@ -181,3 +181,24 @@ def test_a_second_page_watches(page, browser):
     assert not page.one("#run").is_enabled()
     browser.close()
     browser.switch_to.window(first)
+
+
+def test_a_pass_lets_a_browser_in_once(browser, tmp_path, monkeypatch):
+    """The cookie is sent by no other site, but by the page to which the pass leads."""
+    script, seen = tmp_path / "browser", tmp_path / "seen"
+    script.write_text(f'#!/bin/sh\necho "$@" > {seen}.part\nmv {seen}.part {seen}\n')
+    script.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{script} %s")
+    with served("cruise_control", "--alone", "--host", "0.0.0.0", "--open"):
+        until(seen.exists)
+        opened = seen.read_text().strip().replace("0.0.0.0", "127.0.0.1")
+        shown = Page(browser, opened)
+        assert browser.current_url == opened.split("?")[0]
+        (cookie,) = browser.get_cookies()
+        assert (cookie["sameSite"], cookie["httpOnly"]) == ("Strict", True)
+        shown.click("#step")
+        shown.until(lambda: shown.seconds() > 0.0)
+        browser.delete_all_cookies()
+        browser.get(opened)
+        assert "does not count any more" in shown.text("body")
+        browser.get("about:blank")

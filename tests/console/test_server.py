@@ -3,8 +3,11 @@
 import csv
 import http.client
 import io
+import itertools
+import json
 import re
 import socket
+import threading
 import time
 import tomllib
 from contextlib import ExitStack, suppress
@@ -12,13 +15,14 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pandas
 import pytest
-from served import Viewer, connect_without_reading, get, served
+from served import Viewer, connect_without_reading, get, served, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from bayesftc.console.desk.history import Rows
+from bayesftc.console.shown.broadcast import PAUSE
 from bayesftc.console.shown.frames import thinned
-from bayesftc.console.web.access import Access
-from bayesftc.console.web.server import MOST_VIEWERS
+from bayesftc.console.web.access import SOON, Access, Once
+from bayesftc.console.web.server import BETWEEN, MOST_VIEWERS
 from bayesftc.console.web.serving import MOST_CONNECTIONS, SILENT
 from bayesftc.cosim.live.connections.credentials import is_loopback
 from bayesftc.scenario import load_scenario
@@ -245,6 +249,40 @@ def test_an_operator_that_does_not_read_loses_the_controls():
         stuck.close()
 
 
+@pytest.mark.parametrize("columns", [[["controller.beta[0]"]], [["controller.beta[0]"], ["controller.beta[1]"]]])
+def test_choices_of_signals_without_end_cost_little(address, columns):
+    """The same signals change nothing, others are sent now and then, and commands are read one by one with a pause."""
+    with Viewer(address) as viewer, suppress(ConnectionClosed):
+        viewer.ready()
+        first = columns[0]
+        viewer.do(do="show", columns=first)
+        viewer.until(lambda: (0, first[0]) in viewer.columns)
+        texts = [json.dumps({"do": "show", "columns": each, "id": 7}) for each in columns]
+        over = threading.Event()
+
+        def flood():
+            with suppress(ConnectionClosed):
+                for text in itertools.cycle(texts):
+                    if over.is_set():
+                        return
+                    viewer.socket.send(text)
+
+        thread, began, resets, answers = threading.Thread(target=flood), time.monotonic(), 0, 0
+        thread.start()
+        try:
+            while time.monotonic() < began + 2.0:
+                message = viewer.receive()
+                resets += bool(message.get("reset"))
+                answers += message.get("id") == 7
+            seconds = time.monotonic() - began
+        finally:
+            over.set()
+            viewer.socket.close_socket()
+            thread.join()
+        assert 1 < answers <= seconds / BETWEEN + 1
+        assert (len(columns) > 1) <= resets <= (len(columns) > 1) * (seconds / PAUSE + 1)
+
+
 def test_a_viewer_that_does_not_read_delays_nobody(address):
     stuck = connect_without_reading(address)
     with Viewer(address) as viewer:
@@ -305,7 +343,15 @@ def test_other_addresses_need_the_token():
         token = re.search(r"token=(\S+)", shown)[1]
         address = shown.replace("0.0.0.0", "127.0.0.1")
         assert len(token) > 30
-        for path in ("/", "/page/console.js", "/download/scenario.toml", "/?token=", "/?token=wrong"):
+        for path in (
+            "/",
+            "/page/console.js",
+            "/download/scenario.toml",
+            "/?token=",
+            "/?token=wrong",
+            "/?xtoken=1",
+            "/?x=once=1",
+        ):
             assert get(address, path)[0] == 403
         for cookie in ("", "token=x", f"other={token}", f"bayesftc-1={token}", ";;==", "a" * 5000):
             assert get(address, "/", Cookie=cookie)[0] in (400, 403)
@@ -324,6 +370,47 @@ def test_other_addresses_need_the_token():
         with Viewer(address, additional_headers={"Cookie": cookie}) as viewer:
             viewer.ready()
             assert [lane["name"] for lane in viewer.layout["lanes"]] == ["SwitchingPrecision"]
+
+
+def test_a_browser_is_opened_with_a_pass_for_one_use(tmp_path, monkeypatch):
+    """The arguments of a browser's process are in the list of processes: the token is not among them."""
+    browser, seen = tmp_path / "browser", tmp_path / "seen"
+    browser.write_text(f'#!/bin/sh\necho "$@" > {seen}.part\nmv {seen}.part {seen}\n')
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    with served("cruise_control", "--alone", "--host", "0.0.0.0", "--open") as (_, shown):
+        token = re.search(r"token=(\S+)", shown)[1]
+        until(seen.exists)
+        opened = seen.read_text().strip()
+        assert token not in opened
+        address, query = re.fullmatch(r"(http://0\.0\.0\.0:\d+)/(\?once=\S{40,})", opened).groups()
+        address = address.replace("0.0.0.0", "127.0.0.1")
+        for wrong in ("/?once=", "/?once=x", f"/page/console.js{query}", f"/download/scenario.toml{query}"):
+            assert get(address, wrong)[0] == 403
+        status, headers, _ = get(address, f"/{query}")
+        assert (status, headers["location"]) == (303, "/")
+        assert {"HttpOnly", "SameSite=strict", "Path=/"} <= {*headers["set-cookie"].split("; ")}
+        cookie = headers["set-cookie"].split(";")[0]
+        assert get(address, "/", Cookie=cookie)[0] == 200
+        status, headers, body = get(address, f"/{query}")  # once more
+        assert (status, body) == (
+            403, b"This address does not count any more. Open the one with the token that has been printed.",
+        )  # fmt: skip
+        assert "set-cookie" not in headers
+
+
+def test_a_pass_counts_once_and_soon():
+    now = [100.0]
+    once = Once(lambda: now[0])
+    first, second, third = (once.issue() for _ in range(3))
+    assert len({first, second, third}) == 3
+    assert once.redeem(second)
+    assert not once.redeem(second)
+    assert not once.redeem("")
+    now[0] += SOON - 1.0
+    assert once.redeem(first)
+    now[0] += 2.0
+    assert not once.redeem(third)
 
 
 def test_addresses_of_this_machine():

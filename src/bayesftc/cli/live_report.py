@@ -10,7 +10,7 @@ from typing import Any
 
 from bayesftc.cli import output
 from bayesftc.cosim.errors import ResultFileError
-from bayesftc.cosim.live.run import LiveSettings, LiveSummary, run_live
+from bayesftc.cosim.live.run import LiveSettings, LiveSummary, Watcher, run_live
 from bayesftc.cosim.live.steppers import Stepper
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import ActuatorEvent, FaultEvent
@@ -82,6 +82,19 @@ class Alarms:
             else:
                 text = f"alarm, fault probability {event.probability:.3f}{kind}"
             note(f"{time:.2f} s: {name_of(event)}: {text}")
+
+
+def all_of(watchers: Sequence[Watcher | None]) -> Watcher | None:
+    """Return a watcher that calls those that there are."""
+    present = [each for each in watchers if each is not None]
+    if len(present) < 2:
+        return present[0] if present else None
+
+    def watch(time: float, inputs: Floats, outputs: Floats) -> None:
+        for each in present:
+            each(time, inputs, outputs)
+
+    return watch
 
 
 def run_between(stepper: Stepper, wires: WireFile, settings: LiveSettings) -> LiveSummary:

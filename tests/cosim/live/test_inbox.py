@@ -51,6 +51,28 @@ def test_the_newest_of_several_samples_is_used():
     assert (box.received, box.replaced) == (3, 2)
 
 
+def test_messages_are_dropped_by_hand_for_some_time():
+    box, clock = inbox()
+    box.put(1.0)
+    box.drop(2.0)
+    assert box.take().tolist() == [1.0]  # it had come before
+    for _ in range(4):
+        clock.now += 0.5
+        box.put(2.0)
+        box.receive(b"hot", "json")
+        box.take()
+    assert dict(box.missing) == {"dropped by hand": 3}
+    assert dict(box.rejected) == {"dropped by hand": 6, "not decodable": 1}
+    box.drop(10.0)
+    assert box.dropping == 10.0
+    box.drop(0.0)
+    box.put(3.0)
+    assert box.take().tolist() == [3.0]
+    for wrong in (-1.0, 3601.0, np.nan, np.inf):
+        with pytest.raises(ModelError, match="from 0 to 3600 s"):
+            box.drop(wrong)
+
+
 def test_after_a_step_without_a_message_a_second_sample_waits():
     box, _ = inbox()
     box.take()

@@ -40,6 +40,8 @@ class Alarms:
         The roles of the loop.
     place : mapping of str to int
         The columns of the rows.
+    sensors : sequence of str
+        The names of the sensors.
     without : sequence of str
         Outputs that are always empty.
 
@@ -49,8 +51,8 @@ class Alarms:
         The last alarms. It is replaced, so that any thread can read it.
     """
 
-    def __init__(self, roles: LoopRoles, place: Mapping[str, int], without: Sequence[str] = ()):
-        self._roles = roles
+    def __init__(self, roles: LoopRoles, place: Mapping[str, int], sensors: Sequence[str], without: Sequence[str] = ()):
+        self._roles, self._sensors = roles, sensors
         self._watched = _watched(roles, place, without)
         self._groups = [
             slice(min(columns), max(columns) + 1)  # the devices of one output are neighbours
@@ -78,7 +80,7 @@ class Alarms:
     def words_of(self, alarm: Alarm) -> str:
         """Return an alarm in words."""
         number = alarm.number
-        device = f"sensor {number}" if alarm.device == "sensor" else f"actuator {self._roles.controls[number].name}"
+        device = self._sensors[number] if alarm.device == "sensor" else f"actuator {self._roles.controls[number].name}"
         return f"{device}: {'alarm' if alarm.begins else 'the alarm ends'}"
 
     def _is_quiet(self, values: Floats) -> bool:
@@ -96,6 +98,11 @@ class Alarms:
         self._now = now[-1]
 
 
+def sensor_names(roles: LoopRoles) -> tuple[str, ...]:
+    """Return the names of the sensors of a loop, which have only numbers."""
+    return tuple(f"sensor {i}" for i in range(len(roles.sensors)))
+
+
 def _watched(roles: LoopRoles, place: Mapping[str, int], without: Sequence[str]) -> list[tuple[str, int, int]]:
     """Return each device with a fault probability, or with the flag of an explicit detection, and its column."""
     found: list[tuple[str, int, int]] = []
@@ -109,4 +116,4 @@ def _watched(roles: LoopRoles, place: Mapping[str, int], without: Sequence[str])
     return found
 
 
-__all__ = ["Alarm", "Alarms"]
+__all__ = ["Alarm", "Alarms", "sensor_names"]

@@ -103,6 +103,10 @@ class Engine:
         """Return no wires; see `LiveRun`."""
         return []
 
+    def actions(self) -> list[dict[str, Any]]:
+        """Return none: those of a desk are in its layout."""
+        return []
+
     def _set_clock(self) -> None:
         if self.desk is not None:
             self._clock = time.perf_counter(), self.desk.k

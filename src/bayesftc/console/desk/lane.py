@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.console.desk.alarms import Alarm, Alarms
+from bayesftc.console.desk.alarms import Alarm, Alarms, sensor_names
 from bayesftc.console.desk.history import History, Recorded, SavedStates
 from bayesftc.cosim.diagram.roles import LoopRoles, find_roles
 from bayesftc.cosim.errors import FMUError, SimulationError
@@ -50,6 +50,7 @@ class Lane:
         self.scenario: Scenario = scenario_of(content, path)
         loop = self.scenario.loop()
         self.roles: LoopRoles = find_roles(loop)
+        self.sensors = sensor_names(self.roles)
         self.step: Fraction = loop.step
         self.stopped: str | None = None
         self._session: Session = loop.start(seed=self.scenario.simulation.seed, engine=self.scenario.simulation.engine)
@@ -65,7 +66,7 @@ class Lane:
         self._session.record_into(self._history.room)
         self._can_save = True
         self._computed, self._cost = 0.0, inf
-        self.watch = Alarms(self.roles, self.place, self._empty())
+        self.watch = Alarms(self.roles, self.place, self.sensors, self._empty())
         self._take(first, 0)
 
     @property

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.console.desk.alarms import Alarm, Alarms
-from bayesftc.console.desk.desk import MEMORY
+from bayesftc.console.desk.alarms import Alarm, Alarms, sensor_names
+from bayesftc.console.desk.desk import MEMORY, MOST_ACTIONS
 from bayesftc.console.desk.events import Events
 from bayesftc.console.desk.history import History, Recorded
 from bayesftc.cosim.diagram.roles import LoopRoles, find_roles
+from bayesftc.cosim.errors import UnknownNameError, brief, did_you_mean
+from bayesftc.cosim.live.wires import Incoming
 from bayesftc.cosim.ports import labels
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from bayesftc.cosim.live.recorder import Recording
     from bayesftc.cosim.live.steppers import Stepper
-    from bayesftc.cosim.live.wires import Incoming, Outgoing, Wire
+    from bayesftc.cosim.live.wires import Outgoing, Wire
     from bayesftc.cosim.types import Floats
     from bayesftc.scenario.live.controller import LiveController
 
@@ -28,29 +31,34 @@ SAMPLES = "controller.y"
 
 
 class LiveLane:
-    """The rows of a live controller: its inputs and outputs at each step.
+    """The rows of a live run: its inputs and outputs at each step.
 
     Parameters
     ----------
-    controller : LiveController
-        The controller.
+    name : str
+        Of the precision learner.
     stepper : Stepper
         What runs; it is prepared.
+    roles : LoopRoles
+        The roles of its signals.
+    sensors : sequence of str
+        The names of the sensors; by default their numbers.
+    prefix : str
+        Beginning of the names of the outputs, if the stepper's have none.
     """
 
     stopped: str | None = None
     plants: Mapping[str, Any] = {}
 
-    def __init__(self, controller: LiveController, stepper: Stepper):
-        ports = {**stepper.inputs, **stepper.outputs}
-        self.step: Fraction = stepper.step
-        self.roles = _without_plant(find_roles(controller.diagram))
+    def __init__(self, name: str, stepper: Stepper, roles: LoopRoles, sensors: Sequence[str] = (), prefix: str = ""):
+        ports = {**stepper.inputs, **{prefix + output: port for output, port in stepper.outputs.items()}}
+        self.name, self.step, self.roles = name, stepper.step, roles
+        self.sensors = tuple(sensors) or sensor_names(roles)
         self.shapes = {name: port.shape for name, port in ports.items()}
         self.units = {name: port.unit for name, port in ports.items() if port.unit}
         self.columns = [label for name, shape in self.shapes.items() for label in labels(name, shape)]
         self.place = {label: i for i, label in enumerate(self.columns)}
-        self.name = controller.learner
-        self.watch = Alarms(self.roles, self.place)
+        self.watch = Alarms(self.roles, self.place, self.sensors)
         self._history = History(len(self.columns), MEMORY)
 
     @property
@@ -71,7 +79,7 @@ class LiveLane:
 
 
 class LiveRun:
-    """What the server shows of a live run, in place of an `Engine`: there are no commands.
+    """What the server shows of a live run, in place of an `Engine`. The only command is to drop samples, if that is allowed.
 
     Parameters
     ----------
@@ -81,22 +89,42 @@ class LiveRun:
         The run.
     wires : mapping of str to Wire
         Its wires.
+    recording : Recording, optional
+        How it is recorded.
+    drops : bool
+        Whether an operator may drop samples.
+
+    Attributes
+    ----------
+    folder : Path or None
+        The folder with the pieces of its recording; None before there is one.
     """
 
-    only_shows = True
     failure: str | None = None
     desk = None
     busy = None
     late = 0
     running = True
 
-    def __init__(self, name: str, lane: LiveLane, wires: Mapping[str, Wire]):
+    def __init__(
+        self,
+        name: str,
+        lane: LiveLane,
+        wires: Mapping[str, Wire],
+        recording: Recording | None = None,
+        *,
+        drops: bool = False,
+    ):
         self.name, self.lane, self.pace = name, lane, 1.0
+        self.only_shows = not drops
+        self.recording = recording
+        self.folder: Path | None = None
         self.events = Events()
         self.view: Any = None
         self._wires = wires
         self._opened: Mapping[str, Incoming | Outgoing] = {}
         self._steps = 0
+        self._actions: deque[dict[str, Any]] = deque(maxlen=MOST_ACTIONS)
 
     def start(self) -> None:
         """Start nothing: the run has its own clock."""
@@ -107,6 +135,7 @@ class LiveRun:
     def opened(self, wires: Sequence[Incoming | Outgoing], folder: Path | None) -> None:
         """Take the wires when they are open, and the folder of the recording; `opened` of `LiveSettings`."""
         self._opened = {wire.name: wire for wire in wires}
+        self.folder = folder
 
     def feed(self, time: float, inputs: Floats, outputs: Floats) -> None:
         """Take a step of the run; the watcher of `LiveSettings`."""
@@ -117,14 +146,46 @@ class LiveRun:
         for alarm in lane.watch.after(k - 1):
             self.events.add("alarm", lane.watch.words_of(alarm), "live", time)
 
+    def drop(self, name: str, seconds: float) -> None:
+        """Drop the samples of a wire for some seconds.
+
+        Raises
+        ------
+        BayesFTCError
+            If no open wire of this name brings samples, or the time is too long.
+        """
+        open_ones = {each.name: each.inbox for each in self._opened.values() if isinstance(each, Incoming)}
+        if name not in open_ones:
+            raise UnknownNameError(f"No open wire {brief(name)} brings samples; {did_you_mean(name, open_ones)}")
+        open_ones[name].drop(seconds)
+        words = f"drop the samples of {name} for {seconds:g} s" if seconds else f"use the samples of {name} again"
+        time = self.lane.rows.last * float(self.lane.step)
+        self._actions.append({"t": time, "words": words})
+        self.events.add("action", words, "live", time)
+
+    def actions(self) -> list[dict[str, Any]]:
+        """Return the last actions of operators."""
+        return [*self._actions]
+
     def wires(self) -> list[dict[str, Any]]:
         """Return the state of each wire, and its numbers when it is open."""
         return [
             {"name": name, "signals": ", ".join(wire.names), "is_input": wire.is_input,
-             "connected": wire.bridge.connected, "problem": wire.bridge.problem,
-             **(self._opened[name].numbers(self._steps) if name in self._opened else {})}
+             "connected": wire.bridge.connected, "problem": wire.bridge.problem, **self._numbers(name)}
             for name, wire in self._wires.items()
         ]  # fmt: skip
+
+    def _numbers(self, name: str) -> dict[str, Any]:
+        wire = self._opened.get(name)
+        if wire is None:
+            return {}
+        dropping = {"dropping": wire.inbox.dropping} if isinstance(wire, Incoming) else {}
+        return {**wire.numbers(self._steps), **dropping}
+
+
+def controller_lane(controller: LiveController, stepper: Stepper) -> LiveLane:
+    """Return the rows of a live controller."""
+    return LiveLane(controller.learner, stepper, _without_plant(find_roles(controller.diagram)))
 
 
 def _without_plant(roles: LoopRoles) -> LoopRoles:
@@ -148,4 +209,4 @@ def _without_plant(roles: LoopRoles) -> LoopRoles:
     return replace(roles, sensors=sensors, quantities=quantities)
 
 
-__all__ = ["LiveLane", "LiveRun"]
+__all__ = ["LiveLane", "LiveRun", "controller_lane"]

@@ -9,7 +9,7 @@ const $ = (id) => document.getElementById(id);
 let socket, layout, buffer, state, loop, scenes, strips = [], extra = [], cards = new Map(), waiting = new Map(), number = 0;
 let dragging = false, dirty = false, shownLog = "";
 const memory = { forms: new Map() };
-const wires = new Wires($("wires"), $("wire-list"));
+const wires = new Wires($("wires"), $("wire-list"), act);
 
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
@@ -87,7 +87,11 @@ function onLayout(message) {
   document.title = `${layout.scenario}: bayesftc console`;
   $("scenario").textContent = layout.scenario;
   document.body.classList.toggle("only-shown", Boolean(layout.only_shown));
+  document.body.classList.toggle("not-recorded", layout.recorded === false);
+  $("recorded").hidden = !layout.only_shown;
+  put($("recorded"), layout.recorded ? "The signals up to the last complete piece of the recording." : "The signals are not recorded: start the run with --record DIR to download them.");
   loop = new Loop($("loop"), layout);
+  $("loop").hidden = $("h-loop").hidden = layout.has_loop === false; // a monitor only listens
   scenes = new Scenes($("scenes"), layout);
   strips.forEach((strip) => strip.remove());
   strips = layout.strips.map((plan) => new Strip($("strips"), plan, layout.lanes));
@@ -136,10 +140,10 @@ function showChoices() {
 
 function enable(on) {
   const may = on && layout && layout.operator;
-  document.querySelectorAll("#run, #step, #pace, #moment, #cards button, #cards input, #cards select, #settings button, #settings input, #branch-list button")
+  document.querySelectorAll("#run, #step, #pace, #moment, #cards button, #cards input, #cards select, #settings button, #settings input, #branch-list button, #wire-list button, #wire-list input")
     .forEach((each) => { each.disabled = !may; });
   if (!layout) return;
-  if (layout.only_shown) {
+  if (layout.only_shown && !layout.drops) {
     if (socket.readyState === WebSocket.OPEN) $("status").textContent = "A live run: faults are shown, not made.";
     return;
   }
@@ -351,7 +355,8 @@ function updateTime() {
 function updateLog() {
   const words = { true: "alarm", false: "alarm ends" };
   const events = [...layout.actions.map((a) => [a.t, `by hand: ${a.words}`, a.later ? "later" : "hand"]),
-    ...state.alarms.map((a) => [a.t, `${a.device} ${a.device === "sensor" ? a.number : (layout.devices.find((d) => d.id === `actuator:${a.number}`) || { name: a.number }).name.replace("actuator ", "")}: ${words[a.begins]}`, a.begins ? "alarm" : "end"])]
+    ...state.actions.map((a) => [a.t, `by hand: ${a.words}`, "hand"]),
+    ...state.alarms.map((a) => [a.t, `${(layout.devices.find((d) => d.id === `${a.device}:${a.number}`) || { name: `${a.device} ${a.number}` }).name}: ${words[a.begins]}`, a.begins ? "alarm" : "end"])]
     .sort((a, b) => a[0] - b[0]).slice(-200);
   const text = JSON.stringify(events) + state.furthest;
   if (text === shownLog) return;
@@ -379,7 +384,7 @@ function draw() {
   updateTime();
   updateCards();
   updateLog();
-  wires.show(state.wires);
+  wires.show(state.wires, layout);
   loop.show(buffer, state.cards);
   scenes.show(state.scenes, buffer, state.stopped);
   const seconds = Number($("window").value);

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ MOST_NEW, MOST_OLD = 256, 3000
 """Most rows of a frame, for rows that are new and for all rows at the beginning."""
 MOST_EXTRA = 12
 """Most signals that a viewer can add to those of the strips."""
+PAUSE = 0.5
+"""Seconds between two choices of further signals by a viewer."""
 KEPT = 8
 
 
@@ -54,6 +57,7 @@ class Broadcast:
 
     def frame(self, view: View, cursor: Cursor) -> bytes | None:
         """Return the next frame of a viewer; None if nothing has changed for it."""
+        cursor.choose()
         if cursor.epoch != view.epoch:
             cursor.begin(view)
         engine, rows = self._engine, [lane.rows for lane in view.lanes]  # once: the engine goes on meanwhile
@@ -109,6 +113,7 @@ class Broadcast:
                     "late": engine.late,
                     "busy": engine.busy,
                     "wires": engine.wires(),
+                    "actions": engine.actions(),
                     "cards": cards(lane),
                     "scenes": [scene.lines() for scene in view.scenes],
                     "stopped": [each.stopped for each in view.lanes],
@@ -130,6 +135,14 @@ class Cursor:
         self.is_new = True
         self.key: Any = None
         self.extra: tuple[str, ...] = ()
+        self.wanted: tuple[str, ...] = ()
+        self._chosen = -inf
+
+    def choose(self) -> None:
+        """Begin anew with the further signals that the viewer wants, but not too often: all rows are sent again then."""
+        now = monotonic()
+        if self.wanted != self.extra and now - self._chosen >= PAUSE:
+            self.extra, self._chosen, self.epoch = self.wanted, now, -1
 
     def begin(self, view: View) -> None:
         """Begin anew with the rows of a view."""

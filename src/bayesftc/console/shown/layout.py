@@ -86,7 +86,7 @@ def strips(lane: AnyLane) -> list[dict[str, Any]]:
         )
         series = [_series(lane, quantity.reference, "reference", "reference")]
         series += [
-            _series(lane, roles.sensors[i].samples, f"sensor {i}", "sensor", device=f"sensor:{i}", number=i)
+            _series(lane, roles.sensors[i].samples, lane.sensors[i], "sensor", device=f"sensor:{i}", number=i)
             for i in quantity.sensors
         ]
         series.append(_series(lane, truth, "true value", "truth"))
@@ -99,7 +99,7 @@ def strips(lane: AnyLane) -> list[dict[str, Any]]:
             found.append({"title": quantity.name, "unit": quantity.unit or "", "series": kept})
     name = roles.controller
     chances = [
-        _series(lane, (f"{name}.fault_probability", i), f"sensor {i}", "sensor", device=f"sensor:{i}", number=i)
+        _series(lane, (f"{name}.fault_probability", i), lane.sensors[i], "sensor", device=f"sensor:{i}", number=i)
         for i in range(len(roles.sensors))
     ]
     chances += [
@@ -135,7 +135,7 @@ def devices(lane: Lane) -> list[dict[str, Any]]:
         quantity = next((q.name for q in roles.quantities if i in q.sensors), "")
         scale = 5.0 * float(deviations[i]) or 1.0
         found.append(
-            {"id": f"sensor:{i}", "name": f"sensor {i}", "of": quantity, "unit": sensor.unit or "", "target": SENSORS,
+            {"id": f"sensor:{i}", "name": lane.sensors[i], "of": quantity, "unit": sensor.unit or "", "target": SENSORS,
              "channel": i, "scale": scale, "column": label_of(lane, sensor.samples), "kinds": [k.__name__ for k in MADE]}
         )  # fmt: skip
     control = lane.scenario.wiring.control

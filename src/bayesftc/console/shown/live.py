@@ -24,14 +24,15 @@ def _layout(run: LiveRun) -> dict[str, Any]:
         "type": "layout", "epoch": 1, "only_shown": True, "scenario": run.name, "step": float(lane.step),
         "lanes": [{"name": lane.name, "columns": lane.columns, "branch": "live"}], "units": units_of(lane),
         "strips": strips(lane), "devices": _devices(run), "goals": _goals(run), "inputs": [], "kinds": [],
-        "branches": [], "furthest": 0, "faults": [], "actions": [],
+        "branches": [], "furthest": 0, "faults": [], "actions": [], "recorded": run.recording is not None,
+        "drops": not run.only_shows, "has_loop": bool(lane.roles.controls and _goals(run)),
     }  # fmt: skip
 
 
 def _devices(run: LiveRun) -> list[dict[str, Any]]:
     lane, roles = run.lane, run.lane.roles
     sensors = [
-        {"id": f"sensor:{i}", "name": f"sensor {i}", "of": "", "unit": role.unit or "", "channel": i,
+        {"id": f"sensor:{i}", "name": lane.sensors[i], "of": "", "unit": role.unit or "", "channel": i,
          "column": label_of(lane, role.samples)}
         for i, role in enumerate(roles.sensors)
     ]  # fmt: skip

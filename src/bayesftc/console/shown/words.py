@@ -47,7 +47,7 @@ def _sensor(lane: AnyLane, row: Floats, i: int, t: float) -> dict[str, Any]:
         return _value(lane, row, f"{name}.{output}[{i}]")
 
     chance, onset, size = value("fault_probability"), value("fault_onset"), value("fault_size")
-    kind = _kind(lane.roles.fault_kinds, value("fault_kind"))
+    kind = _kind(lane, row, i, "")
     since = onset if onset is not None else _alarm_since(lane, "sensor", i)
     if chance is None and (detected := value("detected")) is not None:
         chance = detected
@@ -60,7 +60,9 @@ def _sensor(lane: AnyLane, row: Floats, i: int, t: float) -> dict[str, Any]:
         "since": None,
         "weight": _weight(lane, row, i),
     }
-    device = f"sensor {i}"
+    device = lane.sensors[i]
+    if chance is None and f"{name}.fault_probability[{i}]" in lane.place:
+        return {**card, "state": "unknown", "words": "nothing is inferred yet: not enough samples"}
     if chance is None:
         return {**card, "state": "unknown", "words": f"using {device} as always: this controller infers no faults"}
     if chance < SUSPECT:
@@ -102,7 +104,7 @@ def _actuator(lane: AnyLane, row: Floats, j: int, t: float) -> dict[str, Any]:
         state = "healthy" if chance < SUSPECT else "suspect"
         words = f"using {device}" if state == "healthy" else f"watching {device}: probability {_chance(chance)}"
         return {**card, "state": state, "words": words}
-    kind = _kind(lane.roles.actuator_kinds, _value(lane, row, f"{name}.actuator_fault_kind[{j}]"))
+    kind = _kind(lane, row, j, "actuator_")
     size = _value(lane, row, f"{name}.actuator_fault_size[{j}]")
     since = _alarm_since(lane, "actuator", j)
     when = "" if since is None else f" since {since:.4g} s"
@@ -138,10 +140,15 @@ def _present(lane: AnyLane, row: Floats, faults: tuple[str, ...]) -> list[str]:
     return [name for name in faults if (_value(lane, row, f"{name}.active") or 0.0) > 0.5]
 
 
-def _kind(kinds: tuple[str, ...], number: float | None) -> str:
-    if number is None or not 1 <= number <= len(kinds):
-        return ""
-    return kinds[int(number) - 1]
+def _kind(lane: AnyLane, row: Floats, i: int, of: str) -> str:
+    """Return the kind of a fault: a controller has it as an output, a monitor has the probability of each."""
+    name, kinds = lane.roles.controller, lane.roles.actuator_kinds if of else lane.roles.fault_kinds
+    number = _value(lane, row, f"{name}.{of}fault_kind[{i}]")
+    if number is None:
+        chances = [_value(lane, row, f"{name}.{of}mode_probability[{i},{m}]") for m in range(1, len(kinds) + 1)]
+        known = [chance for chance in chances if chance is not None]
+        number = 1 + known.index(max(known)) if known and len(known) == len(kinds) else 0
+    return kinds[int(number) - 1] if 1 <= number <= len(kinds) else ""
 
 
 def _alarm_since(lane: AnyLane, device: str, number: int) -> float | None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hmac
 import secrets
-from collections.abc import Iterable
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
+from math import inf
 from typing import Any
+from urllib.parse import parse_qs
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -21,6 +24,9 @@ HEADERS = (
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"cache-control", b"no-store"),
 )
+
+SOON = 60.0
+"""Seconds in which a browser must use its pass: some take long to start."""
 
 Names = Iterable[tuple[bytes, bytes]]
 
@@ -42,16 +48,33 @@ class Access:
         Its port.
     token : str or None
         What a browser must know; None on a loopback address.
+    once : Once
+        Passes for a browser that this process opens: its address is in the list of processes, where the token must not be.
     """
 
     host: str
     port: int
     token: str | None
+    once: Once = field(default_factory=lambda: Once())
 
     @property
     def cookie(self) -> str:
         """The name of the cookie with the token. Cookies of all ports of a host are shared, so the name has the port."""
         return f"bayesftc-{self.port}"
+
+    def address(self, query: str = "") -> str:
+        """Return the address of the page."""
+        return f"http://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}/{query}"
+
+    def address_to_open(self) -> str:
+        """Return an address of the page that a browser can use once, and soon."""
+        return self.address("" if self.token is None else f"?once={self.once.issue()}")
+
+    def lets_in(self, query: Mapping[str, str]) -> bool | None:
+        """Return whether the query of an address has the token or a pass; None if it has neither. A pass is used up."""
+        if "once" in query:
+            return self.once.redeem(query["once"])
+        return self.is_token(query["token"]) if "token" in query else None
 
     def knows_host(self, headers: Names) -> bool:
         """Return whether the request names this server: a page of another name must not reach it (DNS rebinding)."""
@@ -85,6 +108,30 @@ class Access:
         return self.is_token(None if found is None else found.value)
 
 
+class Once:
+    """Passes that count once, for a short time.
+
+    Parameters
+    ----------
+    clock : callable
+        The clock in seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        self._clock = clock
+        self._until: dict[str, float] = {}
+
+    def issue(self) -> str:
+        """Return a new pass."""
+        given = new_token()
+        self._until[given] = self._clock() + SOON
+        return given
+
+    def redeem(self, given: str) -> bool:
+        """Return whether a pass still counts; from now on it does not."""
+        return self._until.pop(given, -inf) > self._clock()
+
+
 def _one(headers: Names, name: bytes) -> str | None:
     """Return the value of a header that occurs once; None otherwise."""
     values = [value for key, value in headers if key.lower() == name]
@@ -104,7 +151,8 @@ class Guard:
             return
         headers, access = scope["headers"], self._access
         # A page opens with the token in its address, and goes on with the cookie.
-        opens = scope["type"] == "http" and scope["path"] == "/" and b"token=" in scope.get("query_string", b"")
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
+        opens = scope["type"] == "http" and scope["path"] == "/" and ("token" in query or "once" in query)
         refused = (
             "This server has another name."
             if not access.knows_host(headers)
@@ -141,4 +189,4 @@ class Guard:
         await send({"type": "http.response.body", "body": sentence.encode()})
 
 
-__all__ = ["Access", "Guard", "new_token"]
+__all__ = ["Access", "Guard", "Once", "new_token"]

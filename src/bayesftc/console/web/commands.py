@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import inf
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -90,20 +90,31 @@ class Rename(_Command):
     new: Name
 
 
+class Drop(_Command):
+    """Drop the samples of a wire of a live run."""
+
+    do: Literal["drop"]
+    wire: Name
+    seconds: Number
+
+
 Command = Run | Step | Pace | Fault | Repair | Set | Back | OfBranch | Rename
-_ADAPTER: TypeAdapter[Command] = TypeAdapter(Command)
+COMMANDS: TypeAdapter[Command] = TypeAdapter(Command)
+LIVE_COMMANDS: TypeAdapter[Drop] = TypeAdapter(Drop)
+
+T = TypeVar("T")
 
 
-def read_command(content: Any) -> Command:
+def read_command(content: Any, among: TypeAdapter[T]) -> T:
     """Return the command of a message.
 
     Raises
     ------
     ModelError
-        If it is none.
+        If it is none of `COMMANDS`, or of `LIVE_COMMANDS`.
     """
     try:
-        return _ADAPTER.validate_python(content)
+        return among.validate_python(content)
     except ValidationError:
         do = content.get("do") if isinstance(content, dict) else None
         raise ModelError(f"The command {str(do)[:40]!r} is not known, or has a wrong setting.") from None
@@ -149,4 +160,4 @@ def carry_out(engine: Engine, command: Command) -> Callable[[Desk], None]:
     return act
 
 
-__all__ = ["LONGEST", "Command", "carry_out", "read_command"]
+__all__ = ["COMMANDS", "LIVE_COMMANDS", "LONGEST", "Command", "Drop", "carry_out", "read_command"]

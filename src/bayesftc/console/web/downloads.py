@@ -128,4 +128,11 @@ DOWNLOADS: Mapping[str, tuple[str, Callable[[Kept], bytes]]] = {
 }
 """For each file its type, and the function that returns its content."""
 
-__all__ = ["DOWNLOADS", "EVENTS", "Kept", "kept_of"]
+
+def file_name(name: str, of: str) -> str:
+    """Return the name of a downloaded file of a scenario."""
+    plain = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in name)[:80]
+    return f"{plain}_{of}"
+
+
+__all__ = ["DOWNLOADS", "EVENTS", "Kept", "file_name", "kept_of"]

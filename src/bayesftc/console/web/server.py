@@ -20,17 +20,22 @@ from bayesftc.console.desk.engine import Engine
 from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import MOST_EXTRA, Broadcast, Cursor, View
 from bayesftc.console.web.access import Access, Guard
-from bayesftc.console.web.commands import LONGEST, carry_out, read_command
-from bayesftc.console.web.downloads import DOWNLOADS, EVENTS, Kept, kept_of
+from bayesftc.console.web.commands import COMMANDS, LIVE_COMMANDS, LONGEST, carry_out, read_command
+from bayesftc.console.web.downloads import DOWNLOADS, EVENTS, Kept, file_name, kept_of
+from bayesftc.console.web.recorded import SIGNALS, Streamed, signals_of
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 FRAMES = 30
 """Frames a second."""
 UNREAD = 10.0
 """Seconds after which a connection ends whose page reads nothing."""
+BETWEEN = 0.02
+"""Seconds between two commands of a viewer: one that sends them without end must not cost the engine."""
 CLOSING = 1.0
 """Seconds for the end of a connection to be sent."""
 MOST_VIEWERS = 32
+MOST_STREAMS = 2
+"""Most downloads of a live run at a time."""
 PAGE = Path(__file__).parent.parent / "page"
 FILES = {
     "console.js": "text/javascript",
@@ -61,7 +66,7 @@ class Server:
         self._viewers: dict[WebSocket, asyncio.Lock] = {}
         self._operator: WebSocket | None = None
         self._closing = False
-        self._downloads = asyncio.Semaphore(1)
+        self._downloads, self._streams = asyncio.Semaphore(1), asyncio.Semaphore(MOST_STREAMS)
         routes = [
             Route("/", self._page),
             Route("/page/{name}", self._file),
@@ -84,11 +89,12 @@ class Server:
             await asyncio.to_thread(self._engine.stop)
 
     async def _page(self, request: Request) -> Response:
-        given = request.query_params.get("token")
-        if given is None:
+        let_in = self._access.lets_in(request.query_params)
+        if let_in is None:
             return FileResponse(PAGE / "index.html", media_type="text/html")
-        if not self._access.is_token(given):
-            return PlainTextResponse("This is not the token that bayesftc serve has printed.", status_code=403)
+        if not let_in:
+            sentence = "This address does not count any more. Open the one with the token that has been printed."
+            return PlainTextResponse(sentence, status_code=403)
         answer = RedirectResponse("/", status_code=303)
         if self._access.token is not None:
             answer.set_cookie(self._access.cookie, self._access.token, httponly=True, samesite="strict", path="/")
@@ -102,6 +108,8 @@ class Server:
 
     async def _download(self, request: Request) -> Response:
         name = request.path_params["name"]
+        if isinstance(self._engine, LiveRun) and name in SIGNALS:
+            return await self._signals(self._engine, name)
         if name not in DOWNLOADS or (self._engine.desk is None and name != EVENTS):
             return PlainTextResponse("There is no such file.", status_code=404)
         lane = request.query_params.get("lane", "0")
@@ -116,8 +124,26 @@ class Server:
             if not self._closing:
                 raise
             return PlainTextResponse("The console has ended.", status_code=503)
-        shown = f'attachment; filename="{_safe(kept.name)}_{name}"'
-        return Response(data, media_type=kind, headers={"content-disposition": shown})
+        return Response(data, media_type=kind, headers=_kept_as(kept.name, name))
+
+    async def _signals(self, run: LiveRun, name: str) -> Response:
+        if self._streams.locked():
+            return PlainTextResponse(f"There are already {MOST_STREAMS} downloads. Try again later.", status_code=503)
+        await self._streams.acquire()
+        try:
+            parts = await asyncio.to_thread(signals_of, run, name)
+        except BaseException as error:
+            self._streams.release()
+            if not isinstance(error, BayesFTCError):
+                raise
+            return PlainTextResponse(str(error), status_code=409)
+
+        def ended(sentence: str) -> None:
+            self._streams.release()
+            if sentence:
+                self._note(sentence)
+
+        return Streamed(parts, ended, media_type=DOWNLOADS[name][0], headers=_kept_as(run.name, name))
 
     def _is_closing(self) -> bool:
         return self._closing
@@ -195,6 +221,7 @@ class Server:
                     return
                 text = message.get("text")
                 await self._send(socket, await self._answer(socket, cursor, text))
+                await asyncio.sleep(BETWEEN)
 
     async def _answer(self, socket: WebSocket, cursor: Cursor, text: str | None) -> dict[str, Any]:
         number: Any = None
@@ -209,7 +236,7 @@ class Server:
                 raise ModelError("A command must be an object.")
             number = content.pop("id", None)
             number = number if isinstance(number, int) else None
-            if isinstance(self._engine, LiveRun) and content.get("do") != "show":
+            if self._engine.only_shows and content.get("do") != "show":
                 raise ModelError("A live run is only shown: it has no controls.")
             if content.get("do") == "claim":
                 if self._operator not in (None, socket):
@@ -221,9 +248,13 @@ class Server:
                 raise ModelError("This page only watches: another one has the controls.")
             elif isinstance(self._engine, Engine):
                 began = time.perf_counter()
-                await asyncio.wrap_future(self._engine.call(carry_out(self._engine, read_command(content))))
+                command = read_command(content, COMMANDS)
+                await asyncio.wrap_future(self._engine.call(carry_out(self._engine, command)))
                 seconds = round(time.perf_counter() - began, 3)
                 return {"type": "done", "id": number, "seconds": seconds, "running": self._engine.running}
+            else:
+                drop = read_command(content, LIVE_COMMANDS)
+                self._engine.drop(drop.wire, drop.seconds)
         except BayesFTCError as error:
             return {"type": "error", "id": number, "sentence": str(error)}
         return {"type": "done", "id": number}
@@ -233,8 +264,7 @@ class Server:
         if not isinstance(columns, list) or len(columns) > MOST_EXTRA or view is None:
             raise ModelError(f"Choose at most {MOST_EXTRA} further signals.")
         known = {name for lane in view.lanes for name in lane.columns}
-        cursor.extra = tuple(dict.fromkeys(name for name in columns if isinstance(name, str) and name in known))
-        cursor.epoch = -1
+        cursor.wanted = tuple(dict.fromkeys(name for name in columns if isinstance(name, str) and name in known))
 
     async def _send(self, socket: WebSocket, content: dict[str, Any]) -> None:
         await self._sent(socket, socket.send_text, json.dumps(content, separators=(",", ":")))
@@ -245,8 +275,8 @@ class Server:
             await asyncio.wait_for(send(content), UNREAD)
 
 
-def _safe(name: str) -> str:
-    return "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in name)[:80]
+def _kept_as(name: str, of: str) -> dict[str, str]:
+    return {"content-disposition": f'attachment; filename="{file_name(name, of)}"'}
 
 
 __all__ = ["MOST_VIEWERS", "Server"]

@@ -92,8 +92,8 @@ def serve(served: Served, beside: Sequence[str], where: Where, say: Callable[[st
     """
     with _listening(where.host, where.port) as listener:
         engine = Engine(lambda events: Desk(served, tuple(beside), events=events), view_of)
-        server, shown = _announced(engine, where, listener, say)
-        asyncio.run(_serve(server, listener, shown if where.open_page else None))
+        server, access = _announced(engine, where, listener, say)
+        asyncio.run(_serve(server, listener, access.address_to_open if where.open_page else None))
     say("The console has ended.")
 
 
@@ -117,13 +117,13 @@ def shown_beside(run: LiveRun, where: Where, say: Callable[[str], None]) -> Iter
     """
     with _listening(where.host, where.port) as listener:
         run.view = view_of_live(run)
-        server, shown = _announced(run, where, listener, say)
+        server, access = _announced(run, where, listener, say)
         running = _uvicorn(server)
         work = partial(asyncio.run, running.serve(sockets=[listener]))
         thread = threading.Thread(target=work, name="bayesftc-page", daemon=True)
         thread.start()
         if where.open_page:
-            webbrowser.open(shown)
+            webbrowser.open(access.address_to_open())
         try:
             yield
         finally:
@@ -134,16 +134,15 @@ def shown_beside(run: LiveRun, where: Where, say: Callable[[str], None]) -> Iter
 
 def _announced(
     engine: Engine | LiveRun, where: Where, listener: socket.socket, say: Callable[[str], None]
-) -> tuple[Server, str]:
-    """Return the server and its address, after telling the user."""
+) -> tuple[Server, Access]:
+    """Return the server and its rules, after telling the user the address."""
     host, port = where.host, listener.getsockname()[1]
     access = Access(host, port, None if is_loopback(host) else new_token())
-    shown = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
     if access.token is not None:
-        shown += f"?token={access.token}"
         say("Only who has this address can see and move the run. It is not encrypted.")
+    shown = access.address("" if access.token is None else f"?token={access.token}")
     say(f"The console is at {shown} (Ctrl-C ends it)")
-    return Server(engine, access), shown
+    return Server(engine, access), access
 
 
 def _uvicorn(server: Server) -> _Uvicorn:
@@ -161,7 +160,7 @@ def _uvicorn(server: Server) -> _Uvicorn:
     return _Uvicorn(config)
 
 
-async def _serve(server: Server, listener: socket.socket, page: str | None) -> None:
+async def _serve(server: Server, listener: socket.socket, page: Callable[[], str] | None) -> None:
     running = _uvicorn(server)
 
     def end() -> None:
@@ -172,7 +171,7 @@ async def _serve(server: Server, listener: socket.socket, page: str | None) -> N
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end)
     if page is not None:
-        loop.call_later(0.3, webbrowser.open, page)
+        loop.call_later(0.3, lambda: webbrowser.open(page()))
     await running.serve(sockets=[listener])
 
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from bayesftc.bench._figures import Figure, Section
+from bayesftc.bench.measures.console.beside import live_page
 from bayesftc.cosim.base.extras import why_missing
 
 VIEWERS = 20
@@ -42,6 +43,7 @@ def measure(quick: bool) -> Section:
             Figure("act", "a freeze by hand after 500 steps, two loops", "ms", _acts(1 if quick else 5)),
             Figure("jitter", "99th percentile of the delay of a step", "ms", [late], note=note),
             Figure("frames", "frames a second of each viewer", "1/s", [frames]),
+            *live_page(quick),
         ),
     )
 

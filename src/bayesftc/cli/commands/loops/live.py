@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -12,15 +11,15 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli.live_report import (
     Alarms,
+    all_of,
     as_numbers,
     print_alarms,
     print_summary,
     run_between,
 )
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
-from bayesftc.cli.page import HOST, PORT, Host, OpenPage, PagePort, need_console, page_beside
-from bayesftc.cosim.live.run import LiveSettings, Watcher
-from bayesftc.cosim.types import Floats
+from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort, page_beside
+from bayesftc.cosim.live.run import LiveSettings
 from bayesftc.monitoring.watching import ActuatorWatch, AlarmWatch
 from bayesftc.scenario.live import live_controller, load_wires
 
@@ -45,7 +44,8 @@ def live(
     ] = 1.0,
     json: Json = False,
     quiet: Quiet = False,
-    serve: Annotated[bool, typer.Option("--serve", help="Show the run on a page, as bayesftc serve.")] = False,
+    serve: Beside = False,
+    drops: Drops = False,
     host: Host = HOST,
     port: PagePort = PORT,
     open_page: OpenPage = False,
@@ -54,8 +54,8 @@ def live(
 
     Ctrl-C and SIGTERM end the run: the safe values are sent, and the recording is completed.
     """
-    if serve:
-        need_console("bayesftc live --serve")
+    page = PageBeside(serve, drops, host, port, open_page)
+    page.check("bayesftc live")
     wires = load_wires(bridge)
     received = [name for wire in wires.wires.values() if wire.is_input for name in wire.names]
     loaded = live_controller(controller, received)
@@ -68,13 +68,14 @@ def live(
         alarms = Alarms(watches, "controller.", shown=not quiet)
         watchers, opened = [alarms.watcher(stepper)], None
         if serve:
-            from bayesftc.console.desk.live import LiveLane, LiveRun
+            from bayesftc.console.desk.live import LiveRun, controller_lane
 
-            shown = LiveRun(Path(controller).stem, LiveLane(loaded, stepper), wires.wires)
-            stack.enter_context(page_beside(shown, host, port, open_page))
+            lane, recording = controller_lane(loaded, stepper), wires.recording(record)
+            shown = LiveRun(Path(controller).stem, lane, wires.wires, recording, drops=drops)
+            stack.enter_context(page_beside(shown, page))
             watchers.append(shown.feed)
             opened = shown.opened
-        settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), _all_of(watchers), opened)
+        settings = LiveSettings(duration, pace, wires.watchdog, wires.recording(record), all_of(watchers), opened)
         settings.steps(stepper.step)  # errors of the options are not those of the wires
         summary = run_between(stepper, wires, settings)
     numbers = as_numbers(summary, alarms.close())
@@ -84,16 +85,3 @@ def live(
         print_summary(numbers)
         if numbers["alarms"]:
             print_alarms(numbers)
-
-
-def _all_of(watchers: Sequence[Watcher | None]) -> Watcher | None:
-    """Return a watcher that calls those that there are."""
-    present = [each for each in watchers if each is not None]
-    if len(present) < 2:
-        return present[0] if present else None
-
-    def watch(time: float, inputs: Floats, outputs: Floats) -> None:
-        for each in present:
-            each(time, inputs, outputs)
-
-    return watch

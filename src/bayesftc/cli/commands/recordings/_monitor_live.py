@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.commands.recordings._faults import print_faults
-from bayesftc.cli.live_report import Alarms, as_numbers, note, print_summary, run_between
+from bayesftc.cli.live_report import Alarms, all_of, as_numbers, note, print_summary, run_between
+from bayesftc.cli.page import PageBeside, page_beside
 from bayesftc.cosim.live.run import LiveSettings
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring import ActuatorWatch, AlarmWatch, Monitor, MonitorStepper, load_monitor
@@ -30,10 +32,13 @@ class LiveOptions:
     record: Path | None
     json: bool
     quiet: bool
+    page: PageBeside
 
 
 def monitor_live(model: Path, bridges: Path, options: LiveOptions) -> None:
     """Monitor until the end of the duration, Ctrl-C or SIGTERM, and print what was found."""
+    page = options.page
+    page.check("bayesftc monitor --live")
     loaded, wires = load_monitor(model), load_wires(bridges)
     stepper = MonitorStepper(loaded)
     stepper.prepare()
@@ -44,14 +49,25 @@ def monitor_live(model: Path, bridges: Path, options: LiveOptions) -> None:
         watches.append(ActuatorWatch(list(loaded.inputs), precision.actuator_modes, *conditions))
     alarms = Alarms(watches, shown=not options.quiet)
     watcher = _Watcher(stepper, loaded, alarms)
-    settings = LiveSettings(
-        options.duration,
-        watchdog=wires.watchdog,
-        recording=wires.recording(options.record),
-        watcher=watcher.watch,
-    )
-    settings.steps(stepper.step)  # errors of the options are not those of the wires
-    summary = run_between(stepper, wires, settings)
+    recording, watchers, opened = wires.recording(options.record), [watcher.watch], None
+    with ExitStack() as stack:
+        if page.serve:
+            from bayesftc.console.desk.live import LiveRun
+            from bayesftc.console.desk.monitored import monitor_lane
+
+            shown = LiveRun(model.stem, monitor_lane(loaded, stepper), wires.wires, recording, drops=page.drops)
+            stack.enter_context(page_beside(shown, page))
+            watchers.append(shown.feed)
+            opened = shown.opened
+        settings = LiveSettings(
+            options.duration,
+            watchdog=wires.watchdog,
+            recording=recording,
+            watcher=all_of(watchers),
+            opened=opened,
+        )
+        settings.steps(stepper.step)  # errors of the options are not those of the wires
+        summary = run_between(stepper, wires, settings)
     events = alarms.close()
     numbers: dict[str, Any] = {
         **as_numbers(summary, events),

@@ -15,6 +15,7 @@ from bayesftc.cli import output
 from bayesftc.cli.commands.recordings._faults import print_faults
 from bayesftc.cli.commands.recordings._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
+from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.monitoring import Monitored, load_monitor
@@ -62,6 +63,12 @@ def monitor(
     record: RecordFolder = None,
     json: Json = False,
     quiet: Quiet = False,
+    *,
+    serve: Beside = False,
+    drops: Drops = False,
+    host: Host = HOST,
+    port: PagePort = PORT,
+    open_page: OpenPage = False,
 ) -> None:
     """Find faults in a recording, print them and write the files.
 
@@ -77,10 +84,13 @@ def monitor(
             )
         from bayesftc.cli.commands.recordings._monitor_live import LiveOptions, monitor_live
 
-        monitor_live(model, live, LiveOptions(duration, record, json, quiet))
+        page = PageBeside(serve, drops, host, port, open_page)
+        monitor_live(model, live, LiveOptions(duration, record, json, quiet, page))
         return
-    if duration is not None or record is not None:
-        raise typer.BadParameter("--duration and --record are for samples that arrive now: add --live.")
+    if duration is not None or record is not None or serve or drops:
+        raise typer.BadParameter(
+            "--duration, --record, --serve and --drops are for samples that arrive now: add --live."
+        )
     if not recording:
         raise typer.BadParameter("there is no recording: give CSV files, or a file of wires with --live.")
     if model is None and not fit:
