@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.base.paths import expanded, is_file
+from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.campaign.designs.design import Design, Grid, Points
 from bayesftc.cosim.campaign.designs.samples import LatinHypercube, SaltelliDesign, SobolSequence
 from bayesftc.cosim.campaign.runs.metrics import METRICS, Metric
@@ -77,7 +78,8 @@ class ScenarioLoop:
 
     def __call__(self, **factors: Any) -> Diagram:
         """Return the diagram with these factors: paths of lines, or names as in `bayesftc.cosim.varied`."""
-        return scenario_of(self.changed(factors), Path(self.path)).loop()
+        with noted_elsewhere():
+            return scenario_of(self.changed(factors), Path(self.path)).loop()
 
     def changed(self, factors: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of the scenario file with these factors.
