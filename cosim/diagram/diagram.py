@@ -372,7 +372,8 @@ class Diagram(LoopMethods):
         engine : {"auto", "compiled", "interpreted"}
             ``auto`` is compiled if every block allows it. Both give the same bits.
         progress : callable, optional
-            Called as ``progress(step, steps)`` about twenty times a second.
+            Called as ``progress(step, steps)`` about twenty times a second. Without it, a run of more than two seconds gives
+            messages on how far it is (logger ``bayesftc``, else stderr).
         time_limit : float, optional
             Seconds of computing after which the run is stopped.
         pace : float, optional

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.cosim.base.announcing import tell
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External, ExternalBlock
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 BREATH = 0.05
 """Seconds between two returns of the compiled loop to Python."""
+
+SILENCE, PERIOD = 2.0, 10.0
+"""Seconds before the first message on how far a run without `progress` is, and between two of them."""
 
 _MEMBERS = {name for name in (*vars(External), *External.__annotations__) if not name.startswith("_")}
 
@@ -176,7 +180,7 @@ def advance(
     """
     # The first piece is one step: with a slow FMU, Ctrl-C must not wait for many steps.
     begin, piece, started = max(run.k, 0), 1, time.perf_counter()
-    origin = begin
+    origin, due = begin, started + SILENCE
     while True:
         before = time.perf_counter()
         until = min(begin + (pacer.pack if pacer else piece), end)
@@ -202,6 +206,10 @@ def advance(
             pacer.done(until)
         if progress:
             progress(until - origin, end - origin)
+        elif now > due and not pacer:
+            due = now + PERIOD
+            t, last = (float(k * run.schedule.step) for k in (until, end))
+            tell(f"Simulating: {t:.4g} of {last:.4g} s, after {now - started:.0f} s.")
         if until == end:
             return None
         if time_limit is not None and now - started > time_limit:
