@@ -5,6 +5,7 @@ import re
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
@@ -81,6 +82,15 @@ def test_verify_and_fit_report_themselves(fresh, caplog, tmp_path, monkeypatch):
         "Comparing limit.fmu with limit, for some seconds.",
         "Fitting m to 400 steps, for seconds to minutes.",
     ]
+
+
+def test_the_check_of_a_model_against_a_recording_reports_itself(fresh, caplog, monkeypatch):
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    u, y = np.random.default_rng(0).standard_normal((2, 200, 2))
+    monkeypatch.setattr(announcing, "PATIENCE", 0.0)
+    for _ in range(2):
+        controllers.diagnose_recording(model, y, u[:, :1])
+    assert caplog.messages == ["Comparing the recording with the controller's model, for some seconds."] * 2
 
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
