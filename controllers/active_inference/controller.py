@@ -372,7 +372,10 @@ class UnbiasedActiveInference(Block):
         if not isinstance(self.model, LinearModel | None):
             raise ModelError(f"model is {self.model!r}; it must be a LinearModel.")
         if self.model is None and self.dt is None:
-            raise ModelError("Give the controller's sample time dt= in seconds.")
+            raise ModelError(
+                f"{type(self).__name__} has neither a model nor a sample time. Give one of them; the sample time in seconds: "
+                "dt=0.01."
+            )
         if self.dt is not None and self.model is not None and rational_step(self.dt) != self.model.step:
             raise ModelError(f"dt is {self.dt!r}, but that of the model is {float(self.model.step):g} s; leave dt out.")
         if self.control == "gradient" and self.control_rate is None:

@@ -24,6 +24,7 @@ from bayesftc.controllers.diagnosis.words import sentence
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.signals import ALARM
@@ -223,6 +224,7 @@ def diagnose_recording(
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 
 
+@reported("Comparing the recording with the controller's model, for some seconds.")
 def best_explanations(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0
 ) -> list[Explanation]:

@@ -263,7 +263,10 @@ def _step(default_step: float | None, dt: float | str | Fraction | None) -> Frac
             )
         return step
     if dt is None:
-        raise StepSizeError("Give the controller's sample time dt= in seconds.")
+        raise StepSizeError(
+            "The plant is a system without a sample time, so that of the controller is not known. Give it in seconds: dt=0.01, "
+            "or dt = 0.01 in [simulation] of a scenario file."
+        )
     return rational_step(dt)
 
 

@@ -78,6 +78,12 @@ def reported(sentence: str) -> Iterator[None]:
         yield
 
 
+def tell(sentence: str) -> None:
+    """Give a message now."""
+    if not has_host():  # else each of several workers would give the message
+        _log(sentence)
+
+
 @contextmanager
 def _after(seconds: float, say: Callable[[], None]) -> Iterator[None]:
     timer = threading.Timer(max(0.0, seconds), say)
@@ -89,4 +95,4 @@ def _after(seconds: float, say: Callable[[], None]) -> Iterator[None]:
         timer.cancel()
 
 
-__all__ = ["announced", "reported"]
+__all__ = ["announced", "reported", "tell"]

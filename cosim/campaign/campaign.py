@@ -12,6 +12,8 @@ import numpy as np
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.base.timebase import whole_number, whole_steps
+from bayesftc.cosim.blocks.faults.base import Fault
+from bayesftc.cosim.blocks.faults.without_effect import late_faults, warn_without_effect
 from bayesftc.cosim.campaign.designs.design import Design, Grid
 from bayesftc.cosim.campaign.designs.plan import Plan
 from bayesftc.cosim.campaign.designs.seeds import seeds_of_points
@@ -121,6 +123,8 @@ class Campaign:
         size = _piece(trial) if piece is None else min(whole_number(piece, "piece is "), trial.plan.runs)
         trial.plan = Plan(tuple(points), point_seeds, size)
         self.job = trial
+        if isinstance(loop, Diagram):
+            _warn_of_late_faults(loop, trial)
 
     @property
     def runs(self) -> int:
@@ -232,6 +236,16 @@ class Campaign:
             ("signals", ", ".join(job.signals) or "none"),
         ]
         return table(repr(self)[1:-1], rows)
+
+
+def _warn_of_late_faults(loop: Diagram, job: Job) -> None:
+    points = job.plan.points
+    starts = {
+        f"The fault {node.name!r}": [point.get(f"{node.name}.start", node.block.times[0]) for point in points]
+        for node in loop.nodes
+        if isinstance(node.block, Fault) and node.name not in points[0]  # a factor replaces the whole fault
+    }
+    warn_without_effect(late_faults(starts, job.steps * job.step))
 
 
 def _piece(job: Job) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from numbers import Real
@@ -16,6 +16,12 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
+from bayesftc.cosim.blocks.faults.without_effect import (
+    unconnected,
+    unread_sensors,
+    unread_variables,
+    warn_without_effect,
+)
 from bayesftc.cosim.blocks.linear_system import is_system
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensors import Sensors
@@ -107,6 +113,11 @@ def closed_loop(
     Diagram
         The built diagram: ``closed_loop(...).simulate(20.0, seed=1)``.
 
+    Warns
+    -----
+    UserWarning
+        If a sensor, a measured variable or a further block is not used.
+
     Raises
     ------
     StepSizeError
@@ -180,7 +191,22 @@ def closed_loop(
     warn_of_other_signals(diagram, node, controller_node)
     _extend(diagram, blocks or {}, connections)
     check_goals_ahead(diagram, controller_node)
+    unread = _unread(sensors, controller, [port.name for port in outputs])
+    warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
     return diagram.build()
+
+
+def _unread(sensors: Sensors, controller: Block, measured: Sequence[str]) -> Iterator[str]:
+    yield from unread_variables("The matrix of sensors=", sensors.matrix, measured)
+    C = getattr(controller, "measurement_matrix", None)
+    if C is not None:
+        yield from unread_sensors("C of the controller's model", C)
+
+
+def _unconnected(diagram: Diagram, blocks: Mapping[str, Any]) -> Iterator[str]:
+    ends = {name for place, (origin, _) in diagram.connections() for name in (place[0], origin.node.name)}
+    for name in sorted(blocks.keys() - ends):
+        yield unconnected(f"The block {name!r}", "Connect it with connections=[...]")
 
 
 def base_step(controller: Block, dt: float | str | Fraction | None) -> float | str | Fraction:

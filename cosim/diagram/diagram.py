@@ -7,9 +7,11 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
 
-from bayesftc.cosim.base.timebase import rational_step, whole_number
+from bayesftc.cosim.base.timebase import rational_step, whole_number, whole_steps
 from bayesftc.cosim.base.units import difference
 from bayesftc.cosim.block import Block, ExternalBlock
+from bayesftc.cosim.blocks.faults.base import Fault
+from bayesftc.cosim.blocks.faults.without_effect import late_faults, warn_without_effect
 from bayesftc.cosim.diagram.coupling import Coupling, Method
 from bayesftc.cosim.diagram.loop_methods import LoopMethods
 from bayesftc.cosim.diagram.nodes import Node, PortRef
@@ -370,7 +372,8 @@ class Diagram(LoopMethods):
         engine : {"auto", "compiled", "interpreted"}
             ``auto`` is compiled if every block allows it. Both give the same bits.
         progress : callable, optional
-            Called as ``progress(step, steps)`` about twenty times a second.
+            Called as ``progress(step, steps)`` about twenty times a second. Without it, a run of more than two seconds gives
+            messages on how far it is (logger ``bayesftc``, else stderr).
         time_limit : float, optional
             Seconds of computing after which the run is stopped.
         pace : float, optional
@@ -386,7 +389,7 @@ class Diagram(LoopMethods):
         Warns
         -----
         UserWarning
-            If an FMU has ended the run: ``result.stopped`` has the reason.
+            If an FMU has ended the run (``result.stopped`` has the reason), or if a fault starts after the end of the run.
 
         Raises
         ------
@@ -401,7 +404,12 @@ class Diagram(LoopMethods):
         from bayesftc.cosim.run.session import Session
 
         with Session(self, seed=seed, record=record, decimation=decimation, engine=engine) as session:
+            self._warn_of_late_faults(whole_steps(duration, self.step, "The duration") * self.step)
             return session.advance(duration, progress=progress, time_limit=time_limit, pace=pace)
+
+    def _warn_of_late_faults(self, end: Fraction) -> None:
+        starts = {f"The fault {n.name!r}": [n.block.times[0]] for n in self.nodes if isinstance(n.block, Fault)}
+        warn_without_effect(late_faults(starts, end))
 
     def start(
         self,

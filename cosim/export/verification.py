@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from math import isfinite
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim.base.announcing import reported
+from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import SimulationError
 from bayesftc.cosim.export.deviations import Deviation, deviation
@@ -97,16 +100,14 @@ class Verification:
         if all(each.largest == 0.0 for each in self._all):
             return f"{self.path.name} does {what}: the same numbers at {self._at_all}."
         worst = max(self._all, key=_relative)
-        times = " times" if worst.relative > 1.0 else " of"
-        size = f"{worst.relative:.2g}{times} the largest value of {worst.signal}"
         if self.agrees(tolerance):
-            return f"{self.path.name} does {what}, to the tolerance of {tolerance:g}: it differs by {size} at most."
+            return f"{self.path.name} does {what}, to the tolerance of {tolerance:g}: {_difference(worst)} at most."
         usual = (
             ""
             if worst.relative > 1e-9
             else " Such differences are usual for FMUs of other tools, whose exp, log and sin are those of a C library."
         )
-        return f"{self.path.name} does NOT do {what}: it differs by {size}.{usual}"
+        return f"{self.path.name} does NOT do {what}: {_difference(worst)}.{usual}"
 
     @property
     def _all(self) -> tuple[Deviation, ...]:
@@ -129,7 +130,7 @@ class Verification:
         """
         rows = [("output", "largest difference", "at t in s", "units in the last place")]
         rows += [
-            (d.signal, f"{d.largest:.3g}", "" if d.time is None else f"{d.time:g}", f"{d.ulps:.6g}")
+            (d.signal, _number(d.largest, ".3g"), "" if d.time is None else f"{d.time:g}", _number(d.ulps, ".6g"))
             for d in self.beside
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -137,7 +138,7 @@ class Verification:
         worst = self.worst_in_loop
         if worst is not None:
             at = "" if worst.time is None else f", of {worst.signal} at t = {worst.time:g} s"
-            lines.append(f"In the loop, in their place: {worst.largest:.3g} at most{at}.")
+            lines.append(f"In the loop, in their place: {_number(worst.largest, '.3g')} at most{at}.")
         return "\n".join([*lines, "", *self.notes, self.verdict(tolerance)])
 
 
@@ -214,30 +215,53 @@ def verify_fmu(
     """
     fmu = FMU(path, timing=timing, isolate=isolate)
     stand_in = StandIn(fmu, diagram, blocks)
-    recorded = [f"{block}.{port}" for block, port, _ in (*stand_in.into, *stand_in.out)]
-    all_outputs = [f"{n.name}.{p.name}" for n in diagram.nodes for p in n.block.outputs]
-    reference = diagram.simulate(duration, seed=seed, engine=engine, record=[*dict.fromkeys([*recorded, *all_outputs])])
-    if reference.stopped:
-        raise SimulationError(reference.stopped, reference)
-    recorded_inputs = np.column_stack(
-        [np.zeros(len(reference.time)), *(_column(reference, place) for place in stand_in.into)]
-    )
-
-    open_loop = Diagram(diagram.step)
-    stand_in.place(open_loop, recorded_inputs)
-    beside = _deviations(reference, _placed(open_loop.simulate(duration, engine="interpreted"), stand_in))
-
-    notes = list(stand_in.notes)
-    in_loop = None
-    if missing := stand_in.unheard():
-        notes.append(f"It cannot run in their place: the diagram uses {missing}, which the FMU does not have.")
-    else:
-        loop_engine: Literal["auto", "interpreted"] = "interpreted" if len(reference.time) <= _SHORT else "auto"
-        run = stand_in.in_loop(recorded_inputs).simulate(duration, seed=seed, engine=loop_engine)
-        in_loop = _deviations(reference, _placed(run, stand_in) | _others(run, diagram, stand_in))
+    settings: dict[str, Any] = {"duration": duration, "seed": seed}
+    # A fault after the end changes nothing here: both runs lack it.
+    with (
+        noted_elsewhere(),
+        reported(f"Comparing {Path(path).name} with {', '.join(stand_in.blocks)}, for some seconds."),
+    ):
+        reference = diagram.simulate(**settings, engine=engine, record=_recorded(diagram, stand_in))
+        if reference.stopped:
+            raise SimulationError(reference.stopped, reference)
+        recorded_inputs = np.column_stack(
+            [np.zeros(len(reference.time)), *(_column(reference, place) for place in stand_in.into)]
+        )
+        open_loop = Diagram(diagram.step)
+        stand_in.place(open_loop, recorded_inputs)
+        beside = _deviations(reference, _placed(open_loop.simulate(duration, engine="interpreted"), stand_in))
+        notes = list(stand_in.notes)
+        in_loop = None
+        if missing := stand_in.unheard():
+            notes.append(f"It cannot run in their place: the diagram uses {missing}, which the FMU does not have.")
+        else:
+            loop_engine: Literal["auto", "interpreted"] = "interpreted" if len(reference.time) <= _SHORT else "auto"
+            run = stand_in.in_loop(recorded_inputs).simulate(**settings, engine=loop_engine)
+            in_loop = _deviations(reference, _placed(run, stand_in) | _others(run, diagram, stand_in))
     return Verification(
         Path(path), stand_in.blocks, len(reference.time), diagram.step, seed, beside, in_loop, tuple(notes)
     )
+
+
+def _recorded(diagram: Diagram, stand_in: StandIn) -> list[str]:
+    """Return the names of all outputs, and of what the blocks get."""
+    compared = [f"{block}.{port}" for block, port, _ in (*stand_in.into, *stand_in.out)]
+    return [*dict.fromkeys([*compared, *(f"{n.name}.{p.name}" for n in diagram.nodes for p in n.block.outputs)])]
+
+
+def _difference(worst: Deviation) -> str:
+    if not isfinite(worst.largest):
+        return (
+            f"at t = {worst.time:g} s, {worst.signal} is NaN or infinite in one run, and has another value in the other"
+        )
+    if not isfinite(worst.relative):
+        return f"{worst.signal} is always 0 in the diagram, but differs from it by {worst.largest:.2g} with the FMU"
+    times = " times" if worst.relative > 1.0 else " of"
+    return f"it differs by {worst.relative:.2g}{times} the largest value of {worst.signal}"
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if isfinite(value) else "not finite"
 
 
 def _relative(each: Deviation) -> float:

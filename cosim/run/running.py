@@ -8,10 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.cosim.base.announcing import tell
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External, ExternalBlock
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
 
 BREATH = 0.05
 """Seconds between two returns of the compiled loop to Python."""
+
+SILENCE, PERIOD = 2.0, 10.0
+"""Seconds after the first step before a message on how far a run without `progress` is, and between two messages."""
 
 _MEMBERS = {name for name in (*vars(External), *External.__annotations__) if not name.startswith("_")}
 
@@ -176,7 +181,7 @@ def advance(
     """
     # The first piece is one step: with a slow FMU, Ctrl-C must not wait for many steps.
     begin, piece, started = max(run.k, 0), 1, time.perf_counter()
-    origin = begin
+    origin, due = begin, inf
     while True:
         before = time.perf_counter()
         until = min(begin + (pacer.pack if pacer else piece), end)
@@ -202,8 +207,13 @@ def advance(
             pacer.done(until)
         if progress:
             progress(until - origin, end - origin)
+        elif now > due and not pacer:
+            due = now + PERIOD
+            t, last = (float(k * run.schedule.step) for k in (until, end))
+            tell(f"Simulating: {t:.4g} of {last:.4g} s, after {now - started:.0f} s.")
         if until == end:
             return None
+        due = min(due, now + SILENCE)  # not from the start, because the first step may wait for the compiler
         if time_limit is not None and now - started > time_limit:
             t = float(until * run.schedule.step)
             return f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {until} of {end})."

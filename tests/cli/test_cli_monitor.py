@@ -141,7 +141,7 @@ def test_a_file_that_cannot_be_written_leaves_none_behind(files, tmp_path, monke
     ("break_it", "code", "words"),
     [
         (lambda csv, toml: csv.unlink(), 16, "tank.csv does not exist"),
-        (lambda csv, toml: toml.unlink(), 3, "model.toml cannot be read"),
+        (lambda csv, toml: toml.unlink(), 3, "There is no model file"),
         (lambda csv, toml: csv.write_text("t,a,b\n0,1,2\n", encoding="utf-8"), 16, "no column 'c'"),
         (lambda csv, toml: toml.write_text("dt = 1\n", encoding="utf-8"), 3, "lacks 'model'"),
         (lambda csv, toml: (csv.parent / "out").write_text("", encoding="utf-8"), 12, "not a folder"),

@@ -114,6 +114,11 @@ def test_an_fmu_that_saves_no_state_is_made_anew_for_each_experiment(monkeypatch
     assert saved.y[0] + (saved.C @ saved.start).item() == pytest.approx(0.6, abs=0.05)
 
 
+def test_a_system_without_a_sample_time_says_where_one_is_given():
+    with pytest.raises(StepSizeError, match=r"without a sample time.* dt=0\.01, or dt = 0\.01 in \[simulation\]"):
+        design(control.ss(-1.0, 1.0, 1.0, 0.0), measured="y", actuated="u")
+
+
 def test_a_plant_that_never_rests_is_said():
     with pytest.raises(ModelError, match=r"no steady state.*still change after.*LinearModel\.identify"):
         LinearModel.from_fmu(fmus.path("PositionServo"), measured="angle", actuated="voltage", at={"voltage": 1.0})

@@ -22,6 +22,7 @@ from bayesftc.cosim.errors import (
 )
 from bayesftc.monitoring import load_monitor
 from bayesftc.scenario import find_scenario, load_scenario, shipped_scenarios
+from bayesftc.scenario.campaigns import load_campaign
 from bayesftc.scenario.live.wires import load_wires
 
 CAR = shipped_scenarios()["cruise_control"].read_text()
@@ -413,6 +414,45 @@ def test_finding_files(tmp_path, monkeypatch, write):
     }.items():
         with pytest.raises(ScenarioError, match=words):
             find_scenario(name)
+
+
+OTHER_KINDS = {
+    (
+        "tracking",
+        "scenario",
+    ): "'tracking' is a shipped campaign, not a scenario file. To use it: bayesftc example tracking > "
+    "tracking.toml && bayesftc campaign tracking.toml.",
+    (
+        "cruise_control",
+        "campaign",
+    ): "'cruise_control' is a shipped scenario, not a campaign file. To use it: bayesftc run "
+    "cruise_control. For a campaign, write a file with scenario = 'cruise_control'; bayesftc example tracking prints one.",
+    (
+        "model",
+        "scenario",
+    ): "'model' is a shipped monitor's model, not a scenario file. To use it: bayesftc example model > "
+    "model.toml && bayesftc monitor . --model model.toml.",
+    (
+        "tracking",
+        "monitor's model",
+    ): "'tracking' is a shipped campaign, not a model file. To use it: bayesftc example tracking > "
+    "tracking.toml && bayesftc campaign tracking.toml.",
+}
+
+
+@pytest.mark.parametrize(("name", "kind"), OTHER_KINDS)
+def test_the_name_of_a_shipped_file_of_another_kind_says_how_to_use_it(name, kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    read = {"scenario": load_scenario, "campaign": load_campaign, "monitor's model": load_monitor}[kind]
+    with pytest.raises(ScenarioError) as raised:
+        read(name)
+    assert str(raised.value) == OTHER_KINDS[name, kind]
+
+
+def test_a_shipped_campaign_and_monitor_are_found_by_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert load_campaign("tracking").runs == 600
+    assert load_monitor("model").time == "t"
 
 
 def test_files_that_are_no_text(tmp_path):

@@ -2,8 +2,10 @@
 
 import json
 
+import control
 import pytest
 
+from bayesftc import controllers, cosim
 from bayesftc.scenario import load_scenario, shipped_scenarios
 from bayesftc.scenario._unused import unused, unused_of_campaign
 from bayesftc.scenario.campaigns import load_campaign
@@ -139,3 +141,51 @@ def test_factors_that_change_nothing_are_said(car, tmp_path, factors, words):
     assert len(said) == len(words)
     for text, word in zip(said, words, strict=True):
         assert word in text
+
+
+def late_car():
+    """Return the loop of the shipped car, and the sentence about its fault in a run of 2 s."""
+    return load_scenario("cruise_control").loop(), "The fault 'freeze_0' starts at 6 s, but the run ends at 2 s."
+
+
+def test_python_warns_of_a_fault_after_the_end_at_the_line_of_the_call(recwarn):
+    loop, sentence = late_car()
+    loop.simulate(2.0, engine="interpreted")
+    (warning,) = recwarn.list
+    assert str(warning.message) == f"{sentence} The fault has no effect."
+    assert warning.filename == __file__
+    recwarn.clear()
+    loop.simulate(6.1, engine="interpreted")
+    with loop.start(engine="interpreted") as session:
+        session.advance(1.0)  # it may be continued beyond the start
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    ("grid", "warned"),
+    [
+        (None, True),
+        ({"freeze_0.start": [2.5, 0.5]}, False),
+        ({"freeze_0.start": [2.5, cosim.when("plant.v > 22")]}, False),
+        ({"freeze_0.stop": [12.0, 15.0]}, True),
+        ({"freeze_0": [cosim.Freeze(start=0.5)]}, False),
+    ],
+)
+def test_campaigns_in_python_warn_too(grid, warned, recwarn):
+    loop, sentence = late_car()
+    cosim.Campaign(loop, duration=2.0, grid=grid, record=["plant.v"])
+    assert [sentence in str(warning.message) for warning in recwarn.list] == [True] * warned
+
+
+def test_closed_loop_warns_of_sensors_and_blocks_that_nothing_uses(recwarn):
+    system = control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1)
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [0.0]], 1e-3, 0.04, dt=0.1)
+    cosim.closed_loop(
+        system, controllers.BayesianController(model), control="u", measured="y", reference=1.0,
+        sensors=cosim.Sensors(2, 0.2, matrix=[[1.0], [0.0]]), blocks={"wind": cosim.Constant(1.0)},
+    )  # fmt: skip
+    assert [str(warning.message) for warning in recwarn.list] == [
+        "The matrix of sensors= has a row of zeros, so sensor 1 measures nothing of the plant.",
+        "C of the controller's model has a row of zeros, so the controller does not use sensor 1.",
+        "The block 'wind' is connected to nothing. It has no effect. Connect it with connections=[...], or leave it out.",
+    ]

@@ -11,12 +11,11 @@ from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.controllers.switching.actuator_settings import check_controls
 from bayesftc.controllers.switching.learner import SwitchingPrecision
-from bayesftc.cosim.base.paths import expanded
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Input, Sensor, SensorErrors
 from bayesftc.monitoring.models import PLANT_MODELS
 from bayesftc.monitoring.monitor import Monitor
-from bayesftc.scenario._files import read_toml
+from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import as_table, build, build_one_of
 
@@ -83,7 +82,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     >>> monitor.model.sensor_covariance.round(2).tolist()
     [[0.01, 0.0], [0.0, 0.04]]
     """
-    file = expanded(path)
+    file = find_scenario(path, "monitor's model")
     content, root = read_toml(file), Place(str(file))
     root.refuse_unknown(content, SECTIONS, "section")
     for name in ("dt", "model", "sensors"):

@@ -20,6 +20,18 @@ KINDS = {
 }
 """The pattern of the paths of each kind of file in the examples."""
 
+USES = {
+    "scenario": "bayesftc run {name}",
+    "campaign": "bayesftc campaign {file}",
+    "wires": "bayesftc live live_car --bridge {file}",
+    "monitor's model": "bayesftc monitor . --model {file}",
+    "recording": "bayesftc monitor . --model model.toml",
+    "faulty recording": "bayesftc monitor {name}.csv --fit",
+}
+"""The command that uses a file of each kind, once the file is in the current folder."""
+
+NOUNS = {"wires": "file of wires", "monitor's model": "model file"}
+"""The names in messages of files whose kind is no word before "file"."""
 
 OTHERS = {
     ".fmu": "an FMU, not a TOML file. bayesftc inspect {file} shows what it has; a scenario names it as fmu = ... in [plant].",
@@ -44,6 +56,11 @@ def shipped_scenarios() -> dict[str, Path]:
     return shipped_files("scenario")
 
 
+def use_of(kind: str, name: str, file: Path) -> str:
+    """Return the command that uses a shipped file, once it is in the current folder."""
+    return USES[kind].format(name=name, file=file.name)
+
+
 def find_scenario(path: str | os.PathLike[str], kind: str = "scenario") -> Path:
     """Return the scenario file, or another one of `KINDS`, given a path or the name of a shipped one.
 
@@ -52,7 +69,7 @@ def find_scenario(path: str | os.PathLike[str], kind: str = "scenario") -> Path:
     ScenarioError
         If there is neither.
     """
-    file, what = expanded(path), "scenario file" if kind == "scenario" else f"file of {kind}"
+    file, what = expanded(path), NOUNS.get(kind, f"{kind} file")
     if is_file(file):
         return file
     name, shipped = os.fspath(path), shipped_files(kind)
@@ -67,7 +84,23 @@ def find_scenario(path: str | os.PathLike[str], kind: str = "scenario") -> Path:
         there = [f.name for f in folder.glob("*.toml")]
         near = did_you_mean(file.name, there) if there else f"the folder {folder} has no .toml file. Check the path."
         raise ScenarioError(f"There is no {what} {path}; {near}")
-    raise ScenarioError(f"There is no file {name!r} and no shipped {kind} of this name; {did_you_mean(name, shipped)}")
+    raise ScenarioError(
+        _other_kind(name, what)
+        or f"There is no file {name!r} and no shipped {kind} of this name; {did_you_mean(name, shipped)}"
+    )
+
+
+def _other_kind(name: str, what: str) -> str:
+    """Return the message about the name of a shipped file of another kind than the expected one; empty for other names."""
+    for kind in KINDS:
+        if file := shipped_files(kind).get(name):
+            copied = "" if kind == "scenario" else f"bayesftc example {name} > {file.name} && "
+            varied = f" For a campaign, write a file with scenario = {name!r}; bayesftc example tracking prints one."
+            return (
+                f"{name!r} is a shipped {kind}, not a {what}. To use it: {copied}{use_of(kind, name, file)}."
+                f"{varied if (kind, what) == ('scenario', 'campaign file') else ''}"
+            )
+    return ""
 
 
 def read_toml(file: Path) -> dict[str, Any]:

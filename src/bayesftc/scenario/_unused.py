@@ -9,10 +9,9 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from bayesftc.controllers.models.linear import LinearModel
-from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.blocks.faults.without_effect import late_faults, unconnected, unread_sensors, unread_variables
 from bayesftc.cosim.errors import StepSizeError
 from bayesftc.scenario._blocks import faults_among
 from bayesftc.scenario._paths import line_of
@@ -44,7 +43,7 @@ def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -
         return []
     root = Place(str(scenario.path))
     starts = {place: [start] for place, start in _starts(scenario)}
-    return [*_late(root, starts, end), *_unread(root, scenario), *_unconnected(root, scenario)]
+    return [*late_faults(_named(root, starts), end), *_unread(root, scenario), *_unconnected(root, scenario)]
 
 
 def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
@@ -54,7 +53,7 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
     points = [{line_of(name, loop.content): value for name, value in p.items()} for p in campaign.job.plan.points]
     of_campaign = [name for name in points[0] if name in OF_CAMPAIGNS]
     starts = {
-        place: [_earliest(point.get(f"{place}.start", start)) for point in points]
+        place: [point.get(f"{place}.start", start) for point in points]
         for place, start in _starts(scenario)
         if not any(place.startswith(name) for name in points[0])  # a factor replaces the whole fault
     }
@@ -64,7 +63,7 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
             f"{Place(path)}: the factor {name!r} has no effect, because a campaign sets it itself. Leave it out."
             for name in of_campaign
         ),
-        *_late(where, starts, campaign.job.steps * campaign.job.step),
+        *late_faults(_named(where, starts), campaign.job.steps * campaign.job.step),
         *_unread(where, scenario),
         *_unconnected(where, scenario),
     ]
@@ -83,31 +82,18 @@ def _starts(scenario: Scenario) -> Iterator[tuple[str, float]]:
         yield place, fault.times[0]
 
 
-def _earliest(start: Any) -> float:
-    return 0.0 if isinstance(start, Mapping | str) else start  # a table or a text is a condition
-
-
-def _late(root: Place, starts: Mapping[str, list[float]], end: Fraction) -> Iterator[str]:
-    for place, values in starts.items():
-        first = min(values)
-        if first >= end:
-            yield (f"{root / place} starts at {first:g} s, but the run ends at {show(end)} s. The fault has no effect.")
+def _named(root: Place, starts: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
+    return {f"{root / place}": values for place, values in starts.items()}
 
 
 def _unread(root: Place, scenario: Scenario) -> Iterator[str]:
-    """Yield a sentence for each row or column of zeros: an unused sensor or variable."""
     sensors, model = scenario.sensors, getattr(scenario.controller, "model", None)
-    if sensors is not None and sensors.matrix is not None:
-        matrix = np.asarray(sensors.matrix)
-        measured = [scenario.wiring.measured] if isinstance(scenario.wiring.measured, str) else scenario.wiring.measured
-        for i in np.flatnonzero(~matrix.any(axis=1)):
-            yield f"{root / 'sensors.matrix'} has a row of zeros, so sensor {i} measures nothing of the plant."
-        if len(measured) == matrix.shape[1]:
-            for j in np.flatnonzero(~matrix.any(axis=0)):
-                yield f"{root / 'sensors.matrix'} has a column of zeros, so no sensor measures {measured[int(j)]!r}."
+    measured = scenario.wiring.measured
+    if sensors is not None:
+        names = [measured] if isinstance(measured, str) else measured
+        yield from unread_variables(f"{root / 'sensors.matrix'}", sensors.matrix, names)
     if isinstance(model, LinearModel):
-        for i in np.flatnonzero(~model.matrix("C").any(axis=1)):
-            yield f"{root / 'model.C'} has a row of zeros, so the controller does not use sensor {i}."
+        yield from unread_sensors(f"{root / 'model.C'}", model.matrix("C"))
 
 
 def _unconnected(root: Place, scenario: Scenario) -> Iterator[str]:
@@ -120,5 +106,4 @@ def _unconnected(root: Place, scenario: Scenario) -> Iterator[str]:
     ends = [end for sources, target in scenario.connections for end in (*sources, target)]
     ends += [signal for part in parts for signal in part.named_sources.values()]
     for name in sorted(scenario.blocks.keys() - {end.partition(".")[0] for end in ends}):
-        where = root / f"blocks.{name}"
-        yield f"{where} is connected to nothing. It has no effect. Connect it in [[connections]], or leave it out."
+        yield unconnected(f"{root / f'blocks.{name}'}", "Connect it in [[connections]]")

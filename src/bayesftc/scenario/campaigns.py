@@ -11,7 +11,8 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.cosim.base.paths import expanded, is_file
+from bayesftc.cosim.base.paths import is_file
+from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.campaign.designs.design import Design, Grid, Points
 from bayesftc.cosim.campaign.designs.samples import LatinHypercube, SaltelliDesign, SobolSequence
 from bayesftc.cosim.campaign.runs.metrics import METRICS, Metric
@@ -77,7 +78,8 @@ class ScenarioLoop:
 
     def __call__(self, **factors: Any) -> Diagram:
         """Return the diagram with these factors: paths of lines, or names as in `bayesftc.cosim.varied`."""
-        return scenario_of(self.changed(factors), Path(self.path)).loop()
+        with noted_elsewhere():
+            return scenario_of(self.changed(factors), Path(self.path)).loop()
 
     def changed(self, factors: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of the scenario file with these factors.
@@ -104,7 +106,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     Parameters
     ----------
     path : str or path
-        A TOML file. Its scenario is a path relative to it, or the name of a shipped one.
+        A TOML file, or the name of a shipped campaign. Its scenario is a path relative to it, or the name of a shipped one.
 
     Returns
     -------
@@ -120,11 +122,12 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     """
     from bayesftc.cosim.campaign.campaign import Campaign
 
-    file = expanded(path)
+    file = find_scenario(path, "campaign")
     content, root = dict(read_toml(file)), Place(str(file))
     if "scenario" not in content and "plant" in content:
         raise root.error(
-            f"is a scenario, not a campaign file. Write a campaign file with scenario = {file.name!r} and factors to vary."
+            f"is a scenario, not a campaign file. To run it: bayesftc run {file}. For a campaign, write a file with scenario = "
+            f"{file.name!r} and [factors] to vary; bayesftc example tracking prints one."
         )
     root.refuse_unknown(content, ["scenario", "factors", "points", "samples", "metrics", *_names(Runs)])
     if "scenario" not in content:
@@ -183,7 +186,7 @@ def described(path: str | os.PathLike[str], campaign: Campaign) -> dict[str, Any
 
 def _texts(path: str | os.PathLike[str]) -> dict[str, str]:
     """Return the text of a campaign file, and of its scenario."""
-    file = expanded(path)
+    file = find_scenario(path, "campaign")
     scenario = _scenario_file(file, read_toml(file)["scenario"])
     return {key: file.read_text(encoding="utf-8-sig") for key, file in (("campaign", file), ("scenario", scenario))}
 

@@ -1,15 +1,19 @@
 """The sentence about compiling: said once, where nobody listens on stderr, and not for what comes from the disk."""
 
 import logging
+import re
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.base import announcing
+from bayesftc.cosim.run import running
 from bayesftc.cosim.stepping import compiler
 from bayesftc.cosim.stepping.machine import steps
+from bayesftc.examples.fitted_car.recordings import CAR, NAMES, recording
 
 
 @pytest.fixture
@@ -62,6 +66,50 @@ def test_export_design_calibrate_and_campaigns_report_themselves(fresh, caplog, 
     )
     assert [message for message in caplog.messages if message.startswith(words)] == caplog.messages
     assert len(caplog.messages) == len(words)
+
+
+def test_verify_and_fit_report_themselves(fresh, caplog, tmp_path, monkeypatch):
+    diagram = cosim.Diagram(dt=0.1)
+    noise, limit = diagram.add(cosim.Gaussian(std=1.0)), diagram.add(cosim.Saturation(-1.0, 1.0), "limit")
+    diagram.connect(noise["y"], limit["u"])
+    fmu = cosim.export_fmu(diagram, tmp_path / "limit.fmu", blocks="limit")
+    caplog.clear()
+    monkeypatch.setattr(announcing, "PATIENCE", 0.0)
+    monkeypatch.setattr(announcing.announcement, "said", lambda: True)
+    cosim.verify_fmu(fmu, diagram, duration=50.0)
+    cosim.fit(CAR, recording(0, 400), {"m": (80.0, 120.0)}, **NAMES)
+    assert caplog.messages == [
+        "Comparing limit.fmu with limit, for some seconds.",
+        "Fitting m to 400 steps, for seconds to minutes.",
+    ]
+
+
+def test_the_check_of_a_model_against_a_recording_reports_itself(fresh, caplog, monkeypatch):
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    u, y = np.random.default_rng(0).standard_normal((2, 200, 2))
+    monkeypatch.setattr(announcing, "PATIENCE", 0.0)
+    for _ in range(2):
+        controllers.diagnose_recording(model, y, u[:, :1])
+    assert caplog.messages == ["Comparing the recording with the controller's model, for some seconds."] * 2
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+def test_a_long_run_says_how_far_it_is_and_has_the_same_bits(engine, fresh, caplog, monkeypatch):
+    diagram = cosim.Diagram(dt=0.1)
+    noise, integrator = diagram.add(cosim.Gaussian(std=1.0)), diagram.add(cosim.Integrator())
+    diagram.connect(noise["y"], integrator["u"])
+    silent = diagram.simulate(500.0, seed=1, engine=engine)
+    monkeypatch.setattr(announcing.announcement, "said", lambda: True)
+    assert not caplog.messages
+    monkeypatch.setattr(running, "SILENCE", 0.0)
+    monkeypatch.setattr(running, "PERIOD", 0.0)
+    told = diagram.simulate(500.0, seed=1, engine=engine)
+    assert re.fullmatch(r"Simulating: [\d.]+ of 500 s, after 0 s\.", caplog.messages[0])
+    assert told["integrator.y"].tobytes() == silent["integrator.y"].tobytes()
+    caplog.clear()
+    diagram.simulate(500.0, engine=engine, progress=lambda step, steps: None)
+    diagram.simulate(0.1, engine=engine, pace=10.0)
+    assert not caplog.messages
 
 
 def test_many_short_compilations_add_up(fresh, caplog):

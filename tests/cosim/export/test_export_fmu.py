@@ -2,7 +2,10 @@
 
 import ctypes
 import pickle
+import re
 import subprocess
+from fractions import Fraction
+from pathlib import Path
 
 import control
 import fmpy
@@ -294,6 +297,21 @@ def test_the_compared_numbers_are_the_true_ones():
     assert across.ulps == 2.0
     for was, now in ((1.0, np.nan), (np.nan, 1.0), (np.inf, -np.inf)):
         assert deviation("s", time[:1], np.array([[was]]), np.array([[now]])).largest == np.inf
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "sentence"),
+    [
+        (0.0, 0.5, "s is always 0 in the diagram, but differs from it by 0.5 with the FMU."),
+        (1.0, np.nan, "at t = 0.1 s, s is NaN or infinite in one run, and has another value in the other."),
+        (1.0, 3.0, "it differs by 2 times the largest value of s."),
+    ],
+)
+def test_the_verdict_has_no_infinite_ratio(was, now, sentence):
+    each = deviation("s", np.array([0.0, 0.1]), np.full((2, 1), was), np.array([[was], [now]]))
+    found = cosim.Verification(Path("law.fmu"), ("law",), 2, Fraction(1, 10), 0, (each,), (each,))
+    assert found.verdict() == f"law.fmu does NOT do what law does: {sentence}"
+    assert not re.search(r"\binf\b", repr(found))
 
 
 def test_what_cannot_be_compared_is_a_sentence(car, tmp_path):

@@ -86,7 +86,8 @@ class Ensemble:
         """Make one step with each loop, so that all is compiled before the threads start."""
         for i, loop in enumerate(loops):
             self.tell("Preparing", i, len(loops))
-            loop.simulate(loop.step, record=[])
+            with loop.start(record=[]) as session:
+                session.advance(loop.step)
 
     def run(self, tasks: Sequence[Callable[[], R]], what: str) -> list[R]:
         """Run all tasks on the threads and return their results in order; `what` is the label of the progress.

@@ -7,17 +7,7 @@ from typing import Annotated
 import typer
 
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
-from bayesftc.scenario._files import KINDS, shipped_files
-
-USES = {
-    "scenario": "bayesftc run {name}",
-    "campaign": "bayesftc campaign {file}",
-    "wires": "bayesftc live live_car --bridge {file}",
-    "monitor's model": "bayesftc monitor . --model {file}",
-    "recording": "bayesftc monitor . --model model.toml",
-    "faulty recording": "bayesftc monitor {name}.csv --fit",
-}
-"""The command that uses a file of each kind, once the file is in the current folder."""
+from bayesftc.scenario._files import KINDS, shipped_files, use_of
 
 
 def example(
@@ -30,7 +20,7 @@ def example(
         widest = [max(map(len, names)) for names in (every, KINDS)]
         for kind, files in shipped.items():
             for file_name, file in files.items():
-                use = USES[kind].format(name=file_name, file=file.name)
+                use = use_of(kind, file_name, file)
                 typer.echo(f"{file_name:{widest[0]}}  {kind:{widest[1]}}  {use}")
         return
     if name not in every:

@@ -16,6 +16,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli.commands.loops._compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed
+from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.conditions import never_began
@@ -88,8 +89,9 @@ def run(
     (scenario,) = scenarios
     options: dict[str, Any] = {"seed": seed, "duration": duration, "engine": engine and engine.value, "pace": pace}
     loaded = load_scenario(scenario)
-    loop = loaded.loop()
-    _compare(loaded)
+    with noted_elsewhere():
+        loop = loaded.loop()
+        _compare(loaded)
     if check_kalman:
         _refuse_kalman(loaded)
         options = {**options, "record": _with_kalmans(loaded, loop)}
@@ -99,7 +101,7 @@ def run(
     if not json and not quiet:
         output.say_notes(notes)
     try:
-        with _progress(shown=sys.stderr.isatty() and not quiet and not json) as progress:
+        with _progress(shown=sys.stderr.isatty() and not quiet and not json) as progress, noted_elsewhere():
             result = loaded.simulate(loop, progress=progress, **options)
     except SimulationError as error:
         if out is not None and error.result is not None:
