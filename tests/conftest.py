@@ -22,6 +22,9 @@ from threading import Timer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+# Where Python is told to keep no bytecode, each of the hundreds of processes of the tests would compile all that it imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 import hypothesis
 import numpy as np
 import pytest

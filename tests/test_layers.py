@@ -19,9 +19,9 @@ def modules():
 
 
 @pytest.fixture(scope="module")
-def edges():
+def edges(modules):
     """Return what each module imports."""
-    return floors.edges()
+    return floors.edges(modules)
 
 
 def test_folders_import_from_below(edges):

@@ -172,9 +172,8 @@ def floor(module: str) -> int:
     return next(number for number, level in enumerate(FLOORS) if best in level)
 
 
-def edges() -> dict[str, set[str]]:
+def edges(known: dict[str, ast.Module]) -> dict[str, set[str]]:
     """Return the modules that each module imports; a name from a stub or an ``__init__`` counts as its own module."""
-    known = modules()
     behind = public(known)
     return {name: set(imports(name, tree, known, behind)) for name, tree in known.items()}
 
@@ -288,7 +287,7 @@ PICTURE = ROOT / "docs" / "figures" / "floors.svg"
 
 def main() -> None:
     """Print floors with their numbers of files, doors and circles, or draw the floors."""
-    graph = edges()
+    graph = edges(modules())
     if sys.argv[1:] == ["draw"]:
         PICTURE.write_text(draw(graph), encoding="utf-8")
         return

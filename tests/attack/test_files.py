@@ -87,7 +87,7 @@ CELLS = (
 
 
 def few(slow):
-    return [4, pytest.param(slow, marks=pytest.mark.slow)]
+    return [2, pytest.param(slow, marks=pytest.mark.slow)]
 
 
 def check(line, cases):

@@ -52,7 +52,7 @@ def test_extremes_in_every_place(line, chance, count):
     assert not found, "\n".join(found)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("learner", LEARNERS)
 def test_two_sensors_that_agree_without_noise(line, learner):
     """Their samples are equal to the last bit, and the model believes in a variance of 1e-30."""

@@ -266,6 +266,7 @@ def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
     assert "depends on the goal" in check["verdict"]
 
 
+@pytest.mark.slow
 def test_state_and_faults_inferred_together_are_told_apart_from_filterpys(bayesftc_, tmp_path):
     """The form that infers them apart is compared in its place, where there is one."""
     text = CAR[:LEARNER] + '[controller.precision]\nkind = "SwitchingPrecision"\n'
@@ -573,6 +574,7 @@ def test_example(bayesftc_, tmp_path):
     assert bayesftc_("example", "cruise").exit_code == 3
 
 
+@pytest.mark.slow
 def test_figures_of_the_compiled_engine_are_the_same():
     """The command line's default engine; one compilation, kept in the cache."""
     scenario = load_scenario("cruise_control")

@@ -208,6 +208,7 @@ def test_columns_with_any_names_are_fitted(drive, tmp_path):
     assert [fault["sensor"] for fault in json.loads(done.output)["faults"]] == ['the "big" one']
 
 
+@pytest.mark.slow
 def test_several_files_are_fitted_together(drive, tmp_path):
     table = pd.read_csv(drive)
     folder = tmp_path / "parts"
@@ -300,7 +301,7 @@ def watch_pumped(folder, dt=0.1, A=0.98, B=0.2, *options):
     return done
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("model", "kind", "words"),
     [
@@ -326,6 +327,7 @@ def test_the_model_is_judged_before_the_monitor_runs(pumped, monkeypatch):
         monitor_command([pumped / "tank.csv"], pumped / "model.toml", quiet=True)
 
 
+@pytest.mark.slow
 def test_a_right_model_is_not_warned_of_even_if_a_sensor_fails(pumped):
     assert watch_pumped(pumped).stderr == ""
     table = pd.read_csv(pumped / "tank.csv")

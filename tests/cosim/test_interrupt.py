@@ -80,6 +80,7 @@ def assert_stopped(process, folder, out=""):
     assert not list((folder / "here").iterdir())
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("where", list(WHERE_IT_IS_LOST))
 def test_where_python_ignores_it(where, compiling, tmp_path):
     assert_stopped(compiling("-c", HIT, " ".join(WHERE_IT_IS_LOST[where])), tmp_path, "hit\n")

@@ -105,6 +105,7 @@ PLANTS = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
 def test_python_controls_own_loop_agrees(plant, reference):
     def system(block, name, inputs, outputs):

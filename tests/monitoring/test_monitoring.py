@@ -580,6 +580,7 @@ def test_a_monitor_learns_from_recordings_how_often_faults_come(tmp_path):
         replace(monitor, precision=FixedPrecision()).learn([recording])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("decimals", [2, 3])
 def test_few_decimals_are_no_freeze(decimals):
     """What a file's decimals make equal has not been repeated by a sensor: the resolution is found in the samples."""

@@ -54,6 +54,7 @@ def test_errors_are_those_of_the_paper_or_better(report):
     assert found["healthy_share"] < report["settings"]["alpha"]
 
 
+@pytest.mark.slow
 def test_same_bits_for_any_number_of_jobs_and_other_bits_for_another_seed(report):
     assert reproduce.arm(seed=5, jobs=1, runs=6, beyond=False) == report
     assert reproduce.arm(seed=6, jobs=2, runs=6, beyond=False)["mse"] != report["mse"]
@@ -127,6 +128,7 @@ def by_hand(s, seed, learns):
     return np.mean(errors, axis=0)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("learns", [False, True])
 def test_an_error_is_that_of_a_run_by_hand(learns):
     settings = replace(Arm(), duration=3.0, switch=1.5, fault_start=2.0, judged=(0.0, 3.0))

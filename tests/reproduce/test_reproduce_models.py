@@ -152,6 +152,7 @@ def test_what_is_told_helps(report):
     assert plain[RIGHT] < estimated[RIGHT]  # what there is to be paid for it
 
 
+@pytest.mark.slow
 def test_same_bits_for_any_number_of_jobs(report):
     assert small(1) == report
 
@@ -254,6 +255,7 @@ def test_figures_show_each_case_and_model(report):
     assert shown[1, 3] == pytest.approx(report["errors"]["as it is"]["drag"]["PL"]["healthy"]["ratio"])
 
 
+@pytest.mark.slow
 def test_the_papers_techniques_alone():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_models, "PAPERS", ("No FT", "PL"))

@@ -140,6 +140,7 @@ def descent_by_casadi(controller, measured, A, B, ys, goals):
     return (np.array(column) for column in zip(*out, strict=True))
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.parametrize("law", [PD, PID, pull], ids=["PD", "PID", "function"])
 @pytest.mark.parametrize("prior", ["random walk", "euler", "kalman"])
 @pytest.mark.parametrize("seed", range(4))
@@ -371,6 +372,7 @@ def absurd(noise, y):
         y[i] = select(noise[3] < 0.5, 0.25, select(noise[4] < 0.1, (z - z) / (z - z), y[i]))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("form", FORMS)
 def test_a_million_absurd_samples_leave_the_belief_finite(form, make_block):
     source = make_block(
@@ -420,6 +422,7 @@ def in_units(unit, **options):
     return small(**given)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "options",
     [

@@ -74,7 +74,7 @@ def test_the_one_step_posterior_is_the_regulators_law(name):
     assert np.abs(found).max() < 1
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("belief", ["filtered", "joint"])
 @pytest.mark.parametrize("name", PLANTS)
 def test_poles_that_are_shown_are_those_of_control_and_filter(name, belief):

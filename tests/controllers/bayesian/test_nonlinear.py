@@ -473,7 +473,7 @@ def absurd(rng, steps, sensors, around):
     return y
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("belief", ["filtered", "joint"])
 @pytest.mark.parametrize("precision", [FixedPrecision(), GammaPrecision(), WishartPrecision()], ids=repr)
 def test_absurd_samples_are_survived(belief, precision):

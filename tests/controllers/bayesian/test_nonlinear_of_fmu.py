@@ -116,6 +116,7 @@ def test_workers_of_a_campaign_use_instances_of_their_own(pendulum, model, execu
     same_bits(*results)
 
 
+@pytest.mark.slow
 def test_the_cart_pendulum_is_held_by_its_own_equations(run_both):
     plant = cosim.FMU(fmus.path("CartPendulum"), parameters={"angle_0": 0.3})
     model = NonlinearModel.from_fmu(

@@ -113,6 +113,7 @@ def test_every_controller_takes_them_as_missing_and_is_back_within_a_second(bloc
     assert np.abs(estimates(outs) - estimates(run(block, y)))[last + 50 :].max() < 0.1 * STD[0]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(
     "block",
     [

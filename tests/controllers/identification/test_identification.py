@@ -89,6 +89,7 @@ def test_without_noise_the_model_is_the_system():
     assert found.simulated_fit[0] > 99.0
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_independent_noise_is_found_behind_its_own_filter(order):
     """The innovations model of a Kalman filter leads back to the Q and R that it was made of."""
@@ -175,6 +176,7 @@ def test_sensors_that_are_slower_than_the_rest(slow):
     found.plot()
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("slow", "settings"), [([], {}), (["y0", "y1", "y2"], {}), ([], {"C": C[:1], "R": R[:1, :1]})])
 def test_innovations_are_as_large_as_the_noise_promises(slow, settings):
@@ -267,6 +269,7 @@ def test_a_recording_under_feedback_alone_is_said():
         LinearModel.identify(pd.DataFrame(rows, columns=table.columns), **names)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("settings", [{}, {"held_out": 0.1}, {"past": 20}, {"order": 3}, {"order": 16}])
 def test_how_long_a_recording_must_be_is_said_once(settings):
     table, names = record(4000)

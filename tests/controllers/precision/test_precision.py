@@ -88,7 +88,7 @@ def run(precision, y, compiled=True, **options):
     return [step(y=row, goal=[20.0]) for row in y]
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
 def test_compiled_and_plain_agree_to_the_last_bit_and_stay_finite(precision):
     y = samples()
@@ -126,6 +126,7 @@ def test_long_dropouts_are_survived(precision):
     assert abs(outs[-1].x_hat[0] - 20.0) < 1.5
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
 def test_the_belief_is_filterpys_given_the_covariances_that_are_reported(precision):
     """Also for learners that leave sensors out: their R is infinite there."""
@@ -430,7 +431,7 @@ def all_controllers(precision):
             continue  # it does not take this learner
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("precision", [*EXAMPLES, SwitchingPrecision()], ids=repr)
 def test_what_is_in_scratch_space_before_a_step_function_means_nothing(precision, same_bits):
     found = list(all_controllers(precision))

@@ -61,6 +61,7 @@ def follow(model, outs, y, update):
 SEEDS = range(6)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("iterations", [1, 3])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_variational_bayes_with_variances(seed, iterations):
@@ -83,6 +84,7 @@ def test_variational_bayes_with_variances(seed, iterations):
     follow(model, run(model, VariationalBayesKF(rho, iterations, a0), y), y, update)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("iterations", [1, 3])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_variational_bayes_with_a_full_covariance(seed, iterations):
@@ -105,6 +107,7 @@ def test_variational_bayes_with_a_full_covariance(seed, iterations):
     follow(model, run(model, VariationalBayesKF(rho, iterations, a0, "full"), y), y, update)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_student_t_update(seed, joint):
@@ -134,6 +137,7 @@ def test_student_t_update(seed, joint):
     follow(model, run(model, StudentTUpdate(v, iterations, joint), y), y, update)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_weighted_likelihood(seed, joint):

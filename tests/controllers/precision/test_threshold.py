@@ -140,7 +140,7 @@ def innovations(loop, seed):
     return loop.simulate(39.98, seed=seed, record=["controller.innovation"])["controller.innovation"]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("alpha", [0.2, 0.01])
 @pytest.mark.parametrize("reference", REFERENCES, ids=["constant", "slow", "fast"])
 def test_faults_in_a_loop_are_refused_at_any_alpha_and_healthy_runs_are_not(reference, alpha):

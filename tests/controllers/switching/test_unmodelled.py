@@ -166,6 +166,7 @@ def test_noise_is_learned_as_by_its_gamma_distribution(joint):
     assert reached[-1] > 2.5
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("joint", [True, False])
 @pytest.mark.parametrize("wrong", [0.5, 2.0])
 def test_noise_that_is_believed_twice_too_small_or_large_is_learned(wrong, joint):
@@ -419,6 +420,7 @@ def test_a_first_sample_tells_nothing_of_what_needs_two(joint):
             assert out.mode_probability[0, 3] == pytest.approx(frozen, rel=2e-3)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("sensors", [1, 2])
 @pytest.mark.parametrize("known", [1e2, 1e6, 1e10])
 def test_a_state_of_which_nothing_is_known_is_what_the_sensors_say(sensors, known):

@@ -137,6 +137,7 @@ def test_a_run_that_is_not_done_yet(said, tmp_path):
     assert said("wave", 0)["notes"][0] == "The store does not have this run yet."
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("damage", ["cut", "bits", "empty", "other", "another", "gone", "module"])
 def test_a_store_whose_loop_is_damaged_is_refused_in_a_sentence(bayesftc_, tmp_path, damage):
     wave(tmp_path / "wave")

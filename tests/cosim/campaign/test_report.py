@@ -203,6 +203,7 @@ def test_levels_are_compared_over_all_points_as_seeds_have_them(stored):
         assert difference.startswith(f"{(runs[float(mass), first] - runs[float(mass), second]).mean():.4g} ±")
 
 
+@pytest.mark.slow
 def test_an_interval_over_points_with_the_same_seeds_covers_and_one_that_counts_runs_would_not():
     """Drawn again and again: the mean over 10 points, of runs whose seeds are all the same, strays as seeds do."""
     import pandas as pd
@@ -374,6 +375,7 @@ def test_no_difference_is_claimed_that_noise_may_have_made(stored):
     assert " below " not in text
 
 
+@pytest.mark.slow
 def test_false_claims_are_as_rare_as_they_say(stored):
     """Of campaigns whose levels do not differ, one in twenty at most says that they do."""
     from types import SimpleNamespace
@@ -484,6 +486,7 @@ def test_a_metric_that_is_nan_here_and_there_or_everywhere(stored):
     assert "No run has a value" not in page.words
 
 
+@pytest.mark.slow
 def test_two_hundred_levels(stored):
     points = grid(kind=[f"level {i}" for i in range(200)])
     store = stored(points, 3, {"rmse": noisy(points, 3, lambda p: int(p["kind"][6:]))}, size=100)

@@ -400,6 +400,7 @@ def test_an_isolated_fmu_is_one_like_any_other():
     np.testing.assert_array_equal(response(system, force).outputs, response(twin, force).outputs)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("saves", [True, False])
 @pytest.mark.parametrize("fmi", FMI)
 def test_any_fmu_stands_in_a_loop_of_python_control(foreign, fmi, saves):

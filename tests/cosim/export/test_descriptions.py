@@ -17,7 +17,7 @@ from bayesftc.cosim.export.program import program_of
 from bayesftc.fmus.build import FMI_VERSIONS, build_fmu
 
 
-@pytest.mark.sampled(20)
+@pytest.mark.sampled(6)
 def test_validators_find_nothing(block, sample_time, tmp_path):
     """fmpy's, against the schemas of the standard and by its rules: references, InitialUnknowns, units, start values."""
     program = program_of(block, name="it", dt=sample_time(block))
@@ -36,6 +36,7 @@ def test_validators_find_nothing(block, sample_time, tmp_path):
         assert all(output.get("dependencies") == "" for output in outputs)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_initial_outputs_depend_on_what_is_declared(instance, tmp_path, blocks, c_compiler, fmi):
     """Each input is moved in initialization mode; what moves with it must be declared, and here all of it does."""

@@ -362,6 +362,7 @@ def test_elements_that_an_fmu_lacks_are_named(tmp_path):
     assert "Not compared, as the FMU does not have them: gain.y[2]." in found.notes
 
 
+@pytest.mark.slow
 def test_an_isolated_fmu_gives_the_same(car):
     assert cosim.verify_fmu(car[1]["2.0"], car[0], duration=2.0, engine="interpreted", isolate=True).agrees()
 

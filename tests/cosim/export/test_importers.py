@@ -305,6 +305,7 @@ def by_hand(exported, instance, given, first_control):
     return master
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("order", [("plant", "brain"), ("brain", "plant")])
 def test_a_loop_in_a_tool_whose_control_is_a_step_late(exported, tool, given, late, by_hand, order, same_bits):
     paths = {name: {"plant": CAR, "brain": exported["2.0"]}[name] for name in order}
@@ -431,6 +432,7 @@ def test_sources_where_nan_is_no_constant(tmp_path, c_compiler):
     assert made.returncode == 0, made.stderr
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("options", ["-O0", "-O3 -march=native -ffp-contract=off"])
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_the_sources_in_an_fmu_make_it_anew(

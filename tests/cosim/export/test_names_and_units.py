@@ -50,6 +50,7 @@ def strange():
     return diagram
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_a_diagram_of_strange_names_is_valid(fmi, tmp_path, c_compiler):
     path = str(cosim.export_fmu(strange(), tmp_path / "Strange.fmu", fmi=fmi))
@@ -101,7 +102,7 @@ def test_any_file_name_has_a_name_in_c(stem, expected):
 CLASHING = "x h i c u program begin tune initial model instance fmi2 math stdint memcpy PROGRAM model_step exit main"
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("clashing", CLASHING.split())
 def test_no_name_of_a_file_clashes_with_other_c(clashing, c_compiler, tmp_path):
     (source, header) = cosim.export_c(cosim.UnitDelay(), tmp_path, name=clashing, dt=0.1)
@@ -184,6 +185,7 @@ def test_what_a_field_says_of_its_unit_is_known(block):
         assert parse(unit), f"{field.name}: {unit} is no unit"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_an_fmu_tells_the_units_of_its_parameters(fmi, tmp_path, c_compiler):
     path = cosim.export_fmu(cosim.Sine(1.0, 2.0, unit="N"), tmp_path / "Sine.fmu", fmi=fmi, dt=0.1)
@@ -198,7 +200,7 @@ def test_every_port_says_what_it_is(block):
         assert port.description or port.draw, port.name
 
 
-@pytest.mark.sampled(30)
+@pytest.mark.sampled(10)
 def test_every_tunable_says_what_it_is(block, sample_time):
     for tunable in program_of(block, dt=sample_time(block)).tunables:
         assert not re.fullmatch(r"\w+ of \w+", tunable.description), (
@@ -212,6 +214,7 @@ def test_what_only_tells_that_something_is_missing_counts():
     assert [{"innovation[0]", "beta[0]"} <= of and "beta[1]" not in of for of in fed] == [True, False]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_of_a_unit_that_nobody_knows_only_the_name_is_told(fmi, tmp_path, c_compiler):
     """Exponents that are all zero would make a number of it, which an importer may convert."""
@@ -222,6 +225,7 @@ def test_of_a_unit_that_nobody_knows_only_the_name_is_told(fmi, tmp_path, c_comp
     assert '<BaseUnit factor="0.01" />' in text
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seconds", ["1/50", "7/100", "60"])
 def test_the_default_experiment_is_a_whole_number_of_steps(seconds, tmp_path, c_compiler):
     """The last step of another one would be cut, which is refused; where a step is a minute long there would be none."""

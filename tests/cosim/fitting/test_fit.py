@@ -89,6 +89,7 @@ def test_the_truth_is_within_two_standard_errors(kind, least):
     assert np.mean(np.abs(errors(**KINDS[kind])) < 2) >= least
 
 
+@pytest.mark.slow
 def test_the_study_of_some_recordings(tmp_path):
     found = {kind: errors(**KINDS[kind], count=1, rows=200) for kind in list(KINDS)[1:3]}
     assert all(z.shape == (1, 3) and np.isfinite(z).all() for z in found.values())
@@ -96,6 +97,7 @@ def test_the_study_of_some_recordings(tmp_path):
     assert (tmp_path / "coverage.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_four_parameters_of_another_plant():
     true = {"R": 1.2, "L": 0.06, "J": 0.012, "b": 0.025}
     diagram = cosim.Diagram(dt=0.02)

@@ -233,6 +233,7 @@ def test_several_fmus_in_one_diagram_and_slower_rates():
         assert np.array_equal(run["slow.v"][::5].repeat(5)[:101], run["slow.v"])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("lives", [2000, pytest.param(10_000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("fmi", FMI)

@@ -66,6 +66,7 @@ def speeds(b, steps):
 # --- outputs ------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @WHERE
 @pytest.mark.parametrize(("way", "word"), [("NOT_A_NUMBER", "NaN"), ("INFINITE", "infinite")])
 def test_outputs_that_are_no_numbers(lying, way, word, isolate):
@@ -165,6 +166,7 @@ def test_ten_megabytes_of_log_in_one_message(lying, fmi, isolate, caplog):
     assert [len(text) for text in logged(caplog)] == [len("car: ") + _fmi_messages.LENGTH] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(1)
 @WHERE
 def test_ten_megabytes_of_log_in_a_million_messages(lying, isolate, caplog):
@@ -222,6 +224,7 @@ def test_what_is_said_after_the_end_is_not_printed(lying, isolate, capfd):
 # --- value references ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @EVERYWHERE
 def test_value_references_that_the_binary_does_not_know(tmp_path, fmi, isolate):
     output = rewritten(fmi, tmp_path / "output.fmu", ('valueReference="2"', 'valueReference="77"'))
@@ -340,6 +343,7 @@ def test_steps_are_not_taken_for_repetitions(lying, fmi, isolate, engine):
     np.testing.assert_allclose(result["car.v"], speeds(ways["REPEATS"], 50), rtol=1e-12)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize("fmi", FMI)
 def test_no_promise_is_made_that_is_broken(lying, fmi, isolate):

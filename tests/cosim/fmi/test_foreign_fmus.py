@@ -229,6 +229,7 @@ def test_what_a_binary_holds_of_python_it_lets_go_of_before_the_end(tool, tmp_pa
         assert session.advance(1.0)["p.y"][-1] == last
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("tool", EXPORTERS)
 def test_ctrl_c_within_an_fmu_is_no_failure_of_the_fmu(lag, tool):
     """Its binary takes what Python raises there for an error of the model."""

@@ -56,7 +56,7 @@ QUICK = {("SEGFAULT", "compiled"), ("EXIT", "interpreted"), ("CRASH_IN_GET", "co
 }  # fmt: skip
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("way", "rows", "sentence", "engine"),
     [
@@ -85,7 +85,7 @@ def test_a_crash_stops_the_run_and_keeps_the_result(way, rows, sentence, engine,
     np.testing.assert_allclose(error.result["car.v"], v, rtol=1e-12)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("way", "fmi"),
     [("CRASH_AT_START", "2.0"), ("EXIT_AT_START", "3.0"), ("ENDLESS_AT_START", "2.0"), *(("at once", f) for f in FMI)],

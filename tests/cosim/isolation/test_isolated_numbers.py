@@ -19,6 +19,7 @@ ENGINES = ("interpreted", "compiled")
 STEP = Fraction(1, 50)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("fmi", "engine"),
     [
@@ -39,6 +40,7 @@ def test_the_same_bits_as_in_process(fmi, engine, same_bits, nothing_left, car, 
             same_bits(found[name], wanted[name], name)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("engine", "ports"),
     [*((engine, {}) for engine in ENGINES), ("interpreted", {"inputs": (), "outputs": ()})],

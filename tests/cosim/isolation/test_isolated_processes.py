@@ -272,6 +272,7 @@ with diagram.start(engine=engine) as session:
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("with_signal", "engine"),
     [

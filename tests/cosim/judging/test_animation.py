@@ -73,6 +73,7 @@ def test_every_shipped_plant_has_a_picture_with_its_outputs_and_lengths():
         assert dict(picture.lengths) == {length: plant.start_value(length) for length in picture.lengths}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("name", sorted(PICTURES))
 def test_a_picture_follows_the_plant(name):
     parameters = {"CruiseControl": {"v0": 5.0}, "CartPendulum": {"angle_0": 0.3}, "TwoLinkArm": {"q1_0": 0.0}}.get(
@@ -204,6 +205,7 @@ def test_runs_with_nothing_to_animate_are_refused():
         diagram.simulate(0.2, engine="interpreted", record=[]).animate()
 
 
+@pytest.mark.slow
 def test_saved_pictures_are_those_of_the_figure():
     """What does not move is drawn once for all pictures: nothing of an earlier picture may stay."""
     run = car(faults=[cosim.Injection(sensor=0, start=0.1, magnitude=8.0)]).simulate(0.2, seed=1, engine="interpreted")

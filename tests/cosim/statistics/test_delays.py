@@ -109,6 +109,7 @@ def test_the_median_may_be_finite_although_most_of_what_was_seen_is_missed():
     assert row["median_delay_low"] == pytest.approx(low, abs=0.11)
 
 
+@pytest.mark.slow
 def test_intervals_cover_as_often_as_they_say():
     """Against figures of very many runs; faults of one run are alike, for their runs have levels of their own."""
     rng = np.random.default_rng(3)

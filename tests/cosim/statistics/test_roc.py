@@ -122,6 +122,7 @@ def test_the_interval_is_that_of_the_bootstrap_over_runs():
     assert found.high - found.low > 0.04
 
 
+@pytest.mark.slow
 def test_the_interval_covers_the_area_as_often_as_it_says():
     """Runs whose levels differ: one that counted samples would cover a third of the time."""
     rng = np.random.default_rng(4)

@@ -99,6 +99,7 @@ def test_unequal_noise_is_told_apart():
     assert fitted.errors == ()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("still", [0.1, 0.5, 0.9])
 def test_a_calm_part_does_not_count(still):
     rng = np.random.default_rng(1)
@@ -188,6 +189,7 @@ def hold(samples, share, rng):
         samples[k] = samples[max(k - 1, 0)]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("decimals", [2, 9])
 @pytest.mark.parametrize("share", [0.2, 0.4])
 def test_slow_data_that_repeat_are_healthy(share, decimals):

@@ -105,6 +105,7 @@ ON_CONDITION = {
 }
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("kind", FAULTS)
 def test_each_kind_equals_the_same_at_a_time(kind, run_both, same_bits):
     """To the last bit, in both engines; the names of the faults are the same, so that their random numbers are."""

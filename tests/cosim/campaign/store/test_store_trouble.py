@@ -208,7 +208,7 @@ def unsynced(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda _: None)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("every", [9, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("work", "before"),
@@ -373,6 +373,7 @@ def start(name, *arguments):
     return process
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.skipif(os.name == "nt", reason="needs POSIX")
 @pytest.mark.parametrize("forks", [0, 1])
 def test_one_process_writes_at_a_time_and_a_killed_one_no_more(tmp_path, forks):
@@ -449,12 +450,13 @@ def test_kill_9_at_many_moments(tmp_path):
     drill(tmp_path / "s", 60, random.Random(os.getpid()))
 
 
-def test_whoever_reads_while_it_is_written_sees_whole_pieces(tmp_path):
+@pytest.mark.parametrize("seconds", [0.5, pytest.param(3.0, marks=pytest.mark.slow)])
+def test_whoever_reads_while_it_is_written_sees_whole_pieces(tmp_path, seconds):
     process = start("write_all", tmp_path / "s", 0)
     expected = {piece.index: drilled(piece) for piece in DRILL.pieces}
     try:
         store, seen, began = CampaignStore.open(tmp_path / "s"), 0, time.monotonic()
-        while time.monotonic() < began + (3 if seen else 60):  # a busy machine takes its time for the first piece
+        while time.monotonic() < began + (seconds if seen else 60):  # a busy machine takes its time for the first piece
             runs = store.table()["run"].to_numpy()
             assert len(runs) >= seen
             assert (np.diff(runs) > 0).all()

@@ -107,6 +107,7 @@ def test_discrete_inputs_change_in_event_mode_and_only_where_inputs_change(built
     np.testing.assert_array_equal(result["p.n"], 1.0 + (result.time >= 3) + (result.time >= 5))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("solver", "bound"), [("cvode", 1e-6), ("rk45", 1e-7), ("scipy:RK45", 1e-7), ("scipy:LSODA", 3e-5)]
 )
@@ -372,6 +373,7 @@ print(resident() - before)
 """
 
 
+@pytest.mark.slow
 def test_thousands_of_instances_leave_nothing(built):
     """In a process of its own, where no other test's memory comes and goes."""
     done = subprocess.run(
@@ -477,7 +479,7 @@ def test_with_a_sample_time_events_happen_in_python_control_too(built, pendulum,
             control.linearize(system, 0.0)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("model", "solver"), [("heater", "cvode"), ("ball", "scipy:RK45"), ("ball", "rk45")])
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 def test_the_same_bits_in_a_process_of_its_own(model, solver, engine, built, same_bits):

@@ -67,6 +67,7 @@ def stepped(masses, n, way, steps=100):
     return np.array(rows)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("masses", [MASSES, DAMPED], ids=["spring", "damper"])
 @pytest.mark.parametrize("way", WAYS)
 def test_each_way_yields_what_it_must(masses, way, run_both):
@@ -367,6 +368,7 @@ def test_an_isolated_fmu_that_is_gone_when_it_is_saved(engine):
         assert "saved" not in str(caught.value)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("settings", [{}, {"step_error": 1e-4}])
 def test_model_exchange_fmus_are_iterated_at_t_k_and_to_t_k_1(settings, casadi_fmu, run_both):
     """Two pendulums that pull each other, and whose outputs show the pull: an algebraic loop as well."""
@@ -462,7 +464,7 @@ def any_diagram(seed):
     return diagram
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(25))
 def test_any_diagram_gives_the_same_bits_in_both_engines_and_goes_back(seed, run_both, same_bits):
     method = ["iterated", "iterated", "jacobi", "gauss-seidel"][seed % 4]
@@ -520,6 +522,7 @@ def test_a_diagram_is_built_with_one_coupling():
 # --- the example --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_study_prints_the_orders_and_draws_them(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(study, "STEPS", (200, 400))
     monkeypatch.setattr(study, "ERRORS", (1e-3, 1e-4))

@@ -34,7 +34,7 @@ def test_they_are_loaded_without_numba_and_made_anew_if_damaged(python, tmp_path
     assert python(STEPS, cache=tmp_path) == [{"compiled": 2, "loaded": 0}, True, made]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("function", FUNCTIONS.values(), ids=map(str, FUNCTIONS))
 def test_each_needs_nothing_of_numba(function):
     assert closed_code(service_text(function, "entry"), "entry")
