@@ -35,7 +35,7 @@ Tables = tuple[Whole, Whole, Whole, int, tuple[int, int]]
 Steps = Mapping[str, tuple[FunctionType, Sections]]
 """The step functions of a loop by name, and the places of their arguments."""
 
-LANES = 4
+LANES = 8
 """Runs that are made in lock step, each in its lane of the processor's vector registers."""
 
 _addresses: dict[str, int] = {}
