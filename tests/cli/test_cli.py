@@ -353,6 +353,7 @@ def test_dead_times_of_the_loop_count_in_the_check_before_a_run(
     assert warning is None or any(warning in text for text in warned)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("record", ['["plant.v"]', '"reference.*"'])
 def test_check_kalman_records_what_it_needs(bayesftc_, tmp_path, record):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", f"record = {record}"))

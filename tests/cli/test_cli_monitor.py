@@ -193,6 +193,7 @@ def test_a_model_that_is_there_is_not_overwritten(drive, files, tmp_path):
     assert (tmp_path / "model.toml").read_text(encoding="utf-8") == before
 
 
+@pytest.mark.slow
 def test_columns_with_any_names_are_fitted(drive, tmp_path):
     table = pd.read_csv(drive).rename(columns={"t": "Time (s)", "a": "oil, left", "b": 'the "big" one', "c": "c"})
     table["index"] = range(len(table))

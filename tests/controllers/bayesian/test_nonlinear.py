@@ -258,7 +258,8 @@ def test_no_optimiser_of_scipys_finds_less_in_the_same_basin(seed):
                 assert problem.cost(theirs) >= cost * (1.0 - 1e-8)
 
 
-@pytest.mark.parametrize("problems", [20, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("problems", [20, 2000])
 def test_every_search_converges_and_how_often_a_better_minimum_lies_elsewhere(problems):
     """Two things that are not the same.
 

@@ -130,6 +130,7 @@ def test_compiled_and_plain_agree_to_the_last_bit(block):
             np.testing.assert_array_equal(out[name], other[name], err_msg=name)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(
     st.floats(1e7, 1.7e308) | st.floats(-1.7e308, -1e7),

@@ -316,6 +316,7 @@ def test_a_plant_at_rest_stays_at_rest_although_its_control_is_late():
     np.testing.assert_allclose(out.x_hat[:2], [0.5, 0.0], atol=1e-9)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("old", [(0, 0), (2, 2), (0, 2)])
 def test_a_late_sensor_vouches_against_an_absurd_one(old):
     model = LinearModel(A, B, [[1.0, 0.0], [1.0, 0.0]], 1e-2 * B @ B.T, 4e-4, dt=0.1).with_delays(0, old)

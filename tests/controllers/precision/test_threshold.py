@@ -19,7 +19,7 @@ NOISE = {
 }
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("n", [1, 3])
 @pytest.mark.parametrize("alpha", [0.2, 0.05, 0.01])

@@ -140,6 +140,7 @@ def test_it_is_conjugate():
     np.testing.assert_allclose(evidence, evidence[0], rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_its_moments_are_those_of_prior_times_likelihood_by_numerical_integration():
     """Two dimensions: all positive definite matrices L L' with a lower triangular L, by Gauss and Legendre's rule."""
     nominal, n0, e = NOMINAL[:2, :2], 6.0, np.array([1.5, -1.0])

@@ -439,6 +439,7 @@ def test_a_harmless_mode_is_no_part_of_the_fault_probability(joint):
     assert min(out.precision[0] for out in outs[155:]) < 0.5
 
 
+@pytest.mark.slow
 def test_a_sensor_whose_offset_is_known_informs_though_its_own_precision_is_near_zero():
     model = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, STEP)
     alone = LinearModel([[0.999]], [[2e-4]], [[1.0]], 0.001, 1.0, STEP)

@@ -111,6 +111,7 @@ LEARNERS = [learner() for learner in controllers.LEARNERS]
 STATEFUL = {**BLOCKS, **{type(learner).__name__: brain(learner) for learner in LEARNERS}}
 
 
+@pytest.mark.sampled(9)
 @pytest.mark.parametrize("block", STATEFUL.values(), ids=STATEFUL)
 def test_scratch_space_is_no_state_and_no_order_of_calls_matters(block):
     """Whatever stands in memory besides the state, and whatever was asked before: the same question has the same answer."""
@@ -378,6 +379,7 @@ def foreign(tmp_path):
     return make
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("coupling", ["jacobi", "gauss-seidel", "iterated"])
 @pytest.mark.parametrize("own", [True, False])
 def test_coupled_fmus_give_the_numbers_of_their_coupling(foreign, coupling, own):

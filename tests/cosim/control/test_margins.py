@@ -48,7 +48,7 @@ LOOPS = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("system", LOOPS.values(), ids=LOOPS)
 def test_margins_are_where_poles_reach_the_unit_circle(system):
     found = margins_of(system)

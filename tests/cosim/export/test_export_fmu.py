@@ -56,7 +56,7 @@ def car(tmp_path_factory):
     }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("kind", "fmi"),
     [

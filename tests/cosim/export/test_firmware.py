@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow  # test_the_example_rides_out_its_faults compiles the larger one without a warning
 @pytest.mark.parametrize("name", ["controller", "paper"])
 @pytest.mark.parametrize("dialect", ["c99", "c11", "c++11"])
 def test_no_warning_in_any_dialect(folder, c_compiler, name, dialect):

@@ -25,7 +25,7 @@ def alone(path, dt, **options):
 # --- event indicators ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", FMI)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_an_indicator_that_is_zero_at_the_start_or_at_a_communication_point(built, fmi, solver, run_both):
@@ -144,6 +144,7 @@ def test_nominal_values_that_change_at_an_event_change_the_tolerances(built, sol
     assert errors[0] < 1e-3 < errors[1], errors
 
 
+@pytest.mark.slow
 def test_a_stiff_oscillator_against_scipy(built, run_both):
     from scipy.integrate import solve_ivp
 

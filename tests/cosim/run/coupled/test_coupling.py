@@ -129,6 +129,7 @@ def counted_sweeps(monkeypatch, acceleration, k):
     return count[0] / 20
 
 
+@pytest.mark.slow
 def test_acceleration_pays_where_it_is_stiff(monkeypatch):
     counts = {a: counted_sweeps(monkeypatch, a, 1e3) for a in (None, "aitken", "anderson")}
     assert counts["anderson"] < counts[None]
@@ -330,6 +331,7 @@ def test_a_chain_needs_no_way_back(tmp_path, same_bits):
     same_bits(runs["iterated"]["two.x"], runs["gauss-seidel"]["two.x"])
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("settings", [{}, {"step_error": 1e-4}])
 def test_isolated_fmus_are_iterated_with_the_same_bits(settings, same_bits, run_both):
@@ -464,7 +466,7 @@ def any_diagram(seed):
     return diagram
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(25))
 def test_any_diagram_gives_the_same_bits_in_both_engines_and_goes_back(seed, run_both, same_bits):
     method = ["iterated", "iterated", "jacobi", "gauss-seidel"][seed % 4]
