@@ -62,6 +62,7 @@ def test_export_design_calibrate_and_campaigns_report_themselves(fresh, caplog, 
         "Comparing the linear model",
         "Simulating 5000 steps",
         "Making 4 runs",
+        "Translating the blocks to C",
         "Compiling limit.fmu",
     )
     assert [message for message in caplog.messages if message.startswith(words)] == caplog.messages
@@ -73,9 +74,9 @@ def test_verify_and_fit_report_themselves(fresh, caplog, tmp_path, monkeypatch):
     noise, limit = diagram.add(cosim.Gaussian(std=1.0)), diagram.add(cosim.Saturation(-1.0, 1.0), "limit")
     diagram.connect(noise["y"], limit["u"])
     fmu = cosim.export_fmu(diagram, tmp_path / "limit.fmu", blocks="limit")
-    caplog.clear()
     monkeypatch.setattr(announcing, "PATIENCE", 0.0)
     monkeypatch.setattr(announcing.announcement, "said", lambda: True)
+    caplog.clear()
     cosim.verify_fmu(fmu, diagram, duration=50.0)
     cosim.fit(CAR, recording(0, 400), {"m": (80.0, 120.0)}, **NAMES)
     assert caplog.messages == [
