@@ -99,8 +99,8 @@ def test_a_long_run_says_how_far_it_is_and_has_the_same_bits(engine, fresh, capl
     diagram = cosim.Diagram(dt=0.1)
     noise, integrator = diagram.add(cosim.Gaussian(std=1.0)), diagram.add(cosim.Integrator())
     diagram.connect(noise["y"], integrator["u"])
-    silent = diagram.simulate(500.0, seed=1, engine=engine)
     monkeypatch.setattr(announcing.announcement, "said", lambda: True)
+    silent = diagram.simulate(500.0, seed=1, engine=engine)
     assert not caplog.messages
     monkeypatch.setattr(running, "SILENCE", 0.0)
     diagram.simulate(50_000.0 if engine == "compiled" else 500.0, seed=1, engine=engine)
