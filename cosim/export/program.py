@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
@@ -59,6 +60,7 @@ class Program:
         return self.schedule.step
 
 
+@reported("Translating the blocks to C, for some seconds.")
 def program_of(
     exported: Block | Diagram,
     *,

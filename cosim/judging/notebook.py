@@ -6,16 +6,24 @@ import base64
 import io
 import re
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import pyplot
-from matplotlib.animation import FuncAnimation
+from matplotlib.animation import FuncAnimation, writers
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
 from PIL import Image, features
 
+from bayesftc.cosim.base.announcing import reported
+from bayesftc.cosim.errors import ResultFileError
+
+OF_PILLOW = (".gif", ".png", ".apng", ".webp", ".tif", ".tiff")
+"""Files of several pictures that Pillow writes."""
 DOTS_PER_INCH = 100
 OPAQUE = 255
 ALTERNATIVE = "Animation: the plant, what each sensor reads, and the signals up to the shown instant."
@@ -65,15 +73,18 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
         self.page: str | None = None
         self.differences: _Differences | None = None
 
-    def save(self, *args: Any, **settings: Any) -> None:
-        """See `matplotlib.animation.Animation.save`."""
+    def save(self, filename: str | PathLike[str], *args: Any, **settings: Any) -> None:
+        """See `matplotlib.animation.Animation.save`. A film needs the program ffmpeg; a GIF and a page (.html) do not."""
+        if not args and settings.get("writer") is None:
+            settings["writer"] = _writer(Path(filename))
         pictures = self.differences or _Pictures(self.figure, self.moving)
         figure: Any = self.figure
         canvas, dpi = figure.canvas, figure.dpi
         canvas.draw_idle = lambda: None  # nothing is shown on the screen meanwhile
         figure.savefig = pictures.write
         try:
-            super().save(*args, **settings)
+            with nullcontext() if self.differences else reported(f"Drawing {filename}, for some seconds."):
+                super().save(Path(filename), *args, **settings)
         finally:
             del canvas.draw_idle, figure.savefig
             figure.dpi = dpi
@@ -87,7 +98,8 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
         if self.page is None:
             self.differences = pictures = _Differences(self.figure, self.moving)
             try:
-                page = super().to_jshtml(*args, **settings)
+                with reported("Drawing the animation, for some seconds."):
+                    page = super().to_jshtml(*args, **settings)
             finally:
                 self.differences = None
             page = re.sub(r'<link rel="stylesheet"\s+href="https?://[^>]*>', "", page)
@@ -99,6 +111,26 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
 
     def _repr_html_(self) -> str:
         return self.to_jshtml(default_mode="once")
+
+
+def _writer(file: Path) -> str:
+    """Return the writer of matplotlib for a file; for a film only if its program is there.
+
+    Raises
+    ------
+    ResultFileError
+        If the program is missing.
+    """
+    if file.suffix.lower() in OF_PILLOW:
+        return "pillow"
+    if file.suffix.lower() in (".html", ".htm"):
+        return "html"
+    if not writers.is_available("ffmpeg"):
+        raise ResultFileError(
+            f"{file} cannot be written: this needs the program ffmpeg, which is not installed. Save a GIF, "
+            f"{file.stem}.gif, or install ffmpeg."
+        )
+    return "ffmpeg"
 
 
 class _Pictures:

@@ -210,10 +210,11 @@ def advance(
         elif now > due and not pacer:
             due = now + PERIOD
             t, last = (float(k * run.schedule.step) for k in (until, end))
-            tell(f"Simulating: {t:.4g} of {last:.4g} s, after {now - started:.0f} s.")
+            tell(f"Simulating: {t:g} of {last:g} s, after {now - started:.0f} s.")
         if until == end:
             return None
-        due = min(due, now + SILENCE)  # not from the start, because the first step may wait for the compiler
+        if due == inf:
+            due = now + SILENCE  # not from the start, because the first step may wait for the compiler
         if time_limit is not None and now - started > time_limit:
             t = float(until * run.schedule.step)
             return f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {until} of {end})."

@@ -125,7 +125,7 @@ class Metadata:
             If there is none, or it is damaged or of a later version.
         """
         if not exists(folder):
-            raise StoreError(f"There is no campaign {folder}; check the path.")
+            raise StoreError(f"There is no campaign {folder}; check the path, or run the campaign first.")
         path = folder / NAME
         if not is_file(path):
             raise StoreError(f"{folder} is not a stored campaign, because it has no {NAME}; check the path.")

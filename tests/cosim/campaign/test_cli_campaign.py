@@ -146,7 +146,7 @@ def test_wrong_stores_and_runs_are_said(bayesftc_, file, tmp_path):
     for command in (["report", "nowhere"], ["replay", "nowhere", 0]):
         done = bayesftc_(*command)
         assert done.exit_code == 20
-        assert "There is no campaign" in done.stderr
+        assert "check the path, or run the campaign first" in re.sub(r"\s+", " ", done.stderr)
     bayesftc_("campaign", file, "-q")
     assert "the runs 0 to 11" in bayesftc_("replay", "tracking", 12).stderr
     assert "did you mean 'rmse'" in bayesftc_("report", "tracking", "--metric", "rmsse").stderr

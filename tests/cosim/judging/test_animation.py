@@ -11,7 +11,7 @@ from matplotlib.image import imread
 from PIL import Image
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, ResultFileError
 from bayesftc.cosim.judging.notebook import _Differences, _Pictures
 from bayesftc.cosim.judging.pictures import PICTURES
 
@@ -166,8 +166,21 @@ def test_a_notebook_shows_a_player_and_a_file_can_be_written(tmp_path):
     assert re.search(r'<img [^>]*alt="Animation: ', page)
     assert re.search(r'<input [^>]*type="range"[^>]*aria-label="', page)
     assert animation.to_jshtml() == page
-    animation.save(tmp_path / "run.gif", writer="pillow")
+    animation.save(tmp_path / "run.gif")
     assert (tmp_path / "run.gif").read_bytes().startswith(b"GIF8")
+
+
+def test_a_gif_and_a_page_need_no_ffmpeg_and_a_film_says_so(tmp_path, monkeypatch, caplog):
+    animation = keep(car().simulate(0.2, seed=1, engine="interpreted").animate(frames=3))
+    monkeypatch.setattr("bayesftc.cosim.base.announcing.PATIENCE", 0.0)
+    monkeypatch.setenv("PATH", str(tmp_path))  # without any program
+    for name, beginning in {"run.gif": b"GIF8", "run.html": b"\n<link"}.items():
+        caplog.clear()
+        animation.save(tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(beginning)
+        assert caplog.messages == [f"Drawing {tmp_path / name}, for some seconds."]  # none of a writer that is missing
+    with pytest.raises(ResultFileError, match=r"ffmpeg.*Save a GIF, film\.gif, or install ffmpeg"):
+        animation.save(tmp_path / "film.mp4")
 
 
 def test_a_missing_sample_is_not_drawn():
