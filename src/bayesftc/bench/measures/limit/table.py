@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from math import inf
 
 import numpy as np
@@ -18,6 +18,12 @@ from bayesftc.bench._slave import unpacked_fmu
 from bayesftc.bench.measures.full_loop import EXPERIMENT, RECORD, SETTING, engine_recording, full_diagram, user_rate
 from bayesftc.bench.measures.limit.by_hand import PARTS, compiled
 from bayesftc.cosim.run.fused import compiled as compiled_loop
+from bayesftc.cosim.run.fused.compiled import LANES
+from bayesftc.cosim.run.many import ManyRuns
+from bayesftc.cosim.run.recording import select_signals
+
+STEPS = 1000
+"""Length of the runs in lock step."""
 
 EVERY = 1000
 """Steps between two recorded ones in the engine's loop that records next to nothing."""
@@ -34,8 +40,18 @@ def measure(quick: bool = False) -> Section:
             diagram.simulate(fast * diagram.step, seed=1, record=RECORD, decimation=decimation)
             return 1e9 * (time.perf_counter() - started) / fast
 
+    def lanes() -> float:
+        with _fused(always=True), closing(ManyRuns(diagram.schedule, columns, STEPS)) as runs:
+            count = max(4 * LANES, fast // STEPS)
+            warm = sum(len(block.steps) for block in runs.run(range(count), of=2 * count))
+            started = time.perf_counter()
+            done = sum(len(block.steps) for block in runs.run(range(warm, warm + count), of=2 * count))
+            return 1e9 * (time.perf_counter() - started) / (done * STEPS)
+
+    columns = select_signals(diagram.schedule, RECORD)
     for decimation in (1, EVERY):
         engine(decimation, fused=True)  # compiles
+    lanes()
 
     with unpacked_fmu() as car, compiled(car, SETTING) as by_hand:
         difference = np.abs(by_hand("whole_loop", EXPERIMENT)[0] - engine_recording(diagram, EXPERIMENT, 1)).max(axis=0)
@@ -45,6 +61,7 @@ def measure(quick: bool = False) -> Section:
                 "c": lambda: 1e9 * by_hand("whole_loop", fast)[1] / fast,
                 "fused": lambda: engine(1, fused=True),
                 "fused_alone": lambda: engine(EVERY, fused=True),
+                "lanes": lanes,
                 "engine": lambda: engine(1, fused=False),
                 "user": lambda: 1e9 / user_rate(slow),
                 **shorter,
@@ -66,6 +83,7 @@ def measure(quick: bool = False) -> Section:
             *parts,
             Figure("fused", "engine, one function for the loop", unit, times["fused"]),
             Figure("fused_alone", f"the same, every {EVERY}th step recorded", unit, times["fused_alone"]),
+            Figure("lanes", f"{LANES} runs of {STEPS} steps in lock step, for each run", unit, times["lanes"]),
             Figure("engine", "engine, block by block", unit, times["engine"]),
             Figure("user", "loop with fmpy, NumPy and filterpy", unit, times["user"]),
             Figure("engine_over_c", "speed of one function / C", "", ratios(times["c"], times["fused"]), at_least=0.8),
@@ -75,6 +93,7 @@ def measure(quick: bool = False) -> Section:
                 "",
                 ratios(times["engine"], times["fused"]),
             ),
+            Figure("lanes_over_c", "speed of runs in lock step / C", "", ratios(times["c"], times["lanes"])),
             Figure("difference", "largest difference of the speeds", "m/s", [float(difference[0])], at_most=1e-9),
         ),
     )
