@@ -34,6 +34,8 @@ KeepGoing = Callable[[], bool]
 """Called about twenty times a second; returns whether to continue. From a call on, time counts for the runs."""
 Overhead = Callable[[], None]
 """Called before work that counts for no time limit of a run: building, compiling, metrics."""
+FEWEST = -(-LANES // 3)
+"""Runs from which on a group in lock step pays, even if its other lanes only repeat runs."""
 WORTH = 2.0
 """How many times longer than making the FMUs of the other lanes all runs must take, to be made in lock step."""
 WELL = (0, 1)
@@ -168,7 +170,9 @@ class ManyRuns:
         few = max(1, min(left, self._few, int(BREATH / self._pace)))
         if self._alone:
             return min(few, self._alone)
-        return few if few < LANES else few // LANES * LANES
+        if not self._function:
+            return few
+        return min(left, max(few // LANES, 1) * LANES)  # a group in lock step takes a third of the time of its runs
 
     def _some(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing, *, more: bool) -> Block:
         """Make the first of the runs, or all of them."""
@@ -233,11 +237,10 @@ class ManyRuns:
         return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
 
     def _compiled(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
-        recording = self._room(len(seeds))
-        if len(seeds) >= LANES and self._opens_beside():
-            return self._in_lock_step(seeds, recording)
+        if len(seeds) >= FEWEST and self._opens_beside():
+            return self._in_lock_step(seeds)
         self._alone = max(self._alone - len(seeds), 0)
-        return self._one_by_one(seeds, recording)
+        return self._one_by_one(seeds, self._room(len(seeds)))
 
     def _one_by_one(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
         engine, run = self._engine, self._run
@@ -295,12 +298,15 @@ class ManyRuns:
         self._beside = SideBySide(self._function, runs[0].streams(), memory, [e.calls for e in engines], states)
         return True
 
-    def _in_lock_step(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
-        """Make as many runs as fill all lanes. If one of them fails, they are made again, one by one."""
+    def _in_lock_step(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
+        """Make runs in lock step; the lanes that are left over repeat runs. If one fails, its group is made one by one."""
         if not self._agrees:
-            return self._twice(seeds[:LANES], recording)
-        done = self._together(seeds, recording)
-        if done < len(seeds) // LANES * LANES:
+            return self._twice(seeds[:LANES])
+        rest = len(seeds) % LANES
+        count = len(seeds) - (rest if rest < FEWEST else 0)
+        recording = self._room(-(-count // LANES) * LANES)
+        done = min(self._together(np.resize(seeds[:count], len(recording)), recording), count)
+        if done < count:
             self._failures += 1
             # A campaign in which many runs fail soon makes all of them one by one.
             self._alone = LANES * 2**self._failures
@@ -320,14 +326,15 @@ class ManyRuns:
             raise KeyboardInterrupt
         return done
 
-    def _twice(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
+    def _twice(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
         """Make the first runs one by one, and then in lock step: instances of an FMU may share something that they hide."""
-        block = self._one_by_one(seeds, recording)
-        if len(block.steps) == len(seeds) and not any(block.reasons):
-            alone = recording[: len(seeds)].copy()
-            self._agrees = self._together(seeds, recording) == len(seeds)
-            self._agrees = self._agrees and recording[: len(seeds)].tobytes() == alone.tobytes()
-            recording[: len(seeds)] = alone
+        recording, count = self._room(LANES), len(seeds)
+        block = self._one_by_one(seeds, recording[:count])
+        if len(block.steps) == count and not any(block.reasons):
+            alone = recording[:count].copy()
+            self._agrees = self._together(np.resize(seeds, LANES), recording) == LANES
+            self._agrees = self._agrees and recording[:count].tobytes() == alone.tobytes()
+            recording[:count] = alone
             if not self._agrees:
                 self._beside_allowed = False
                 self._shut()

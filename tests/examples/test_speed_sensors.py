@@ -79,7 +79,7 @@ def test_four_faults_are_found_with_their_kinds(capsys):
     ("main", "arguments", "code", "words"),
     [
         (study.main, ["nowhere"], 16, "nowhere does not exist"),
-        (study.main, ["--model", "nowhere.toml"], 3, "nowhere.toml cannot be read"),
+        (study.main, ["--model", "nowhere.toml"], 3, "no model file nowhere.toml"),
         (study.main, ["--model", "fixed.toml"], 9, "fixed.toml gives no fault probability to study: FixedPrecision"),
         (study.main, ["short"], 16, "The drive in short ends at 35.0 s. A study needs"),
         (study.main, ["--onsets", "1"], 2, "'1' must be a whole number of at least 2"),

@@ -97,9 +97,9 @@ class Lane:
             try:
                 result = self._session.advance(steps * self.step)
             except SimulationError as error:
-                self.stopped = str(error)
                 if error.result is not None:
                     self._take(error.result, first)
+                self.stopped = str(error)  # after its rows, which a viewer would miss else
                 return
             self._computed += perf_counter() - began
             self._take(result, first)

@@ -63,7 +63,7 @@ class Broadcast:
         engine, rows = self._engine, [lane.rows for lane in view.lanes]  # once: the engine goes on meanwhile
         running = [each.last for each, lane in zip(rows, view.lanes, strict=True) if lane.stopped is None]
         last = min(running) if running else max(each.last for each in rows)
-        key = (view.epoch, last, engine.running, engine.pace, engine.busy)
+        key = (view.epoch, last, engine.running, engine.pace, engine.busy, len(running))
         if cursor.key == key and not cursor.is_new:
             return None
         whole = (key, cursor.is_new, cursor.sent, cursor.extra)
