@@ -52,9 +52,9 @@ def innovations(
     ----------
     models : sequence of LinearModel
         The models of the observers.
-    seers : sequence of Observers
+    banks : sequence of Observers
         The observers of each model, with the same sets.
-    seen : Recording
+    recording : Recording
         The run.
     moved : ndarray, models x H x T x n
         Inputs of the state from each sample to the next, for each of H explanations: ``B u`` and pushes.
@@ -67,30 +67,30 @@ def innovations(
     ndarray, T x n
         Predictions of the state by the first model under the first explanation, on average over its sets.
     """
-    each, n, samples = len(banks[0]), moved.shape[3], len(recording.y)
+    each, n, samples, given = len(banks[0]), moved.shape[3], len(recording.y), moved.shape[1]
     gains = np.concatenate([s.gain for s in banks]).transpose(0, 2, 1)
-    whiten = np.concatenate([s.whiten for s in banks])
+    whiten = np.concatenate([s.whiten for s in banks]).transpose(0, 2, 1)
     At, Ct = (np.repeat([model.matrix(name).T for model in models], each, axis=0) for name in "AC")
     unknown = n - models[0].constant
-    errors_of = unknown * len(recording.begins)
-    courses = np.concatenate([moved, np.repeat(moved[:, :1], errors_of, axis=1)], axis=1)
-    courses = np.ascontiguousarray(np.repeat(courses, each, axis=0).transpose(2, 0, 1, 3))
+    columns = given + unknown * len(recording.begins)
     y, present = np.where(np.isfinite(recording.y), recording.y, 0.0), np.isfinite(recording.y).astype(float)
-    z = np.empty((len(At), courses.shape[2], n))
-    errors, predicted = np.empty((samples, *z.shape[:2], y.shape[1])), np.empty((samples, each, n))
+    z = np.empty((len(At), 0, n))
+    white, predicted = np.zeros((samples, len(At), columns, y.shape[1])), np.empty((samples, each, n))
     with np.errstate(all="ignore"):  # a wrong explanation may diverge; it then explains nothing
         for k in range(samples):
             if k in recording.begins:
-                first = moved.shape[1] + recording.begins.index(k) * unknown
-                z[:] = recording.mean
-                z[:, first : first + unknown, :unknown] += np.eye(unknown)
-            e = errors[k]
+                errors = np.repeat(np.eye(unknown, n)[None], len(At), axis=0)
+                kept = max(z.shape[1], given)
+                z = np.concatenate([np.zeros((len(At), kept, n)), errors], axis=1) + recording.mean
+            e = (y[k] - z @ Ct) * present[k]
             predicted[k] = z[:each, 0]
-            np.subtract(y[k], z @ Ct, out=e)
-            e *= present[k]
-            z = z @ At + e @ gains + courses[k]
-        white = np.matmul(errors.transpose(1, 2, 0, 3), whiten.transpose(0, 2, 1)[:, None])
-        white[:, -errors_of:] -= white[:, :1]
+            np.matmul(e, whiten, out=white[k, :, : z.shape[1]])
+            pushes = np.repeat(moved[:, :, k], each, axis=0)
+            z = z @ At + e @ gains
+            z[:, :given] += pushes
+            z[:, given:] += pushes[:, :1]  # an error of the state, under the first explanation
+            white[k, :, given : z.shape[1]] -= white[k, :, :1]
+    white = white.transpose(1, 2, 0, 3)
     return [white[first : first + each] for first in range(0, len(white), each)], predicted.mean(axis=1)
 
 

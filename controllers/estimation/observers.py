@@ -29,6 +29,10 @@ FORGOTTEN = 0.02
 """Share of the initial error that may remain when an observer's innovations begin to count."""
 
 
+UNSEEN = 1e-13
+"""Smallest singular value in Hautus' test of a mode that sensors do not see."""
+
+
 @dataclass(frozen=True, eq=False)
 class Observers:
     """The observers of K sets of sensors, of a model with n states and m sensors.
@@ -105,7 +109,9 @@ def _filter(model: LinearModel) -> tuple[Floats, Floats, Floats, int] | None:
     A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     size = max(float(np.trace(Q)) / len(A), 1e-12)
     best: tuple[Floats, Floats, Floats, int] | None = None
-    for more in (0.0, *(10.0**k for k in range(-8, 3))):
+    shares = (0.0, *(10.0**k for k in range(-8, 3)))
+    hopeless = _remembers(A, C)
+    for more in reversed(shares) if hopeless else shares:  # the last that has a steady state is then the result
         try:
             noise = Q + more * size * np.eye(len(A))
             P = steady_covariance(replace(model, process_covariance=noise))
@@ -116,6 +122,16 @@ def _filter(model: LinearModel) -> tuple[Floats, Floats, Floats, int] | None:
         slowest = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
         settling = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
         best = np.asarray(gain), np.asarray(root), noise, max(settling, 1)
-        if settling <= LONGEST_REST:
+        if hopeless or settling <= LONGEST_REST:
             break
     return best
+
+
+def _remembers(A: Floats, C: Floats) -> bool:
+    """Return whether no gain forgets the start soon: a mode that these sensors do not see decays slowly (Hautus' test)."""
+    seen = C / max(float(np.abs(C).max()), 1e-300)
+    modes = np.linalg.eigvals(A)
+    slow = modes[np.abs(modes) > FORGOTTEN ** (1.0 / LONGEST_REST) + 1e-9]
+    return any(
+        np.linalg.svd(np.vstack([A - mode * np.eye(len(A)), seen]), compute_uv=False)[-1] < UNSEEN for mode in slow
+    )

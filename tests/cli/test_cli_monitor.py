@@ -184,6 +184,13 @@ def test_a_model_is_fitted_and_written(drive, tmp_path):
     assert json.loads(again.output)["faults"] == report["faults"]
 
 
+def test_a_missing_recording_is_said_before_a_model_that_is_there(files, tmp_path):
+    done = RUNNER.invoke(app, ["monitor", str(tmp_path / "missing.csv"), "--fit", "--model", files[2]])
+    assert done.exit_code == 16
+    assert "missing.csv does not exist" in done.output
+    assert "exists already" not in done.output
+
+
 def test_a_model_that_is_there_is_not_overwritten(drive, files, tmp_path):
     before = (tmp_path / "model.toml").read_text(encoding="utf-8")
     done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--model", files[2]])

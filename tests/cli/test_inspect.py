@@ -110,3 +110,18 @@ def test_json_has_the_verdicts():
         "works": "yes",
         "how": "as timing='plant', with its default step of 0.02 s.",
     }
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("drive.csv", "bayesftc monitor"), ("mine.toml", "bayesftc run"), ("DRIVE.CSV", "monitor")]
+)
+def test_a_file_of_another_command_is_named_as_such(tmp_path, name, words, bayesftc_):
+    (tmp_path / name).write_text("t,a,b\n0,1,2\n", encoding="utf-8")
+    done = bayesftc_("inspect", str(tmp_path / name))
+    said = " ".join(done.output.split())
+    assert done.exit_code == 4
+    assert "not an FMU" in said
+    assert words in said
+    assert "zip" not in said
+    missing = bayesftc_("inspect", str(tmp_path / f"no{name}"))
+    assert "not an FMU" not in missing.output

@@ -29,6 +29,12 @@ KINDS = {
 STYLES = {"yes": "green", "no": "red", "partly": "yellow"}
 ORDER = ("input", "output", "parameter", "structuralParameter", "calculatedParameter", "local", "independent")
 
+OTHER_COMMANDS = {
+    ".csv": ("a table of samples", "bayesftc monitor {} --fit"),
+    ".toml": ("a scenario, a campaign or a model of a monitor", "bayesftc run {}"),
+}
+"""What a file with this ending is, and the command that reads it."""
+
 
 def inspect(
     fmu: Annotated[str, typer.Argument(help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.")],
@@ -43,6 +49,7 @@ def inspect(
         inspect_ssp(expanded(fmu), validate=validate, json=json)
         return
     path = find_fmu(fmu)
+    _refuse_other_files(path)
     description = describe(path, validate=validate)
     works = verdicts(path, description, validate=validate)
     if json:
@@ -50,6 +57,13 @@ def inspect(
         typer.echo(output.as_json({"path": str(path), **_plain(asdict(description)), "works": table}))
         return
     _print(path, description, works, everything)
+
+
+def _refuse_other_files(path: Path) -> None:
+    """Raise FMUError for a file of another command."""
+    command = OTHER_COMMANDS.get(path.suffix.lower())
+    if command is not None and path.is_file():
+        raise FMUError(f"{path} is {command[0]}, not an FMU. Use:  {command[1].format(path)}")
 
 
 def find_fmu(name: str) -> Path:

@@ -43,12 +43,12 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path) -> tuple[Fitted
     ResultFileError
         If the model file exists, which is not overwritten, or if it cannot be written.
     """
+    places, signals = redundant_signals(recording, part.sensors)
     if os.path.lexists(model):
         raise ResultFileError(
             f"{model} exists already. Name another file with --model, or give --model {model} without --fit to use it."
         )
     output.check_folder(model.parent, (model.name,))
-    places, signals = redundant_signals(recording, part.sensors)
     samples = recorded(signals)
     fitted = fit_model(samples, stretch_of(samples, part.start, part.stop))
     with output.staged(model.parent) as stage:
