@@ -6,7 +6,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -261,11 +262,25 @@ def _connected(stepper: Stepper, wires: Mapping[str, Wire]) -> tuple[list[Incomi
                 taken[place] = name
         except BayesFTCError as error:
             raise type(error)(f"The wire {name!r}: {error}") from None
+    _check_unset(stepper, taken.keys())
+    return ins, outs
+
+
+def _check_unset(stepper: Stepper, taken: Collection[int]) -> None:
+    """Refuse an input that nothing sets, and warn of elements of an input whose other elements have wires."""
+    unset = np.isnan(stepper.start())
     for full in stepper.inputs:
         places = stepper.input_places(full)
-        if np.isnan(stepper.start()[places]).all() and not taken.keys() & set(places):
+        left = [place for place in places if place not in taken and unset[place]]
+        if left and len(left) < len(places):
+            names = " and ".join(stepper.input_names[place] for place in left)
+            warnings.warn(
+                f"No wire sets {names}, so there is no value (NaN) in any step. Add a wire with to = "
+                f"{stepper.input_names[left[0]]!r}, or leave the sensor out of the model.",
+                stacklevel=4,
+            )
+        elif left:
             raise ModelError(f"No wire sets the input {full!r}, which has no start value. Add one with to = {full!r}.")
-    return ins, outs
 
 
 @contextmanager

@@ -36,7 +36,7 @@ COMMANDS = {
     ),
     "live": (
         "loops",
-        "Run a scenario's controller against a real plant: samples and controls by UDP, serial lines or files.",
+        "Run a scenario's controller against a real plant: samples and controls by MQTT, OPC UA, UDP, serial lines or files.",
     ),
     "example": (
         "loops",

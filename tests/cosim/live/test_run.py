@@ -6,12 +6,13 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.cosim import live
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import ModelError, SimulationError, UnknownNameError
@@ -69,6 +70,21 @@ def test_no_control_is_sent_before_the_first_sample_of_a_held_input(memory):
     assert summary.wires_out["out"]["sent"] == 0
 
 
+def test_a_sensor_without_a_wire_is_named_at_the_start(memory):
+    model = controllers.LinearModel([[1.0]], [[1.0]], [[1.0], [1.0]], 0.01, 0.01, dt=0.005)
+    wires = {"u": live.Wire(memory(), to="u", start=0.0), "left": live.Wire(memory(), to="y[0]")}
+
+    def run(**more):
+        step = controllers.StateEstimator(model).online(compiled=False)
+        return live.run_live(step, {**wires, **more}, live.LiveSettings(duration=0.01))
+
+    with pytest.warns(UserWarning, match=r"^No wire sets y\[1\], so there is no value .* to = 'y\[1\]'"):
+        run()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(right=live.Wire(memory(), to="y[1]"))
+
+
 def test_a_start_value_is_used_until_the_first_sample(memory):
     sink = memory()
     wires = {"in": live.Wire(memory(), to="u", start=4.0), "out": live.Wire(sink, source="y", safe="last")}
@@ -98,6 +114,7 @@ def test_a_control_that_is_no_number_is_not_sent(memory):
     assert summary.wires_out["out"]["not_finite"] == 3
 
 
+@pytest.mark.filterwarnings("ignore:No wire sets")
 def test_a_sample_of_a_session_feeds_one_step(memory, tmp_path):
     diagram = cosim.Diagram(dt=0.01)
     received = diagram.add(live.Received(2), "received")

@@ -331,6 +331,19 @@ def test_what_cannot_be_fitted_is_named(change, words):
         fit_model(rec)
 
 
+@pytest.mark.parametrize("share", [0.03, 0.1, 0.3])
+def test_missing_samples_do_not_lengthen_the_steps(share):
+    rng = np.random.default_rng(11)
+    times = 0.1 * np.arange(600) + rng.uniform(-0.005, 0.005, 600)
+    signals = {}
+    for name in "abc":
+        values = np.where(rng.random(600) < share, np.nan, rng.standard_normal(600))
+        signals[name] = Signal(times, values, resolution=0.0)
+    dt = float(sample_time(signals))
+    assert dt == pytest.approx(0.1, rel=5e-4)
+    assert align(signals, {}, dt).replaced == (0, 0, 0)
+
+
 def test_times_that_jitter_get_shorter_steps():
     even = Signal(np.arange(1000) / 30, np.zeros(1000), resolution=0.0)
     assert float(sample_time({"a": even})) == pytest.approx(1 / 30, rel=1e-4)

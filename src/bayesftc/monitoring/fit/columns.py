@@ -11,6 +11,7 @@ import numpy as np
 
 from bayesftc.cosim.base.table_files import TIMES, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
+from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.recording import Recording, Signal, align
@@ -123,9 +124,7 @@ def _time_column(tables: Tables, file: os.PathLike[str], header: Sequence[str]) 
 def sample_time(signals: Mapping[str, Signal]) -> Fraction:
     """Return the interval of the fastest signal, or a part of it if its times jitter, rounded to a short number."""
     times = min((np.asarray(s.time) for s in signals.values()), key=lambda t: float(np.median(np.diff(t))))
-    intervals = np.diff(times)
-    usual = intervals[intervals < 3 * np.median(intervals)]
-    interval = float(usual.mean())
+    interval, usual = _usual_interval(np.diff(times))
     for part in (1.0, 0.9, 0.8, 0.7, 0.6, 0.5):
         steps = np.rint((times - times[0]) / (part * interval))
         if part == 1.0 and np.ptp(usual) < 0.5 * interval:
@@ -133,6 +132,16 @@ def sample_time(signals: Mapping[str, Signal]) -> Fraction:
         if np.mean(np.diff(steps) == 0) <= FIT.collide:
             break
     return _short(part * interval)
+
+
+def _usual_interval(intervals: Floats) -> tuple[float, Floats]:
+    """Return the mean of the usual intervals, and these; one over missing samples counts as several, unless times jitter."""
+    median = float(np.median(intervals))
+    usual = intervals[intervals < 2.5 * median]
+    counts = np.maximum(np.rint(usual / median), 1)
+    if np.mean(np.abs(usual - counts * median) > 0.25 * median) > FIT.collide:
+        counts = np.ones_like(usual)
+    return float(usual.sum() / counts.sum()), usual / counts
 
 
 def _short(value: float) -> Fraction:
