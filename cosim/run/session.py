@@ -194,7 +194,7 @@ class Session:
         run = self._sound_run()
         step = self._schedule.step
         # The number of steps is kept, because many calls with the same short duration are usual.
-        if not (isinstance(duration, float) and duration == self._last_duration[0]):
+        if not (type(duration) in (float, Fraction) and duration == self._last_duration[0]):
             self._last_duration = duration, whole_steps(duration, step, "The duration")
         steps = self._last_duration[1]
         end = max(run.k, 0) + steps
