@@ -184,7 +184,7 @@ function card(device, isOpen) {
   return element;
 }
 
-const spaced = (kind) => kind.replace(/(?<=[a-z])(?=[A-Z])/g, " ").toLowerCase();
+const spaced = (kind) => kind.replace(/([a-z])([A-Z])/g, "$1 $2").toLowerCase();
 
 function unitOf(text, unit) {
   if (!text.includes("{u}")) return text;
@@ -202,7 +202,7 @@ function field(id, label, setting, range, value) {
 
 // The range of a slider and its first value, from the unit of the setting and the usual size of this device's faults.
 function rangeOf(setting, device) {
-  const scale = device.scale || Math.max(...recent(device).map(Math.abs), 1), level = recent(device).at(-1) || 0;
+  const scale = device.scale || Math.max(...recent(device).map(Math.abs), 1), level = recent(device).slice(-1)[0] || 0;
   const known = { factor: [0, 2, 0.5], probability: [0, 1, setting.default ?? 0.1], time_constant: [0, 5, 1], delay: [0, 5, 0.5],
     std: [0, 2 * scale, scale], magnitude: [-2 * scale, 2 * scale, scale], amplitude: [0, 2 * scale, 0], slope: [-scale, scale, 0.2 * scale],
     at: [level - 2 * scale, level + 2 * scale, level], low: [level - 2 * scale, level + 2 * scale, level - scale],
