@@ -132,7 +132,7 @@ class Isolated(ByAddress):
 
     @property
     def follows(self) -> bool:
-        """Whether the FMU's process follows the stepping thread to its processor."""
+        """Whether the FMU's process chooses its processor by that of the stepping thread."""
         return self._is_compiled
 
     @property

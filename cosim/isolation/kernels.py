@@ -1,4 +1,4 @@
-"""Both ends of the connection to an isolated FMU, compiled: a step takes one round trip over a socket.
+"""Both ends of the connection to an isolated FMU, compiled: a step takes one round trip through shared memory, or over a socket.
 
 The host's functions have the engine's signature; the words named below are at the address ``parameters``. The worker's function,
 `serve`, answers steps until another command comes.
@@ -7,11 +7,14 @@ The host's functions have the engine's signature; the words named below are at t
 # mypy expects the typing context of intrinsics, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated"
 
+import platform
+
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
-from bayesftc.cosim.fmi.running.kernels import number, put_number, put_word, word
+from bayesftc.cosim.fmi.running.kernels import number, place, put_number, put_word, word
 from bayesftc.cosim.isolation import protocol
 from bayesftc.cosim.stepping.by_address import call_block
 from bayesftc.cosim.stepping.numba_called import inlined
@@ -20,17 +23,23 @@ from bayesftc.cosim.stepping.numba_called import inlined
 SEND, RECEIVE, WHERE, SOCKET, SHARED, INPUT_COUNT, OUTPUT_COUNT, ATTEND, STEP_SIZE = range(9)
 
 # Words of the worker's table; the first six are the same.
-UPDATE, OUTPUT, TABLE, READS_AHEAD, NUMERATOR, DENOMINATOR, STEP_WORD, FOLLOWS = range(6, 14)
+UPDATE, OUTPUT, TABLE, READS_AHEAD, NUMERATOR, DENOMINATOR, STEP_WORD, HOME = range(6, 14)
 
-COMMAND, ANSWER, STATUS, RESULT = protocol.COMMAND, protocol.ANSWER, protocol.STATUS, protocol.RESULT
-AHEAD, READ_STATUS, LOGGED, PHASE = protocol.AHEAD, protocol.READ_STATUS, protocol.LOGGED, protocol.PHASE
-TIME, SIZE, COUNT = protocol.TIME, protocol.SIZE, protocol.COUNT
+COMMAND, TIME, SIZE, COUNT, PROCESSOR, ASKED = (
+    protocol.COMMAND, protocol.TIME, protocol.SIZE, protocol.COUNT, protocol.PROCESSOR, protocol.ASKED
+)  # fmt: skip
+STATUS, READ_STATUS, AHEAD, PHASE, DONE = (
+    protocol.STATUS, protocol.READ_STATUS, protocol.AHEAD, protocol.PHASE, protocol.DONE
+)  # fmt: skip
+HOST, WORKER, SLEPT, LOOKS = protocol.HOST, protocol.WORKER, protocol.SLEPT, protocol.LOOKS
+LOGGED, RESULT, ANSWER = protocol.LOGGED, protocol.RESULT, protocol.ANSWER
+ASLEEP, AWAKE, WOKEN = protocol.ASLEEP, protocol.AWAKE, protocol.WOKEN
 HEADER, MESSAGE = protocol.WORDS, protocol.MESSAGE
 READ, STEP = protocol.READ, protocol.STEP
-IDLE, STEPPING, READING, ASKED = protocol.IDLE, protocol.STEPPING, protocol.READING, protocol.ASKED
-PROCESSOR, INTERRUPTED = protocol.PROCESSOR, protocol.INTERRUPTED
+IDLE, STEPPING, READING, WANTED = protocol.IDLE, protocol.STEPPING, protocol.READING, protocol.WANTED
+INTERRUPTED = protocol.INTERRUPTED
 GONE, SIGNALLED, PAUSED, ELSEWHERE = protocol.GONE, protocol.SIGNALLED, protocol.PAUSED, protocol.ELSEWHERE
-PAUSE = protocol.PAUSE
+ANYWHERE, TOGETHER, PAUSE = protocol.ANYWHERE, protocol.TOGETHER, protocol.PAUSE
 NO_SIGNAL = 0x4000
 """MSG_NOSIGNAL of Linux: if the other process has ended, `send` returns an error instead of raising a signal."""
 
@@ -59,21 +68,99 @@ def processor(typingctx, function):
     return types.int32(types.int64), codegen
 
 
+@intrinsic
+def look(typingctx, address, index):
+    """Load a word that the other process writes; nothing after it is loaded before it."""
+
+    def codegen(context, builder, signature, args):
+        return builder.load_atomic(place(builder, args, _I64), "seq_cst", 8)
+
+    return types.int64(types.int64, types.int64), codegen
+
+
+@intrinsic
+def show(typingctx, address, index, value):
+    """Store a word that the other process looks at, after all that was stored before."""
+
+    def codegen(context, builder, signature, args):
+        builder.store_atomic(args[2], place(builder, args, _I64), "seq_cst", 8)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), codegen
+
+
+@intrinsic
+def swap(typingctx, address, index, old, new):
+    """Store `new` if the word is still `old`; return whether it was."""
+
+    def codegen(context, builder, signature, args):
+        pair = builder.cmpxchg(place(builder, args, _I64), args[2], args[3], "seq_cst", "seq_cst")
+        return builder.extract_value(pair, 1)
+
+    return types.boolean(types.int64, types.int64, types.int64, types.int64), codegen
+
+
+@intrinsic
+def rest(typingctx):
+    """Tell the processor that this is a waiting loop, so that its other thread goes on."""
+
+    def codegen(context, builder, signature, args):
+        name = {"x86_64": "llvm.x86.sse2.pause", "AMD64": "llvm.x86.sse2.pause"}.get(platform.machine())
+        if name is not None:
+            kind = ir.FunctionType(ir.VoidType(), [])
+            builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [])
+        return context.get_dummy_value()
+
+    return types.void(), codegen
+
+
+@inlined
+def _await(shared, mine, theirs, count, receive, socket, answer):
+    """Wait until the word `theirs` has this count, or a message comes; return what `recv` did, MESSAGE if it was not called.
+
+    `mine` is HOST or WORKER: what this process does.
+    """
+    if look(shared, mine) == AWAKE or swap(shared, mine, ASLEEP, AWAKE):  # else a message is on its way
+        for _ in range(word(shared, LOOKS)):
+            if look(shared, theirs) == count:
+                return MESSAGE
+            rest()
+        show(shared, mine, ASLEEP)
+        # The other may have stored its count before it could see that this process sleeps.
+        if look(shared, theirs) == count and swap(shared, mine, ASLEEP, AWAKE):
+            return MESSAGE
+    put_word(shared, mine + SLEPT, word(shared, mine + SLEPT) + 1)
+    received = transfer(receive, socket, shared + 8 * answer, MESSAGE, 0)
+    if received == MESSAGE:
+        show(shared, mine, AWAKE)
+    return received
+
+
+@inlined
+def _tell(shared, theirs, count, yours, send, socket):
+    """Store a count that the other process waits for, and wake it if it sleeps; return whether that was possible."""
+    show(shared, theirs, count)
+    if look(shared, yours) == ASLEEP and swap(shared, yours, ASLEEP, WOKEN):
+        return transfer(send, socket, shared + 8 * COMMAND, MESSAGE, NO_SIGNAL) == MESSAGE
+    return True
+
+
 @inlined
 def _exchange(command, parameters, inputs, t, k):
-    shared = word(parameters, SHARED)
+    shared, socket = word(parameters, SHARED), word(parameters, SOCKET)
     for i in range(word(parameters, INPUT_COUNT)):
         put_number(shared, HEADER + i, number(inputs, i))
     put_number(shared, TIME, t)
     put_number(shared, SIZE, number(parameters, STEP_SIZE))
     put_word(shared, COUNT, k)
     put_word(shared, PROCESSOR, processor(word(parameters, WHERE)))
-    put_word(shared, PHASE, ASKED)
+    put_word(shared, PHASE, WANTED)
     put_word(shared, COMMAND, command)
-    socket = word(parameters, SOCKET)
+    put_word(shared, HOST, AWAKE)
+    count = word(shared, ASKED) + 1
     answered = 0
-    if transfer(word(parameters, SEND), socket, shared + 8 * COMMAND, MESSAGE, NO_SIGNAL) == MESSAGE:
-        answered = transfer(word(parameters, RECEIVE), socket, shared + 8 * ANSWER, MESSAGE, 0)
+    if _tell(shared, ASKED, count, WORKER, word(parameters, SEND), socket):
+        answered = _await(shared, HOST, DONE, count, word(parameters, RECEIVE), socket, ANSWER)
     if answered != MESSAGE or word(shared, LOGGED) != 0 or word(shared, PHASE) != IDLE:
         put_word(shared, RESULT, INTERRUPTED)  # stays if Ctrl-C comes before the callback sets a result
         call_block(word(parameters, ATTEND), 0, 0, 0, answered, t, k)
@@ -106,11 +193,12 @@ def serve(state, parameters, inputs, outputs, t, k):
     make_step, compute, ahead = word(parameters, UPDATE), word(parameters, OUTPUT), word(parameters, READS_AHEAD)
     numerator, denominator = word(parameters, NUMERATOR), word(parameters, DENOMINATOR)
     usual_size, step_word = numerator / denominator, word(parameters, STEP_WORD)
-    where, follows = word(parameters, WHERE), word(parameters, FOLLOWS)
+    where, home = word(parameters, WHERE), word(parameters, HOME)
     u = shared + 8 * HEADER
     y = u + 8 * word(parameters, INPUT_COUNT)
     for _ in range(PAUSE):
-        received = transfer(receive, socket, shared + 8 * COMMAND, MESSAGE, 0)
+        done = word(shared, DONE)
+        received = _await(shared, WORKER, ASKED, done + 1, receive, socket, COMMAND)
         if received != MESSAGE:
             return GONE if received == 0 else SIGNALLED
         command = word(shared, COMMAND)
@@ -137,8 +225,8 @@ def serve(state, parameters, inputs, outputs, t, k):
             return command
         put_word(shared, STATUS, status)
         put_word(shared, PHASE, IDLE)
-        if transfer(send, socket, shared + 8 * STATUS, MESSAGE, NO_SIGNAL) != MESSAGE:
+        if not _tell(shared, DONE, done + 1, HOST, send, socket):
             return GONE
-        if follows != 0 and word(shared, PROCESSOR) != processor(where):
+        if home != ANYWHERE and (word(shared, PROCESSOR) == processor(where)) != (home == TOGETHER):
             return ELSEWHERE
     return PAUSED

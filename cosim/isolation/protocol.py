@@ -1,9 +1,10 @@
 """The protocol of an isolated FMU's process and its host: the words of their shared memory, commands, and statuses.
 
-Both share one block of memory: `WORDS` 64-bit words, then the inputs, then the outputs. A command is the first word of that
-memory, sent over a message socket; the answer is a message of the same size. Numbers are exchanged in the shared memory only; the
-messages order the access to it. All else (instantiation, saved states, explanations, the FMU's log) uses a second connection, as
-Python objects.
+Both share one block of memory: `WORDS` 64-bit words, then the inputs, then the outputs. Steps and reads are asked for by a count
+in that memory, ASKED, and answered by another, DONE. Whoever waits watches the count of the other for a short while, and then
+sleeps until a message comes over a socket. HOST and WORKER say which of both each does, so that a message is sent only to
+who sleeps. All else (instantiation, saved states, explanations, the FMU's log) uses a second connection, as Python objects, each
+announced by a message.
 """
 
 from __future__ import annotations
@@ -15,9 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Words of the shared memory.
-COMMAND, ANSWER, STATUS, RESULT, AHEAD, READ_STATUS, LOGGED, PHASE, TIME, SIZE, COUNT, PROCESSOR = range(12)
-WORDS = 12
+# Words of the shared memory. Those that the host writes at each step, those that the worker writes, and those that change rarely
+# are apart by 64 bytes: processors exchange so many at once.
+COMMAND, TIME, SIZE, COUNT, PROCESSOR, ASKED = range(6)
+STATUS, READ_STATUS, AHEAD, PHASE, DONE = range(8, 13)
+HOST, WORKER, HOST_SLEPT, WORKER_SLEPT, LOOKS, LOGGED, RESULT, ANSWER = range(16, 24)
+WORDS = 24
+SLEPT = HOST_SLEPT - HOST
+"""From the word HOST or WORKER to the one that counts how often it slept."""
+
+# What host and worker do, in HOST and WORKER.
+ASLEEP, AWAKE, WOKEN = range(3)
+"""Waiting for a message; looking at the memory; a message is on its way."""
 
 # Commands: compute the outputs; make a step; read the other connection.
 READ, STEP, TALK = 1, 2, 3
@@ -25,11 +35,14 @@ MESSAGE = 8
 """Bytes of a message."""
 
 # Phases: what the FMU is doing. They tell the host where the FMU crashed, and whether an answer is valid.
-IDLE, STEPPING, READING, STARTING, ASKED = range(5)
+IDLE, STEPPING, READING, STARTING, WANTED = range(5)
 
 GONE, SIGNALLED, PAUSED, ELSEWHERE = 0, -1, -2, -3
 """Why the worker's compiled loop returns without a command: the host has ended; a signal came; `PAUSE` commands were done; the
-host runs on another processor."""
+worker is on the host's processor and should not be, or the other way round."""
+
+ANYWHERE, TOGETHER, APART = range(3)
+"""Where the worker runs: on any processor; on the host's; on any but the host's."""
 
 PAUSE = 1000
 

@@ -28,6 +28,7 @@ from bayesftc.cosim.errors import BayesFTCError, FMUError
 from bayesftc.cosim.fmi.reading import messages
 from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.isolation import protocol
+from bayesftc.cosim.isolation.turns import Turns
 
 _LOST = {errno.EPIPE, errno.ECONNRESET, errno.EBADF, errno.ENOTSOCK}
 
@@ -38,7 +39,10 @@ HEARING = 1.0
 """Most seconds to wait, after an FMU is freed, until its printed output is logged."""
 
 QUICK = 2e-4
-"""Most seconds of a step, with the host's work between steps, for which the FMU's process stays on the host's processor."""
+"""Most seconds of a step, with the host's work between steps, for which the FMU's process chooses its processor."""
+
+LOOKS = 1000
+"""How often host and FMU look at the shared memory before they sleep: for some 20 to 50 us, about as long as waking takes."""
 
 
 def main(*descriptors: str) -> None:
@@ -246,10 +250,11 @@ class _Worker:
 
 
 class _CompiledLoop:
-    """The compiled loop over commands, which stays on the host's processor.
+    """The compiled loop over commands, and on which processor it runs.
 
-    Host and FMU run alternately, so a second processor has no benefit. Waking a process on an idle processor takes many times as
-    long as a step of most FMUs. An FMU with longer steps may use all processors, as it may have its own threads.
+    To wake a process takes many times as long as a step of most FMUs. So host and FMU look at the memory that they share, each
+    on a processor of its own. On a busy machine they would wait for processors: then both use the same one, and wake each other.
+    An FMU with longer steps may use all processors, as it may have its own threads.
     """
 
     def __init__(
@@ -260,23 +265,42 @@ class _CompiledLoop:
         words = [
             *protocol.system_functions(), steps.fileno(), shared.words.ctypes.data, shared.inputs.size,
             instance.update_address, instance.output_address, instance.table.ctypes.data, reads_ahead,
-            step.numerator, step.denominator, getattr(instance, "step_word", 0), 0,
+            step.numerator, step.denominator, getattr(instance, "step_word", 0), protocol.ANYWHERE,
         ]  # fmt: skip
         self._table = np.array(words, dtype=np.int64)
         self._entry = ENTRY(address("serve"))
-        self._shared, self._everywhere, self._paused = shared, os.sched_getaffinity(0), time.monotonic()
+        self._shared, self._steps = shared, steps
+        self._everywhere, self._paused = os.sched_getaffinity(0), time.monotonic()
+        self._slept, self._turns = 0, Turns(len(self._everywhere))
 
     def __call__(self) -> int:
         """Answer steps until another command comes; return it, or why there is none."""
         while True:
             reason: int = self._entry(0, self._table.ctypes.data, 0, 0, 0.0, 0)
             if reason == protocol.ELSEWHERE:
-                os.sched_setaffinity(0, {int(self._shared.words[protocol.PROCESSOR])})
+                self._move()
             elif reason == protocol.PAUSED:
                 now = time.monotonic()
-                is_quick = now - self._paused < QUICK * protocol.PAUSE
-                if not is_quick and self._table[-1]:
-                    os.sched_setaffinity(0, self._everywhere)
-                self._table[-1], self._paused = is_quick, now
-            elif reason != protocol.SIGNALLED:
+                self._choose(now - self._paused < QUICK * protocol.PAUSE)
+                self._paused = now
+            elif reason == protocol.SIGNALLED:
+                self._steps.getsockopt(socket.SOL_SOCKET, socket.SO_TYPE)  # raises an error if the FMU has closed it
+            else:
                 return reason
+
+    def _choose(self, is_quick: bool) -> None:
+        """Choose where to run for the next commands, from how long the last ones took and how often somebody slept."""
+        words, before = self._shared.words, self._table[-1]
+        total = int(words[protocol.HOST_SLEPT] + words[protocol.WORKER_SLEPT])
+        home = self._turns.next(is_quick, total - self._slept)
+        self._slept = total
+        if home == protocol.ANYWHERE != before:
+            os.sched_setaffinity(0, self._everywhere)
+        words[protocol.LOOKS] = LOOKS if home == protocol.APART else 0
+        self._table[-1] = home
+
+    def _move(self) -> None:
+        """Go to the processor of the host, or away from it."""
+        host = {int(self._shared.words[protocol.PROCESSOR])}
+        is_apart = self._table[-1] == protocol.APART
+        os.sched_setaffinity(0, (self._everywhere - host or self._everywhere) if is_apart else host)

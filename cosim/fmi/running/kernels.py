@@ -59,21 +59,22 @@ failed = inlined(_failed)
 _I32, _I64, _DOUBLE = ir.IntType(32), ir.IntType(64), ir.DoubleType()
 
 
-def _place(builder, args, kind):
-    place = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
-    return builder.inttoptr(place, kind.as_pointer())
+def place(builder, args, kind):
+    """Return a pointer to an element: the first two arguments of an intrinsic are an address and an index."""
+    begin = builder.add(args[0], builder.mul(args[1], ir.Constant(_I64, 8)))
+    return builder.inttoptr(begin, kind.as_pointer())
 
 
 def _loaded(kind, llvm):
     def codegen(context, builder, signature, args):
-        return builder.load(_place(builder, args, llvm))
+        return builder.load(place(builder, args, llvm))
 
     return kind(types.int64, types.int64), codegen
 
 
 def _stored(kind, llvm):
     def codegen(context, builder, signature, args):
-        builder.store(args[2], _place(builder, args, llvm))
+        builder.store(args[2], place(builder, args, llvm))
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64, kind), codegen

@@ -67,7 +67,7 @@ def test_both_ends_of_the_way_have_the_same_words(car):
         "AHEAD",
         "READ_STATUS",
         "PHASE",
-        "ASKED",
+        "WANTED",
         "TIME",
         "COUNT",
         "READ",

@@ -369,3 +369,40 @@ def test_a_thread_keeps_to_its_processor_only_while_an_fmu_follows_it():
         with pytest.raises(ZeroDivisionError):
             fail(follows, processors)
         assert os.sched_getaffinity(0) == everywhere
+
+
+def test_host_and_fmu_are_apart_where_that_is_quicker():
+    from bayesftc.cosim.isolation.protocol import ANYWHERE, APART, PAUSE, TOGETHER
+    from bayesftc.cosim.isolation.turns import Turns
+
+    turns = Turns(processors=2)
+    assert [turns.next(True, 2 * PAUSE), turns.next(True, 3), turns.next(False, 0), turns.next(True, PAUSE)] == [
+        APART,  # whoever runs anywhere sleeps at each command
+        APART,
+        ANYWHERE,
+        APART,
+    ]
+    # On a busy machine they share a processor, and try ever more rarely.
+    tries = [i for i in range(5000) if turns.next(True, PAUSE) == APART]
+    gaps = np.diff(tries)
+    assert gaps[0] > 10
+    assert (np.diff(gaps) >= 0).all()
+    assert len(tries) < 12
+    alone = Turns(processors=1)
+    assert {alone.next(True, slept) for slept in (0, PAUSE)} == {TOGETHER}
+
+
+@pytest.mark.slow
+def test_an_interrupted_wait_loses_no_count(car, cruise):
+    """Signals come while host and FMU look, sleep and are woken."""
+    heard = []
+    before = signal.signal(signal.SIGALRM, lambda *_: heard.append(1))
+    plain = cruise(car(isolate=False)).simulate(2000.0, engine="compiled")["car.v"]
+    signal.setitimer(signal.ITIMER_REAL, 1e-3, 7e-4)
+    try:
+        found = cruise(car()).simulate(2000.0, engine="compiled")["car.v"]
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    assert heard
+    np.testing.assert_array_equal(found, plain)

@@ -63,7 +63,7 @@ def measure(quick: bool = False) -> Section:
         "isolation",
         "FMUs in separate processes",
         (
-            Figure("isolated", "whole loop, FMU isolated", rate, rates["isolated"], at_least=4e4),
+            Figure("isolated", "whole loop, FMU isolated", rate, rates["isolated"], at_least=4e5),
             Figure("in_process", "whole loop, FMU in process", rate, rates["in_process"]),
             Figure("over_in_process", "isolated / in process", "", ratios(rates["isolated"], rates["in_process"])),
             Figure(
