@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from types import FunctionType
 
@@ -12,6 +13,9 @@ from bayesftc.cosim.errors import KernelError
 
 Floats = NDArray[np.float64]
 Kernel = Callable[..., None]
+
+ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
+"""The signature of compiled functions: addresses of state, parameters, inputs and outputs, time, step; they return a status."""
 
 
 def argument_names(kernel: Kernel) -> tuple[str, ...]:
@@ -26,4 +30,4 @@ def argument_names(kernel: Kernel) -> tuple[str, ...]:
     return code.co_varnames[: code.co_argcount]
 
 
-__all__ = ["Floats", "Kernel", "argument_names"]
+__all__ = ["ENTRY", "Floats", "Kernel", "argument_names"]

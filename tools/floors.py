@@ -28,7 +28,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.stepping", "cosim.stepping.source"),
     ("cosim.stepping.translate",),
     ("cosim.stepping.machine",),
-    ("cosim.random",),
+    ("cosim.random", "cosim.drawing"),
     ("cosim.block",),
     ("cosim.blocks.faults",),
     ("cosim.blocks",),

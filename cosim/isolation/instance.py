@@ -27,14 +27,14 @@ from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.errors import FMUCrashed, FMUError
 from bayesftc.cosim.fmi.reading.archive import DESCRIPTION, Archive, extract
 from bayesftc.cosim.fmi.reading.messages import KEPT, quoted
-from bayesftc.cosim.fmi.running.by_address import ENTRY, ByAddress
+from bayesftc.cosim.fmi.running.by_address import ByAddress
 from bayesftc.cosim.isolation import protocol
 from bayesftc.cosim.isolation.compiled import address
 from bayesftc.cosim.isolation.process import Patience, WorkerProcess
 from bayesftc.cosim.isolation.settings import DEFAULT_LIMIT
 from bayesftc.cosim.isolation.spares import give, take
 from bayesftc.cosim.isolation.states import IsolatedState
-from bayesftc.cosim.types import Floats
+from bayesftc.cosim.types import ENTRY, Floats
 
 STARTING = 60.0
 """Seconds for starting Python in the new process, or loading compiled code; they do not count for the FMU's time limit."""

@@ -26,9 +26,9 @@ from bayesftc.cosim.base.processes import begin
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import BayesFTCError, FMUError
 from bayesftc.cosim.fmi.reading import messages
-from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.isolation import protocol
 from bayesftc.cosim.isolation.turns import Turns
+from bayesftc.cosim.types import ENTRY
 
 _LOST = {errno.EPIPE, errno.ECONNRESET, errno.EBADF, errno.ENOTSOCK}
 

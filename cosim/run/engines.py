@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from math import inf
 from typing import Any, Protocol
 
@@ -15,6 +14,7 @@ from bayesftc.cosim.diagram.schedule import NOT_FINITE, Call, Schedule
 from bayesftc.cosim.isolation.guard import guard_of
 from bayesftc.cosim.random import CHUNK, compiled_fill, draw_chunk, stream_key
 from bayesftc.cosim.run.coupled.engines import CompiledGroup, GroupRun, InterpretedGroup, address_of, step_function
+from bayesftc.cosim.run.general.program import COLUMNS, FUSED, Program
 from bayesftc.cosim.run.state_functions import StateFunctions
 from bayesftc.cosim.types import Floats
 
@@ -127,9 +127,6 @@ class CompiledEngine:
     """Calls every block by address from one compiled loop; the GIL is free while it runs."""
 
     def __init__(self, run: Run):
-        from bayesftc.cosim.run import loop as _loop
-
-        self._failed_at, self._fused_at = slice(_loop.FAILED, _loop.TABLES), _loop.FUSED
         self._asked_for = 0.0
         self._run = run
         schedule = run.schedule
@@ -153,17 +150,14 @@ class CompiledEngine:
                  len(gathers), len(gathers) + len(call.gathers), *(outputs if checked else (0, 0))]
             )  # fmt: skip
             gathers += call.gathers
-        self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), _loop.COLUMNS)
+        self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), COLUMNS)
         self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
         self._clock = schedule.step.numerator, schedule.step.denominator
         self._drawn = run.drawn()
-        self._words = _loop.words(
-            self._calls, len(schedule.evaluate), self._gathers, self._drawn, run.recorded, run.decimation, self._clock
-        )
-        self._tables = self._words, run.streams(), _loop.empty_chunk(len(schedule.draws)), run.memory
-        self._failed = np.array([-1, 0], dtype=np.int64)
-        self._seed = run.seed, np.uint64(run.seed)
-        self._entry = compiled_loop("advance")
+        self._program = Program(
+            self._calls, len(schedule.evaluate), self._gathers, self._drawn, run.recorded, run.decimation, self._clock,
+            run.memory, run.streams(),
+        )  # fmt: skip
 
     def fuse(self, steps: float) -> None:
         """Use one function for the whole loop from now on, if that pays for so many steps."""
@@ -171,7 +165,7 @@ class CompiledEngine:
             return
         from bayesftc.cosim.run.fused.compiled import fused
 
-        address = self._words[self._fused_at] = fused(self._run.schedule, self._described(), steps)
+        address = self._program.words[FUSED] = fused(self._run.schedule, self._described(), steps)
         self._asked_for = inf if address else steps
 
     def in_lock_step(self, steps: float) -> int:
@@ -181,23 +175,21 @@ class CompiledEngine:
         return fused_lanes(self._run.schedule, self._described(), steps)
 
     @property
-    def calls(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """The table of calls, with the columns of `bayesftc.cosim.run.loop`."""
-        return self._calls
+    def program(self) -> Program:
+        """The tables of the compiled loop."""
+        return self._program
 
     def _described(self) -> tuple[Any, Any, Any, int, tuple[int, int]]:
         return self._calls, self._drawn, self._run.recorded, self._run.decimation, self._clock
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
-        run = self._run
-        if run.seed != self._seed[0]:
-            self._seed = run.seed, np.uint64(run.seed)
-        last = self._entry(*self._tables, run.recording, self._seed[1], run.before, int(first), begin, end)
-        failed = self._words[self._failed_at]
-        if failed[0] < 0:
+        run, program = self._run, self._program
+        last = program.advance(run.recording, run.seed, run.before, first, begin, end)
+        row, status = program.failure
+        if row < 0:
             return last, None
-        return last, self._failure(failed, last + int(failed[0] < len(run.schedule.evaluate)))
+        return last, self._failure(row, status, last + int(row < len(run.schedule.evaluate)))
 
     def advance_many(
         self,
@@ -236,14 +228,13 @@ class CompiledEngine:
         failure : Failure or None
             The failure of the next run. Its `node` is -1 if an FMU could not be restored.
         """
-        beginning = initial, states, int(fresh)
-        done = compiled_loop("run_many")(*self._tables, recordings, seeds, beginning, end, reached)
-        failed = self._words[self._failed_at]
-        if failed[0] == -1:
-            return int(done), None
-        if failed[0] < 0:
-            return int(done), Failure(-1, -1, int(failed[1]))
-        return int(done), self._failure(failed, int(reached[done]) + (failed[0] < len(self._run.schedule.evaluate)))
+        done = self._program.make_many(seeds, initial, states, recordings, reached, end, fresh=fresh)
+        row, status = self._program.failure
+        if row == -1:
+            return done, None
+        if row < 0:
+            return done, Failure(-1, -1, status)
+        return done, self._failure(row, status, int(reached[done]) + (row < len(self._run.schedule.evaluate)))
 
     def evaluate(self, k: int) -> Failure | None:
         """See `Engine.evaluate`."""
@@ -254,25 +245,14 @@ class CompiledEngine:
         return self._phase(len(self._run.schedule.evaluate), len(self._calls), k)
 
     def _phase(self, begin: int, end: int, k: int) -> Failure | None:
-        run, step = self._run, self._run.schedule.step
-        t = k * step.numerator / step.denominator
-        if compiled_loop("phase")(self._calls, begin, end, self._gathers, run.memory, t, k, self._failed):
-            return None
-        return self._failure(self._failed, k)
+        step = self._run.schedule.step
+        row, status = self._program.make_calls(begin, end, k * step.numerator / step.denominator, k)
+        return None if row < 0 else self._failure(row, status, k)
 
-    def _failure(self, failed: np.ndarray[Any, np.dtype[np.int64]], k: int) -> Failure:
+    def _failure(self, row: int, status: int, k: int) -> Failure:
         schedule = self._run.schedule
-        call = (*schedule.evaluate, *schedule.advance)[failed[0]]
-        return _failure(schedule, call, k, int(failed[1]), self._groups.get(int(failed[0])))
-
-
-@cache
-def compiled_loop(name: str) -> Any:
-    """Return a compiled function of `bayesftc.cosim.run.loop`, from the cache on disk if it is there."""
-    from bayesftc.cosim.run import loop
-    from bayesftc.cosim.stepping.compiler import compile_function
-
-    return compile_function(getattr(loop, name), loop.SIGNATURES[name])
+        call = (*schedule.evaluate, *schedule.advance)[row]
+        return _failure(schedule, call, k, status, self._groups.get(row))
 
 
 class InterpretedEngine:

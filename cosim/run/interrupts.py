@@ -34,8 +34,4 @@ def import_engine() -> None:
     If Ctrl-C interrupted the import, a library would remain half imported, and all later runs of the process would fail.
     """
     with held_back():
-        from bayesftc.cosim.run import (
-            loop as _loop,  # noqa: F401
-            session,  # noqa: F401
-        )
-        from bayesftc.cosim.stepping import compiler as _compiler  # noqa: F401
+        from bayesftc.cosim.run import session  # noqa: F401

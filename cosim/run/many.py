@@ -295,7 +295,7 @@ class ManyRuns:
             self._function, self._beside_allowed = 0, False
             return False
         memory = [self._initial, *(run.memory for run in runs[1:])]
-        self._beside = SideBySide(self._function, runs[0].streams(), memory, [e.calls for e in engines], states)
+        self._beside = SideBySide(self._function, [engine.program for engine in engines], memory, states)
         return True
 
     def _in_lock_step(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:

@@ -133,6 +133,11 @@ def make_room(run: Run, end: int, room: Callable[[int, int], Floats] | None = No
         run.recording = np.empty((rows, columns)) if room is None else room(rows, columns)
     except (MemoryError, ValueError):
         raise too_large(rows, columns) from None
+    if room is not None and (run.recording.shape != (rows, columns) or run.recording.dtype != np.float64):
+        raise ModelError(
+            f"The array for the recording has the shape {run.recording.shape} and the type {run.recording.dtype}; it must be an "
+            f"array of float64 of the shape {(rows, columns)}."
+        )
 
 
 def too_large(rows: int, columns: int) -> ModelError:

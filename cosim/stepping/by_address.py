@@ -1,8 +1,28 @@
-"""Calls, by address, of step functions and of functions of an FMU, for compiled code."""
+"""Arrays and calls by address, for compiled code."""
 
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
+
+
+@intrinsic
+def as_floats(typingctx, address):
+    """Return the float64 array that begins at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+
+    return types.CPointer(types.float64)(types.int64), codegen
+
+
+@intrinsic
+def as_integers(typingctx, address):
+    """Return the int64 array that begins at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.inttoptr(args[0], ir.IntType(64).as_pointer())
+
+    return types.CPointer(types.int64)(types.int64), codegen
 
 
 @intrinsic

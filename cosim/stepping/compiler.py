@@ -19,11 +19,10 @@ from types import CellType, FunctionType, ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from llvmlite import ir
 from numba import cfunc, types
 from numba.core.ccallback import CFunc
 from numba.core.errors import NumbaError
-from numba.extending import intrinsic, overload
+from numba.extending import overload
 
 from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory, is_own
@@ -50,16 +49,6 @@ _lock = threading.RLock()
 _modules: dict[str, ModuleType] = {}
 _latest_twin: WeakKeyDictionary[FunctionType, tuple[list[Any], FunctionType]] = WeakKeyDictionary()
 _registered: set[FunctionType] = set()
-
-
-@intrinsic
-def as_floats(typingctx, address):
-    """Return the float64 array that begins at an integer address."""
-
-    def codegen(context, builder, signature, args):
-        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
-
-    return types.CPointer(types.float64)(types.int64), codegen
 
 
 def compile_by_numba(kernel: FunctionType, sections: Sections, why: KernelError) -> int:
@@ -197,7 +186,7 @@ def _entry_text(kernel: FunctionType, sections: Sections) -> str:
             arguments.append(f"carray(as_floats({section} + {8 * offset}), {shape!r})")
     return (
         "from numba import carray, cfunc\n"
-        "from bayesftc.cosim.stepping.compiler import SIGNATURE, as_floats\n\n"
+        "from bayesftc.cosim.stepping.by_address import as_floats\nfrom bayesftc.cosim.stepping.compiler import SIGNATURE\n\n"
         '@cfunc(SIGNATURE, cache=True, error_model="numpy")\n'
         "def entry(state, parameters, inputs, outputs, t, k):\n"
         f"    kernel({', '.join(arguments)})\n"

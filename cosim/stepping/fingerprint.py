@@ -46,12 +46,12 @@ def environment() -> str:
     import llvmlite.binding as llvm
     import numba
 
-    from bayesftc.cosim.stepping import compiler as _compiler, numba_ops as _numba_ops
+    from bayesftc.cosim.stepping import by_address, numba_ops as _numba_ops
 
     features = ",".join(sorted(name for name, present in llvm.get_host_cpu_features().items() if present))
     # From the loaded code, as the files may have been edited since.
     options = _numba_ops.OPTIONS
-    sources = [composed(), str(options), _code_text(_compiler.as_floats._defn.__code__)]
+    sources = [composed(), str(options), _code_text(by_address.as_floats._defn.__code__)]
     sources += [_code_text(f.__code__) for _, f in sorted(vars(_numba_ops).items()) if isinstance(f, FunctionType)]
     for pipeline in (options["pipeline_class"],) if "pipeline_class" in options else ():
         classes = [c for _, c in sorted(vars(sys.modules[pipeline.__module__]).items()) if isinstance(c, type)]

@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 from scipy.special import ndtri
 
-from bayesftc.cosim import Diagram, Gaussian, random
+from bayesftc.cosim import Diagram, Gaussian, drawing
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.random import CHUNK, check_seed, draw_chunk, numbers, stream_key
+from bayesftc.cosim.random import CHUNK, SPARE, check_seed, draw_chunk, numbers, stream_key
 
 WORDS = st.integers(0, 2**64 - 1)
 
@@ -23,7 +23,7 @@ SENSORS_NOISE_SEED_1 = [0.23143269984475956, 2.064262614063333, 0.45371318711915
 
 def ours(counter, key):
     with np.errstate(over="ignore"):
-        return [int(word) for word in random._philox(*(np.uint64(c) for c in (*counter, *key)))]
+        return [int(word) for word in drawing._philox(*(np.uint64(c) for c in (*counter, *key)))]
 
 
 def numpys(counter, key):
@@ -42,7 +42,7 @@ def test_words_are_those_of_numpys_philox(counter, key):
 @given(WORDS, WORDS)
 def test_product_of_two_words(a, b):
     with np.errstate(over="ignore"):
-        high, low = random._multiply(np.uint64(a), np.uint64(b))
+        high, low = drawing._multiply(np.uint64(a), np.uint64(b))
     assert (int(high) << 64) + int(low) == a * b
 
 
@@ -67,12 +67,12 @@ def test_stream_keys_are_stable():
 def normal(p):
     """The normal numbers of uniform ones."""
     row = np.array(p)
-    random._to_normal(row, np.empty(len(row)), np.empty(len(row), dtype=int))
+    drawing._to_normal(row, np.empty(len(row)), np.empty(len(row), dtype=int))
     return row
 
 
 def test_uniform_is_strictly_inside():
-    ends = [float(random._uniform(np.uint64(w))) for w in (0, 2**64 - 1)]
+    ends = [float(drawing._uniform(np.uint64(w))) for w in (0, 2**64 - 1)]
     assert 0 < ends[0] < ends[1] < 1
     assert np.isfinite(normal(ends)).all()
 
@@ -140,12 +140,12 @@ def test_chunks_join():
 
 
 def test_chunks_of_plain_python_are_the_same():
-    assert isinstance(random.fill, FunctionType)
+    assert isinstance(drawing.fill, FunctionType)
     streams = np.array([[stream_key("s.n"), 3, 1, 0], [stream_key("s.n"), 0, 0, 1]], dtype=np.uint64)
-    compiled, plain = np.empty((CHUNK, 2)), np.empty((2 + random.SPARE, CHUNK))
+    compiled, plain = np.empty((CHUNK, 2)), np.empty((2 + SPARE, CHUNK))
     draw_chunk(11, streams, CHUNK, compiled)
     with np.errstate(over="ignore"):
-        random.fill(np.uint64(11), streams, CHUNK, plain)
+        drawing.fill(np.uint64(11), streams, CHUNK, plain)
     assert_array_equal(plain[:2].T, compiled)
 
 

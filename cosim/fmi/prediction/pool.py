@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from bayesftc.cosim.fmi.prediction import words
-from bayesftc.cosim.fmi.running.by_address import ENTRY
+from bayesftc.cosim.types import ENTRY
 
 WAIT = 1e-4
 """Seconds that a thread waits for an instance before it looks again."""

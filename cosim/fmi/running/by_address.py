@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -11,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.cosim.base.timebase import step_at
-from bayesftc.cosim.types import Floats
-
-ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 4, ctypes.c_double, ctypes.c_int64)
-"""The engine's signature: state, parameters, inputs, outputs, time, step; they return a status."""
+from bayesftc.cosim.types import ENTRY, Floats
 
 
 class ByAddress:

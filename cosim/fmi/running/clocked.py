@@ -23,11 +23,10 @@ from bayesftc.cosim.fmi.binaries.groups import Group
 from bayesftc.cosim.fmi.binaries.library import Beginning, CallError, Library
 from bayesftc.cosim.fmi.reading.clocks import CHANGED, Ticks
 from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable
-from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.fmi.running.instance import Instance
 from bayesftc.cosim.fmi.running.port_values import StopError
 from bayesftc.cosim.stepping.callbacks import Callback
-from bayesftc.cosim.types import Floats
+from bayesftc.cosim.types import ENTRY, Floats
 
 CLOCK, RAISED = 603, 604
 """Statuses: a function of clocks has failed; a Python callback has raised an exception."""

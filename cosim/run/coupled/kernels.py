@@ -3,14 +3,12 @@
 # mypy checks the intrinsics with the typing context as an argument, which numba passes by itself.
 # mypy: disable-error-code="call-arg, var-annotated"
 
-from llvmlite import ir
-from numba import carray, types
-from numba.extending import intrinsic
+from numba import carray
 
 from bayesftc.cosim.diagram.schedule import NOT_FINITE
 from bayesftc.cosim.fmi.running.kernels import number, put_word, word
 from bayesftc.cosim.run.coupled.steps import PART, RECORD_WORDS, SAVING, STATUS, WORK_ROWS, Doubling, Iteration, build
-from bayesftc.cosim.run.loop import (
+from bayesftc.cosim.run.general.program import (
     CHECK_FROM,
     CHECK_TO,
     COLUMNS as LOOP_COLUMNS,
@@ -23,8 +21,7 @@ from bayesftc.cosim.run.loop import (
     PARAMETERS,
     STATE,
 )
-from bayesftc.cosim.stepping.by_address import call_block, put_back as call_state
-from bayesftc.cosim.stepping.compiler import as_floats
+from bayesftc.cosim.stepping.by_address import as_floats, as_integers, call_block, put_back as call_state
 from bayesftc.cosim.stepping.numba_called import callee
 
 # The table of parts has the columns of the loop's table of calls, and one more: whether time is that at the end of the step.
@@ -40,16 +37,6 @@ COLUMNS = LOOP_COLUMNS + 1
 
 # Words of memory for each FMU that is restored.
 COMPONENT, SAVE, RESTORE, FREE, SAVED = range(5)
-
-
-@intrinsic
-def as_integers(typingctx, address):
-    """Return the int64 array that begins at an integer address."""
-
-    def codegen(context, builder, signature, args):
-        return builder.inttoptr(args[0], ir.IntType(64).as_pointer())
-
-    return types.CPointer(types.int64)(types.int64), codegen
 
 
 @callee

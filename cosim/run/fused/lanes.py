@@ -14,7 +14,16 @@ from enum import Enum
 
 from bayesftc.cosim.random import CHUNK, SPARE
 from bayesftc.cosim.run.fused.text import STEP_FUNCTION, Loop, Text
-from bayesftc.cosim.run.loop import CHECK_FROM, CHECK_TO, COLUMNS, FUNCTION, INPUTS, OUTPUTS, PARAMETERS, STATE
+from bayesftc.cosim.run.general.program import (
+    CHECK_FROM,
+    CHECK_TO,
+    COLUMNS,
+    FUNCTION,
+    INPUTS,
+    OUTPUTS,
+    PARAMETERS,
+    STATE,
+)
 
 FAILED = -1
 """What the function returns if any run fails. It does not tell which: these runs are then made one by one."""

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from bayesftc.cosim.random import CHUNK, SPARE
-from bayesftc.cosim.run.engines import compiled_loop
+from bayesftc.cosim.run.general.program import DONE, DRAWN, Program, Seeds, Whole, function
 from bayesftc.cosim.types import Floats
-
-Whole = np.ndarray[Any, np.dtype[np.int64]]
-Seeds = np.ndarray[Any, np.dtype[np.uint64]]
 
 
 class SideBySide:
@@ -19,30 +14,37 @@ class SideBySide:
 
     Parameters
     ----------
-    function : int
+    loop : int
         The address of the compiled loop.
-    streams : ndarray
-        The table of random streams.
+    programs : list of Program
+        The tables of each run.
     memories : list of ndarray
         For each run, its memory at the beginning.
-    calls : list of ndarray
-        For each run, its table of calls.
     states : list of ndarray of shape (instances, 3)
         For each run, how its FMUs return to the beginning.
     """
 
-    def __init__(self, function: int, streams: Seeds, memories: list[Floats], calls: list[Whole], states: list[Whole]):
-        self._function, self._streams = function, streams
-        self._initial, self._calls, self._states = np.stack(memories), np.stack(calls), np.stack(states)
+    def __init__(self, loop: int, programs: list[Program], memories: list[Floats], states: list[Whole]):
+        self._loop, self._program = loop, programs[0]
+        self._initial, self._calls = np.stack(memories), np.stack([program.calls for program in programs])
+        self._states = np.stack(states)
         lanes, size = self._initial.shape
-        self._memories = np.empty((lanes, size)), _aligned(size, lanes)
-        self._buffers = np.empty((lanes, len(streams) + SPARE, CHUNK))
+        self._own, self._wide = np.empty((lanes, size)), _aligned(size, lanes)
+        self._buffers = np.empty((lanes, int(self._program.words[DRAWN]) + SPARE, CHUNK))
 
     def make(self, seeds: Seeds, recordings: Floats, end: int) -> int:
         """Make runs to step `end`, as many as fill all lanes; return how many are done before the first group with a failure."""
-        beginning = self._initial, self._states
-        tables = self._function, self._calls, self._streams, self._buffers, self._memories
-        return int(compiled_loop("run_lanes")(*tables, recordings, seeds, beginning, end))
+        many = np.array(
+            [
+                self._program.address, recordings.ctypes.data, recordings.strides[0], seeds.ctypes.data, len(seeds),
+                self._initial.ctypes.data, self._states.ctypes.data, self._states.shape[1], 0, end, 0, 0,
+                self._loop, self._calls.ctypes.data, self._buffers.ctypes.data, self._own.ctypes.data, self._wide.ctypes.data,
+                len(self._own),
+            ],
+            dtype=np.int64,
+        )  # fmt: skip
+        function("run_lanes")(0, many.ctypes.data, 0, 0, 0.0, 0)
+        return int(many[DONE])
 
 
 def _aligned(rows: int, lanes: int) -> Floats:

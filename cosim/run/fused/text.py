@@ -1,7 +1,7 @@
 """The loop of one diagram as a function in LLVM's text format: its calls one after the other, all places in memory constant.
 
-It does the same as `bayesftc.cosim.run.loop.run` between two chunks of random numbers, in the same order and with the same bits.
-What that function reads from tables at every step is written out here, so that LLVM puts the step functions into the loop,
+It does the same as `bayesftc.cosim.run.general.loop` between two chunks of random numbers, in the same order and with the same
+bits. What that function reads from tables at every step is written out here, so that LLVM puts the step functions into the loop,
 keeps signals in registers, and finds what is computed twice.
 """
 
@@ -12,7 +12,17 @@ from dataclasses import dataclass
 
 from bayesftc.cosim.diagram.schedule import NOT_FINITE
 from bayesftc.cosim.random import CHUNK
-from bayesftc.cosim.run.loop import CHECK_FROM, CHECK_TO, COLUMNS, EVERY, FUNCTION, INPUTS, OUTPUTS, PARAMETERS, STATE
+from bayesftc.cosim.run.general.program import (
+    CHECK_FROM,
+    CHECK_TO,
+    COLUMNS,
+    EVERY,
+    FUNCTION,
+    INPUTS,
+    OUTPUTS,
+    PARAMETERS,
+    STATE,
+)
 
 STEP_FUNCTION = "i32 @{}(ptr, ptr, ptr, ptr, double, i64)"
 
@@ -31,7 +41,7 @@ class Loop:
     Attributes
     ----------
     rows : tuple of tuple of int
-        The table of calls, with the columns of `bayesftc.cosim.run.loop`.
+        The table of calls, with the columns of `bayesftc.cosim.run.general.program`.
     gathers : tuple of tuple of (int, int)
         For each call, the copies (target, source) before it.
     functions : tuple of str

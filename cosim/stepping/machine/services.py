@@ -1,7 +1,7 @@
-"""The engine's own functions for FMUs as machine code: a process loads it without numba, whose import takes most of its start.
+"""The engine's own functions as machine code: a process loads it without numba, whose import takes most of its start.
 
-numba compiles such a function, LLVM makes an object file of it, and the cache folder keeps that. The file's name has a hash of
-the source files, so that it is found before the functions are imported.
+The package has their text in LLVM's format (`shipped`), else numba makes it; LLVM makes an object file of that, and the cache
+folder keeps it. The file's name has a hash of the source files, so that it is found before the functions are imported.
 """
 
 from __future__ import annotations
@@ -9,12 +9,12 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import sys
 import threading
 from collections.abc import Callable
 from importlib import resources, util
 from pathlib import Path
 from types import FunctionType
+from typing import Any
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -23,9 +23,8 @@ from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
 from bayesftc.cosim.stepping.machine.code import closed_code, features, load, opened, sealed
-
-_NUMBA_IS_THERE = "numba" in sys.modules
-"""Whether this process had loaded numba before its first FMU. Then numba's own code is used: it makes up to 9 % more steps."""
+from bayesftc.cosim.stepping.machine.shipped import shipped_text
+from bayesftc.cosim.types import ENTRY
 
 _lock = threading.RLock()
 _addresses: dict[str, int] = {}
@@ -54,8 +53,13 @@ def service_address(name: str, find: Callable[[], FunctionType]) -> int:
     """
     with _lock:
         if name not in _addresses:
-            _addresses[name] = _by_numba(find) if _NUMBA_IS_THERE else _found(f"service_{name}", find)
+            _addresses[name] = _found(f"service_{name}", find)
         return _addresses[name]
+
+
+def service(name: str, find: Callable[[], FunctionType]) -> Any:
+    """Return a service function as an object that Python can call; see `service_address`."""
+    return ENTRY(service_address(name, find))
 
 
 def _found(name: str, find: Callable[[], FunctionType]) -> int:
@@ -64,12 +68,16 @@ def _found(name: str, find: Callable[[], FunctionType]) -> int:
     code = None if content is None else opened(content)
     STATISTICS["compiled" if code is None else "loaded"] += 1
     if code is None:
-        from bayesftc.cosim.stepping.compiler import service_text
-
         with announced(True):
-            code = closed_code(service_text(find(), name), name)
+            code = closed_code(shipped_text(name) or _numbas_text(find, name), name)
         write_whole(path, sealed(code))
     return load(code, name) if code else _by_numba(find)
+
+
+def _numbas_text(find: Callable[[], FunctionType], name: str) -> str:
+    from bayesftc.cosim.stepping.compiler import service_text
+
+    return service_text(find(), name)
 
 
 def _by_numba(find: Callable[[], FunctionType]) -> int:

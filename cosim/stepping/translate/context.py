@@ -64,6 +64,7 @@ class Context:
         self.stored: set[str] = set()  # arguments whose elements are assigned
         self.called: set[str] = set()  # names of the file that no variable may hide
         self.spelled: dict[str, str] = {}  # names in C
+        self._calling: dict[ast.expr, bool] = {}
         self.lines: list[str] = []
         self.depth = 1
         self.temporaries = 0
@@ -169,7 +170,9 @@ class Context:
 
     def calls(self, node: ast.expr) -> bool:
         """Return whether an expression calls anything that may write into arrays."""
-        return any(isinstance(n, ast.Call) and not self._is_pure(n.func) for n in ast.walk(node))
+        if node not in self._calling:
+            self._calling[node] = any(isinstance(n, ast.Call) and not self._is_pure(n.func) for n in ast.walk(node))
+        return self._calling[node]
 
     def _is_pure(self, node: ast.expr) -> bool:
         if isinstance(node, ast.Attribute):

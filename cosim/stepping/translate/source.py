@@ -58,47 +58,56 @@ def source_of(function: FunctionType) -> Source:
 
 def counters(tree: ast.FunctionDef) -> set[str]:
     """Return the loop variables that are neither assigned nor read outside their loops."""
-    loops = [n for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)]
-    result = {_counter(loop) for loop in loops} - {a.arg for a in tree.args.args}
-    for name in list(result):
-        own_loops = [loop for loop in loops if _counter(loop) == name]
-        inside = {id(n) for loop in own_loops for part in loop.body for n in _named(part, name)} | {
-            id(o.target) for o in own_loops
-        }
-        is_nested = any(
-            _counter(n) == name for loop in own_loops for part in loop.body for n in ast.walk(part) if n in own_loops
-        )
-        assigned = stores(tree).count(name) > len(own_loops)
-        if is_nested or assigned or any(id(n) not in inside for n in _named(tree, name)):
-            result.discard(name)
-    return result
+    found: set[str] = set()
+    others = {a.arg for a in tree.args.args}
 
+    def visit(node: ast.AST, active: frozenset[str]) -> None:
+        if isinstance(node, ast.For) and isinstance(node.target, ast.Name):
+            name = node.target.id
+            (others if name in active else found).add(name)
+            for part in (node.iter, *node.orelse):
+                visit(part, active)
+            for part in node.body:
+                visit(part, active | {name})
+            return
+        if isinstance(node, ast.Name) and (isinstance(node.ctx, ast.Store) or node.id not in active):
+            others.add(node.id)
+        for child in ast.iter_child_nodes(node):
+            visit(child, active)
 
-def _counter(loop: ast.AST) -> str:
-    target = getattr(loop, "target", None)
-    return target.id if isinstance(target, ast.Name) else ""
-
-
-def _named(tree: ast.AST, name: str) -> list[ast.Name]:
-    return [n for n in ast.walk(tree) if isinstance(n, ast.Name) and n.id == name]
+    for statement in tree.body:
+        visit(statement, frozenset())
+    return found - others
 
 
 def within_block(tree: ast.FunctionDef) -> set[str]:
     """Return the variables that are assigned in one statement and read only by later statements of the same block."""
-    result, reads = set(), _reads(tree)
-    for node in ast.walk(tree):
-        for body in (getattr(node, "body", None), getattr(node, "orelse", None)):
-            later: Counter[str] = Counter()
-            for statement in reversed(body if isinstance(body, list) else []):
-                if isinstance(statement, ast.Assign | ast.AnnAssign):
-                    result |= {name for name in stores(statement) if later[name] == reads[name]}
-                later += _reads(statement)
-    return result
+    reads: list[str] = []  # in the order of the text
+    assigned: list[
+        tuple[str, int, list[int]]
+    ] = []  # a variable, the number of reads before and in the statement, the block's
 
+    def visit(node: ast.AST, ends: list[int]) -> None:
+        if isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Store):
+            reads.append(node.id)
+        for _, value in ast.iter_fields(node):
+            if isinstance(value, list):
+                block: list[int] = []
+                for child in value:
+                    if isinstance(child, ast.AST):
+                        visit(child, block)
+                block.append(len(reads))
+            elif isinstance(value, ast.AST):
+                visit(value, [])
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            assigned.extend((name, len(reads), ends) for name in stores(node))
 
-def _reads(tree: ast.AST) -> Counter[str]:
-    """Return how often each variable is read."""
-    return Counter(n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and not isinstance(n.ctx, ast.Store))
+    visit(tree, [])
+    first = {name: i for i, name in reversed(list(enumerate(reads)))}
+    last = {name: i for i, name in enumerate(reads)}
+    return {
+        name for name, after, end in assigned if name not in first or (after <= first[name] and last[name] < end[0])
+    }
 
 
 def ends(body: Sequence[ast.stmt]) -> bool:

@@ -375,6 +375,9 @@ if sys.argv[1] == "other inside":
     sys.modules["numba._dynfunc"] = None
 warnings.simplefilter("always")
 from bayesftc import cosim, fmus
+from bayesftc.cosim.stepping.machine import shipped
+
+shipped.sources_digest = lambda: "of other sources, so that numba translates them"
 
 loop = cosim.Diagram(dt=0.02)
 car, sensors = loop.add(cosim.FMU(fmus.path("CruiseControl")), "car"), loop.add(cosim.Sensors(count=2, std=1.0), "sensors")

@@ -21,9 +21,9 @@ from bayesftc.cosim.fmi.exchange.model import ExchangeModel, SavedModel
 from bayesftc.cosim.fmi.exchange.reasons import reason
 from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS, RESTARTED
 from bayesftc.cosim.fmi.reading.description import FMUVariable
-from bayesftc.cosim.fmi.running.by_address import ENTRY, ByAddress
+from bayesftc.cosim.fmi.running.by_address import ByAddress
 from bayesftc.cosim.fmi.running.port_values import StopError
-from bayesftc.cosim.types import Floats
+from bayesftc.cosim.types import ENTRY, Floats
 
 Timing = Literal["plant", "direct", "sampled"]
 

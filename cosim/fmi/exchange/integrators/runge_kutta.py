@@ -31,7 +31,7 @@ from bayesftc.cosim.fmi.exchange.words import (
     X,
 )
 from bayesftc.cosim.fmi.running.kernels import number, put_number, put_word, word
-from bayesftc.cosim.stepping.compiler import as_floats
+from bayesftc.cosim.stepping.by_address import as_floats
 from bayesftc.cosim.stepping.numba_called import callee
 
 NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)

@@ -14,9 +14,8 @@ from bayesftc.cosim.fmi.exchange.reasons import REMEDY, nan_derivative
 from bayesftc.cosim.fmi.exchange.settings import INTERNAL_STEPS
 from bayesftc.cosim.fmi.exchange.words import PRECISION
 from bayesftc.cosim.fmi.reading.messages import ENDS
-from bayesftc.cosim.fmi.running.by_address import ENTRY
 from bayesftc.cosim.fmi.running.port_values import EndError, StopError
-from bayesftc.cosim.types import Floats
+from bayesftc.cosim.types import ENTRY, Floats
 
 
 class ScipySolver:

@@ -1,0 +1,1 @@
+"""The compiled loop for all diagrams: its tables, and its functions."""

@@ -1,0 +1,144 @@
+"""The tables of the compiled loop for all diagrams, as words in memory, and calls of its functions.
+
+Each of these functions has the engine's signature and reads all else from words: of the diagram and the run (`Program`), and for
+many runs from further ones. A live run makes a call for each step; passing arrays one by one took longer than the step.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from struct import Struct
+from typing import Any
+
+import numpy as np
+
+from bayesftc.cosim.random import CHUNK, SPARE
+from bayesftc.cosim.types import Floats
+
+Whole = np.ndarray[Any, np.dtype[np.int64]]
+Seeds = np.ndarray[Any, np.dtype[np.uint64]]
+
+# Columns of the table of calls.
+FUNCTION, EVERY, STATE, PARAMETERS, INPUTS, OUTPUTS, GATHER_FROM, GATHER_TO, CHECK_FROM, CHECK_TO = range(10)
+COLUMNS = 10
+
+# Words of a program; its tables of integers follow, one after the other.
+(
+    CALLS, EVALUATIONS, GATHERS, FUSED, DRAWN, RECORDED, DECIMATION, NUMERATOR, DENOMINATOR, MEMORY, SIZE, STREAMS, BUFFER,
+    FAILED, STATUS, LAST, RECORDING, SEED, BEFORE, FIRST, BEGIN, END, TABLES,
+) = range(23)  # fmt: skip
+
+# Words for many runs, after the program's address: one by one, and in lock step.
+PROGRAM, RECORDINGS, STRIDE, SEEDS, RUNS, INITIAL, STATES, STATE_COUNT, FRESH, LENGTH, REACHED, DONE = range(12)
+LOOP, ALL_CALLS, BUFFERS, OWN, WIDE, LANES = range(12, 18)
+
+_PIECE = Struct("qQqqqq")
+"""From RECORDING to END."""
+
+_FAILURE = Struct("qqq")
+"""From FAILED to LAST."""
+
+
+class Program:
+    """The words of one run of a diagram.
+
+    Parameters
+    ----------
+    calls : ndarray of int64, calls x COLUMNS
+        The calls of step functions: at first those that compute outputs, then those that advance states.
+    evaluations : int
+        Number of the former.
+    gathers : ndarray of int64, gathers x 2
+        Copies (target, source) before the calls.
+    drawn, recorded : ndarray of int64
+        Places in memory of the random numbers, and of what is recorded.
+    decimation : int
+        Steps between two recorded rows.
+    clock : (int, int)
+        Numerator and denominator of the step in seconds.
+    memory : ndarray
+        The run's memory, which stays the same array.
+    streams : ndarray of uint64, numbers x 4
+        The random streams.
+
+    Attributes
+    ----------
+    words : ndarray of int64
+        The tables, at `address`.
+    """
+
+    def __init__(
+        self,
+        calls: Whole,
+        evaluations: int,
+        gathers: Whole,
+        drawn: Whole,
+        recorded: Whole,
+        decimation: int,
+        clock: tuple[int, int],
+        memory: Floats,
+        streams: Seeds,
+    ):
+        self.calls = calls
+        self._kept = memory, streams, np.empty((len(drawn) + SPARE, CHUNK))
+        counts = len(calls), evaluations, len(gathers), 0, len(drawn), len(recorded), decimation, *clock
+        places = memory.ctypes.data, memory.size, *(array.ctypes.data for array in self._kept[1:])
+        head = np.array([*counts, *places, -1, *[0] * (TABLES - FAILED - 1)], dtype=np.int64)
+        self.words = np.concatenate([head, calls.ravel(), gathers.ravel(), drawn, recorded])
+        self.address = self.words.ctypes.data
+        self._bytes = memoryview(self.words).cast("B")  # type: ignore[arg-type]
+        self._advance = function("advance")
+
+    def advance(self, recording: Floats, seed: int, before: int, first: bool, begin: int, end: int) -> int:
+        """Run from t_begin to t_end; return the last complete step. See `failure` for why it is not `end`."""
+        place = ctypes.addressof(ctypes.c_char.from_buffer(recording)) if recording.size else 0  # type: ignore[arg-type]
+        _PIECE.pack_into(self._bytes, 8 * RECORDING, place, seed, before, first, begin, end)
+        self._advance(0, self.address, 0, 0, 0.0, 0)
+        last: int = _FAILURE.unpack_from(self._bytes, 8 * FAILED)[2]
+        return last
+
+    def make_many(
+        self,
+        seeds: Seeds,
+        initial: Floats,
+        states: Whole,
+        recordings: Floats,
+        reached: Whole,
+        end: int,
+        *,
+        fresh: bool,
+    ) -> int:
+        """Make runs; see `bayesftc.cosim.run.engines.CompiledEngine.advance_many`. Return how many are complete."""
+        places = [array.ctypes.data for array in (seeds, initial, states, reached)]
+        many = np.array(
+            [self.address, recordings.ctypes.data, recordings.strides[0], places[0], len(seeds), places[1], places[2],
+             len(states), int(fresh), end, places[3], 0],
+            dtype=np.int64,
+        )  # fmt: skip
+        function("run_many")(0, many.ctypes.data, 0, 0, 0.0, 0)
+        return int(many[DONE])
+
+    def make_calls(self, begin: int, end: int, t: float, k: int) -> tuple[int, int]:
+        """Make the calls from row `begin` to `end` at step `k`; return the failure."""
+        function("phase")(0, self.address, begin, end, t, k)
+        return self.failure
+
+    @property
+    def failure(self) -> tuple[int, int]:
+        """The row of the call that failed, or -1, and its status."""
+        row, status, _ = _FAILURE.unpack_from(self._bytes, 8 * FAILED)
+        return row, status
+
+
+@cache
+def function(name: str) -> Any:
+    """Return a function of `bayesftc.cosim.run.general.loop`, from the disk if it is there."""
+    from bayesftc.cosim.stepping.machine.services import service
+
+    def find() -> Any:
+        from bayesftc.cosim.run.general import loop
+
+        return getattr(loop, name)
+
+    return service(f"loop_{name}", find)
