@@ -213,6 +213,14 @@ def test_every_public_name_is_described_with_all_its_arguments(name):
             )
 
 
+@pytest.mark.parametrize("name", sorted(name for name, thing in PUBLIC.items() if inspect.isfunction(thing)))
+def test_every_public_function_says_what_it_returns(name):
+    """Its page shows no annotations, only the docstring."""
+    text = inspect.getdoc(PUBLIC[name])
+    if inspect.signature(PUBLIC[name]).return_annotation not in {None, "None"}:
+        assert re.search(r"^(Returns|Yields)\n-+\n\S.*\n    \S", text, re.M), f"{name} has no section Returns"
+
+
 def has_example(thing):
     """Return whether an example stands in a docstring of a class or function, or of one of the class's own methods."""
     own = [getattr(thing, name) for name in vars(thing) if not name.startswith("_")] if inspect.isclass(thing) else []
