@@ -70,10 +70,19 @@ def design(
         `Identification`, which contains them.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the one of the model or the FMU.
-    at, order, sensors, sensor_std, noise, disturbance
-        See `LinearModel.from_fmu`. Not for a `LinearModel`. The default noise is 5 % of half the range between a control's
-        limits, or without limits of `acceptable_control`, where one of them is given. A `disturbance` removes the steady error
-        that load or a plant unlike the model would leave.
+    at : mapping of input to number or vector, optional
+        Inputs at the operating point; by default their start values.
+    order, sensors : int, optional
+        Number of states of a model by pulse responses, and number of sensors.
+    sensor_std : number or vector
+        Standard deviation of the sensors' noise.
+    noise : mapping of input to number or vector, optional
+        Inputs at which process noise acts, and its standard deviations.
+    disturbance : number, vector or matrix, optional
+        Covariance per sample of an unknown load on each control. See `LinearModel.from_fmu` for these six. They are not
+        for a `LinearModel`. The default noise is 5 % of half the range between a control's limits, or without limits of
+        `acceptable_control`, where one of them is given. A `disturbance` removes the steady error that load or a plant
+        unlike the model would leave.
     acceptable_error : number or vector
         For Bryson's rule: the largest acceptable error of each goal output, in its unit.
     acceptable_control : number or vector, optional
@@ -82,13 +91,20 @@ def design(
         Inverses of the costs, in place of the squares of the acceptable values.
     precision : PrecisionLearner, optional
         Learns the sensors' precisions; by default `SwitchingPrecision`.
-    belief, u_min, u_max, u_rate
-        See `BayesianController`.
+    belief : {"filtered", "joint"}
+        How the state is inferred.
+    u_min, u_max, u_rate : number or vector
+        Limits of the controls and of their rates of change, in their units and units per second. See `BayesianController`.
     preview : int
         Number of samples by which goals are known ahead: see `LQGController`.
     input_delays, sensor_delays : int or sequence of int
         Samples by which each control acts late, and by which the values of each sensor are old, in addition to what `plant`
         itself contains: see `LinearModel.with_delays`.
+
+    Returns
+    -------
+    LQGController
+        The controller, with the model in ``controller.model``.
 
     Raises
     ------

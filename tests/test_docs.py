@@ -213,6 +213,29 @@ def test_every_public_name_is_described_with_all_its_arguments(name):
             )
 
 
+@pytest.mark.parametrize("name", sorted(name for name, thing in PUBLIC.items() if inspect.isfunction(thing)))
+def test_every_public_function_says_what_it_returns(name):
+    """Its page shows no annotations, only the docstring."""
+    text = inspect.getdoc(PUBLIC[name])
+    if inspect.signature(PUBLIC[name]).return_annotation not in {None, "None"}:
+        assert re.search(r"^(Returns|Yields)\n-+\n\S.*\n    \S", text, re.M), f"{name} has no section Returns"
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_every_setting_on_a_page_has_a_type(name):
+    """Those of a base are completed from its description."""
+    inherited = pytest.importorskip("inherited_parameters", exc_type=ImportError)
+    thing = PUBLIC[name]
+    if inspect.isclass(thing):
+        text = inherited.completed(thing, inspect.getdoc(thing))
+    elif inspect.isfunction(thing):
+        text = inspect.getdoc(thing)
+    else:
+        return
+    without = [entry.name for entry in inherited.NumpyDocString(text)["Parameters"] if not entry.type]
+    assert not without, f"{name} gives no type of {'; '.join(without)}"
+
+
 def has_example(thing):
     """Return whether an example stands in a docstring of a class or function, or of one of the class's own methods."""
     own = [getattr(thing, name) for name in vars(thing) if not name.startswith("_")] if inspect.isclass(thing) else []

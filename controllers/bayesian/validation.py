@@ -116,8 +116,8 @@ def ser_reference(
         A sample whose innovation exceeds this many standard deviations is left out; infinite for a plain Kalman filter.
     R : ndarray, steps x m x m, optional
         Sensor covariance at each step, instead of the model's; a sensor with an infinite variance is left out.
-    initial_mean, initial_covariance
-        Belief before the first sample.
+    initial_mean, initial_covariance : number, vector or matrix
+        Mean and covariance of the state before the first sample.
 
     Returns
     -------

@@ -35,6 +35,13 @@ SKIPPED = 200
 class Hazards(NamedTuple):
     """How often faults begin and end: mean times in seconds (the paper's third experiment).
 
+    Parameters
+    ----------
+    mean_time_to_fault : float
+        Mean time in seconds from the end of a fault to the onset of the next one.
+    mean_time_to_recovery : float
+        Mean duration of a fault in seconds.
+
     Examples
     --------
     >>> from bayesftc import controllers
@@ -130,7 +137,7 @@ def calibrate(
         Length of the simulated run in steps.
     seed : int
         Seed of noise and faults.
-    **controller
+    **controller : Any
         Further settings of `BayesianController`, or of the class ``kind=`` (such as `LQGController`).
 
     Returns

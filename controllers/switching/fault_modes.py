@@ -486,7 +486,7 @@ class Burst(Noisier):
 
     Parameters
     ----------
-    time_to_fault, time_to_recovery
+    time_to_fault, time_to_recovery : float
         Mean time in seconds between two bursts, and mean duration of one; by default at least three samples.
     scale, shape, forgetting
         See `Noisier`.

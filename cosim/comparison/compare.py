@@ -82,9 +82,12 @@ class Comparison:
         controller without fault probabilities.
     runs : pandas.DataFrame
         A row for each run, as in `CampaignResult.table`, with the loop's name in the column ``loop``.
-    loops, result, level
-        The loops by name, the campaign's result with the recorded signals, and the probability that an interval contains the
-        true value.
+    loops : dict of str to Diagram
+        The loops by name.
+    result : CampaignResult
+        The campaign's result with the recorded signals.
+    level : float
+        Probability that an interval contains the true value.
 
     Examples
     --------

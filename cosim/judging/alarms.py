@@ -230,6 +230,11 @@ def judge_alarms(
     left_out : array_like of bool of the same shape, optional
         Samples that count neither as faulty nor as fault-free, such as those with another kind of fault than the judged one.
 
+    Returns
+    -------
+    Alarms
+        Delays, missed faults, false alarms and the fault-free time.
+
     Raises
     ------
     ModelError

@@ -102,6 +102,11 @@ def reliability(
         and the error is not only that of the many healthy samples. ``"widths"``: all bins have the same width (Guo et al.
         2017), as is usual for diagrams.
 
+    Returns
+    -------
+    Reliability
+        The bins, the Brier score and the calibration error.
+
     Raises
     ------
     ModelError

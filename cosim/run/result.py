@@ -64,8 +64,12 @@ class Result(Mapping[str, Floats]):
         Number of rows of the whole run before the first row here: 0, except for a later piece of a live run.
     parts : LoopRoles or Diagram, optional
         The roles of the signals in a closed loop, for `plot`; or the diagram, from which they are derived when needed.
-    units, metadata, stopped
-        See below.
+    units : mapping of str to str, optional
+        The unit of each signal that has one.
+    metadata : mapping, optional
+        Properties of the run.
+    stopped : str, optional
+        Why the run ended early.
 
     Attributes
     ----------

@@ -93,6 +93,11 @@ def calibration(
     level : float
         Probability that an interval contains the true value.
 
+    Returns
+    -------
+    Calibration
+        Diagram, Brier score and calibration error of all samples together, with their intervals.
+
     Raises
     ------
     ModelError

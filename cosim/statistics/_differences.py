@@ -209,6 +209,11 @@ def corrected(p: ArrayLike, correction: Correction | None) -> Floats:
         finding among all tests is at most 5 %. ``"benjamini-hochberg"`` (1995): on average, at most 5 % of the findings are
         false. None: no correction.
 
+    Returns
+    -------
+    ndarray of shape (tests,)
+        The corrected p-values, at most 1, in the order of `p`.
+
     Raises
     ------
     ModelError

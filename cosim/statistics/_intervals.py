@@ -138,6 +138,11 @@ def bootstrap_interval(
     seed : int
         Seed of the draws: the same seed gives the same interval.
 
+    Returns
+    -------
+    list of float
+        Lower and upper bound, in the unit of the values.
+
     Raises
     ------
     ModelError

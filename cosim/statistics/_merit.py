@@ -53,9 +53,14 @@ def merit(
         ``"lower"`` for an error, ``"higher"`` for an AUC, for example.
     significance : float
         Level of the tests.
-    paired, test, correction
-        See `compare`. The paper's are ``False``, ``"t"`` and ``None``. If all techniques have the same noise, Welch's test is
-        too conservative (towards 0); ``paired=True`` finds more differences.
+    paired : bool
+        Whether runs of the same seed belong together.
+    test : {"t", "wilcoxon"}
+        The test.
+    correction : str, optional
+        Correction for the number of tests. See `compare` for these three. The paper's are ``False``, ``"t"`` and ``None``. If
+        all techniques have the same noise, Welch's test is too conservative (towards 0); ``paired=True`` finds more
+        differences.
 
     Returns
     -------

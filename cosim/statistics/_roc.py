@@ -167,6 +167,11 @@ def roc(score: ArrayLike | Sequence[ArrayLike], faulty: ArrayLike | Sequence[Arr
     level : float
         Probability that the interval contains the true value.
 
+    Returns
+    -------
+    Roc
+        The curve and the area under it, with its interval.
+
     Raises
     ------
     ModelError

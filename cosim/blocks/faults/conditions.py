@@ -126,6 +126,11 @@ def when(signal: str, relation: str | None = None, value: float | None = None, *
     delayed : bool
         Whether the signal of the step before is compared: see `When`.
 
+    Returns
+    -------
+    When
+        The condition.
+
     Raises
     ------
     ModelError

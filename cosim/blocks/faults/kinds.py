@@ -511,8 +511,10 @@ class RandomFaults(Fault):
         The kinds. Sensor, window, mean times and name are settings of the `RandomFaults`, not of a kind.
     weights : sequence of float, optional
         Relative frequencies of the kinds, in any unit; by default all are equal.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
-        See `Fault`. By default both mean times are given, so that the faults are random.
+    mean_time_to_fault, mean_time_to_recovery : float, optional
+        Mean times in seconds from the end of a fault to the next onset, and from the onset to the end.
+    sensor, start, stop, duration, latching, channels, name
+        See `Fault`.
 
     Raises
     ------

@@ -123,8 +123,10 @@ class ActuatorWatch(AlarmWatch):
         Names of the actuators.
     modes : sequence of ActuatorMode
         The learner's modes.
-    step, alarm
-        As for `AlarmWatch`.
+    step : Fraction
+        Sample time in seconds.
+    alarm : Alarm, optional
+        When an event begins and ends. As for `AlarmWatch`.
 
     Examples
     --------
