@@ -417,7 +417,9 @@ def test_deadlines_are_counted():
 
 
 PROGRAM = """
-import sys
+import signal, sys
+for number in (signal.SIGHUP, signal.SIGQUIT):  # nohup, and shells in the background, have them ignored
+    signal.signal(number, signal.SIG_DFL)
 from bayesftc import cosim
 from bayesftc.cosim import live
 ramp = cosim.Ramp(1.0, start=0.0).online(dt=0.01, compiled=False)
