@@ -442,7 +442,10 @@ def test_wrong_command_lines_end_with_a_sentence(tmp_path):
 def test_a_wrong_scenario_is_shown(tmp_path):
     file = tmp_path / "wrong.toml"
     file.write_text("[simulation]\nduration = 1.0\n")
-    with served(str(file)) as (_, address), Viewer(address) as viewer:
+    with served(str(file)) as (process, address), Viewer(address) as viewer:
+        said = process.stderr.readline()
+        assert said.startswith("Error: ")
+        assert "lacks the section [plant]" in said
         message = viewer.receive()
         while not message["failure"]:
             message = viewer.receive()

@@ -438,10 +438,13 @@ def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(tmp_path, unti
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(out), str(folder)], stdout=subprocess.PIPE, text=True
     )
-    until(lambda: out.exists() and out.read_text().count("\n") > 60, 90)
-    until(lambda: len(list(folder.rglob("0*.parquet"))) >= 2)
-    process.send_signal(number)
-    text, _ = process.communicate(timeout=60)
+    try:
+        until(lambda: out.exists() and out.read_text().count("\n") > 60, 90)
+        until(lambda: len(list(folder.rglob("0*.parquet"))) >= 2)
+        process.send_signal(number)
+        text, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
     steps = len(live.read_recording(folder)["y"])
     rows = out.read_text().splitlines()
     if number == signal.SIGKILL:

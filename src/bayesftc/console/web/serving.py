@@ -17,6 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bayesftc.console.desk.desk import Desk, Served
 from bayesftc.console.desk.engine import Engine
+from bayesftc.console.desk.events import Events
 from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import view_of
 from bayesftc.console.shown.live import view_of_live
@@ -91,7 +92,7 @@ def serve(served: Served, beside: Sequence[str], where: Where, say: Callable[[st
         If the address cannot be used.
     """
     with _listening(where.host, where.port) as listener:
-        engine = Engine(lambda events: Desk(served, tuple(beside), events=events), view_of)
+        engine = Engine(partial(_desk_of, served, tuple(beside), say), view_of)
         server, access = _announced(engine, where, listener, say)
         asyncio.run(_serve(server, listener, access.address_to_open if where.open_page else None))
     say("The console has ended.")
@@ -130,6 +131,14 @@ def shown_beside(run: LiveRun, where: Where, say: Callable[[str], None]) -> Iter
             running.should_exit = True
             server.close()
             thread.join(PATIENCE + 3.0)
+
+
+def _desk_of(served: Served, beside: Sequence[str], say: Callable[[str], None], events: Events) -> Desk:
+    try:
+        return Desk(served, beside, events=events)
+    except BayesFTCError as error:  # the page shows it; a user who has not opened the page waits for nothing
+        say(f"Error: {error} End the console by Ctrl-C, and start it again.")
+        raise
 
 
 def _announced(
