@@ -145,6 +145,11 @@ class BayesianBlock(Block, ABC):
         return extended_mean(self.model, values, mean)
 
     @property
+    def corrects_offsets(self) -> bool:
+        """Whether samples minus an inferred offset still inform the state, as in the joint form of `SwitchingPrecision`."""
+        return self._learner().infer is not None
+
+    @property
     def fault_kinds(self) -> tuple[str, ...]:
         """Names of the kinds of sensor faults that the precision learner distinguishes."""
         return self.precision.fault_kinds

@@ -114,6 +114,11 @@ class StateEstimator(Block):
         return self.model.quantities
 
     @property
+    def corrects_offsets(self) -> bool:
+        """Whether samples minus an inferred offset still inform the state, as in the joint form of `SwitchingPrecision`."""
+        return self.precision.learner(self.model).infer is not None
+
+    @property
     def default_name(self) -> str:
         """See `Block.default_name`."""
         return "estimator"

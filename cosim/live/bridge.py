@@ -26,6 +26,7 @@ class Bridge(ABC):
     A bridge does one of the two: it is opened with an inbox, or it sends. To write one:
 
     1. Make it a dataclass (``eq=False``). Its fields are the keys of ``[bridge.<name>]``, except for those with ``init=False``.
+       A path has ``field(metadata={"path": True})``: in a file of wires it begins at the folder of that file.
     2. `open` returns at once, also if the other side cannot be reached now; the bridge then connects again by itself. It
        raises a `bayesftc.cosim.BayesFTCError` only for what cannot become right by waiting, such as a wrong setting.
     3. For each message that arrives it calls ``inbox.put(values, sent)`` or ``inbox.receive(payload, format)``, from any
@@ -88,7 +89,7 @@ class Bridge(ABC):
 
 
 class Reconnecting(Bridge):
-    """A bridge with a thread that connects, reads or writes, and connects again after an error.
+    r"""A bridge with a thread that connects, reads or writes, and connects again after an error.
 
     A subclass has `connect`, and `read` or `write` or both. They may raise `OSError`, or any other error: the connection is then
     closed, and made again after a pause. If values come faster than `write` sends them, the newest one is sent and the others
@@ -101,25 +102,40 @@ class Reconnecting(Bridge):
 
     Examples
     --------
-    >>> from dataclasses import dataclass
+    >>> import os
+    >>> from dataclasses import dataclass, field
+    >>> from select import select
+    >>> from tempfile import TemporaryDirectory
     >>> from time import sleep
     >>> from bayesftc.cosim.live import Inbox, Reconnecting
     >>> @dataclass(eq=False)
-    ... class Pipe(Reconnecting):  # lines of numbers, as from a named pipe
-    ...     path: str
+    ... class Pipe(Reconnecting):  # lines of numbers through a named pipe
+    ...     path: str = field(metadata={"path": True})
     ...     def connect(self):
-    ...         return open(self.path)
+    ...         self.rest = b""
+    ...         return os.fdopen(os.open(self.path, os.O_RDWR | os.O_NONBLOCK), "r+b", buffering=0)
     ...     def read(self, connection):
-    ...         line = connection.readline()
-    ...         if not line:
-    ...             raise OSError("The pipe has ended.")
-    ...         self.inbox.receive(line.encode(), "text")
-    >>> bridge, inbox = Pipe("no/such/pipe"), Inbox(1)
-    >>> bridge.open(inbox)
-    >>> sleep(0.05)
-    >>> bridge.close()
-    >>> bridge.problem
-    "[Errno 2] No such file or directory: 'no/such/pipe'"
+    ...         if select([connection], [], [], 0.2)[0]:  # waits for a short time only, so that `close` ends the thread
+    ...             *lines, self.rest = (self.rest + connection.read(65536)).split(b"\n")
+    ...             for line in lines:
+    ...                 self.inbox.receive(line, "text")
+    ...     def write(self, connection, values, time):
+    ...         connection.write((" ".join(map(repr, values)) + "\n").encode())
+    >>> with TemporaryDirectory() as folder:
+    ...     path, inbox = os.path.join(folder, "pipe"), Inbox(2)
+    ...     os.mkfifo(path)
+    ...     reader, writer = Pipe(path), Pipe(path)
+    ...     reader.open(inbox)
+    ...     writer.open(None)
+    ...     while not (reader.connected and writer.connected):
+    ...         sleep(0.01)
+    ...     writer.send([1.5, 2.0], 0.0)
+    ...     while not inbox.received:
+    ...         sleep(0.01)
+    ...     writer.close()
+    ...     reader.close()
+    >>> inbox.take().tolist()
+    [1.5, 2.0]
     """
 
     inbox: Inbox | None = None

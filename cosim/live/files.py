@@ -77,11 +77,14 @@ class File(Reconnecting):
         file = open(self.path, "rb", buffering=0)  # noqa: SIM115 - closed by `Reconnecting`
         self._rest, self._names, self._skipping = b"", None, False
         if not self.from_start and not self._again:
-            self._names = _words(file.readline())
-            end = file.seek(0, os.SEEK_END)
-            if end:
+            first = file.readline()
+            if first.endswith(b"\n"):
+                self._names = _words(first)
+                end = file.seek(0, os.SEEK_END)
                 file.seek(end - 1)
                 self._skipping = file.read(1) != b"\n"  # in the middle of a row
+            else:  # the names of the columns are not complete: everything else is new
+                file.seek(0)
         self._again = True
         return file
 

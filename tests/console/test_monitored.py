@@ -46,7 +46,7 @@ def test_what_the_monitor_infers_is_shown():
         samples = 5.0 + 0.1 * noise[k] + [0.0, 2.0 * (k >= 150), 0.0]
         run.feed(0.02 * k, samples, stepper.advance(samples))
         frame = Broadcast(run).frame(view, Cursor())
-        words.append((b"nothing is inferred yet" in frame, b"correcting middle by -" in frame))
+        words.append((b"nothing is inferred yet" in frame, b"ignoring middle since" in frame))
     began = [early for early, _ in words].index(False)
     assert began == round(stepper.began / 0.02) + 8
     assert not any(late for _, late in words[:150])

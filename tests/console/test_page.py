@@ -64,7 +64,7 @@ def test_break_go_back_branch_and_download(page, downloads):
     assert page.text("#message") == ""
     page.click("#run")
     page.until(lambda: page.all("[aria-label='sensor 1'].faulty"))
-    assert page.text("[aria-label='sensor 1'] .words").startswith("ignoring sensor 1 since")
+    page.until(lambda: page.text("[aria-label='sensor 1'] .words").startswith("ignoring sensor 1 since"))
     assert "frozen" in page.text("[aria-label='sensor 1'] .words")
     page.until(lambda: "sensor 1: alarm" in page.text("#log"))
     page.click("#run")

@@ -339,7 +339,8 @@ def test_page_has_a_policy_and_nothing_from_elsewhere(address):
 
 
 def test_other_addresses_need_the_token():
-    with served("cruise_control", "--alone", "--host", "0.0.0.0") as (_, shown):
+    with served("cruise_control", "--alone", "--host", "0.0.0.0") as (process, shown):
+        assert "write a name or address of this machine in place of 0.0.0.0" in process.stderr.readline()
         token = re.search(r"token=(\S+)", shown)[1]
         address = shown.replace("0.0.0.0", "127.0.0.1")
         assert len(token) > 30
@@ -437,12 +438,20 @@ def test_wrong_command_lines_end_with_a_sentence(tmp_path):
         answer = runner.invoke(app, ["serve", "cruise_control", "--port", port])
     assert answer.exit_code != 0
     assert "cannot be used" in answer.output
+    assert "--port 0" in answer.output
+    for host in ("nowhere.invalid", "a..b", "192.0.2.1"):  # the last one is of no machine
+        answer = runner.invoke(app, ["serve", "cruise_control", "--host", host, "--port", "0"])
+        assert answer.exit_code != 0
+        assert "with --host." in " ".join(answer.output.split())
 
 
 def test_a_wrong_scenario_is_shown(tmp_path):
     file = tmp_path / "wrong.toml"
     file.write_text("[simulation]\nduration = 1.0\n")
-    with served(str(file)) as (_, address), Viewer(address) as viewer:
+    with served(str(file)) as (process, address), Viewer(address) as viewer:
+        said = process.stderr.readline()
+        assert said.startswith("Error: ")
+        assert "lacks the section [plant]" in said
         message = viewer.receive()
         while not message["failure"]:
             message = viewer.receive()

@@ -49,6 +49,17 @@ def test_by_default_only_new_rows_are_used(tmp_path, opened, until):
     assert box.take().tolist() == [8.0]
 
 
+@pytest.mark.parametrize("written", ["", "left,ri"])
+def test_a_file_whose_first_row_is_not_complete_is_read_from_its_beginning(tmp_path, opened, until, written):
+    path = tmp_path / "speeds.csv"
+    append(path, written)
+    bridge, box = opened(path, columns=["right"])
+    until(lambda: bridge.connected)
+    append(path, "left,right\n7.0,8.0\n".removeprefix(written))
+    until(lambda: box.received or box.rejected)
+    assert (box.take().tolist(), dict(box.rejected)) == ([8.0], {})
+
+
 @pytest.mark.parametrize("how", ["replaced", "shortened"])
 def test_a_rotated_file_is_read_from_its_beginning(tmp_path, opened, until, how):
     path = tmp_path / "speeds.csv"

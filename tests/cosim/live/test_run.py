@@ -417,7 +417,9 @@ def test_deadlines_are_counted():
 
 
 PROGRAM = """
-import sys
+import signal, sys
+for number in (signal.SIGHUP, signal.SIGQUIT):  # nohup, and shells in the background, have them ignored
+    signal.signal(number, signal.SIG_DFL)
 from bayesftc import cosim
 from bayesftc.cosim import live
 ramp = cosim.Ramp(1.0, start=0.0).online(dt=0.01, compiled=False)
@@ -436,10 +438,13 @@ def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(tmp_path, unti
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, str(out), str(folder)], stdout=subprocess.PIPE, text=True
     )
-    until(lambda: out.exists() and out.read_text().count("\n") > 60, 90)
-    until(lambda: len(list(folder.rglob("0*.parquet"))) >= 2)
-    process.send_signal(number)
-    text, _ = process.communicate(timeout=60)
+    try:
+        until(lambda: out.exists() and out.read_text().count("\n") > 60, 90)
+        until(lambda: len(list(folder.rglob("0*.parquet"))) >= 2)
+        process.send_signal(number)
+        text, _ = process.communicate(timeout=60)
+    finally:
+        process.kill()
     steps = len(live.read_recording(folder)["y"])
     rows = out.read_text().splitlines()
     if number == signal.SIGKILL:

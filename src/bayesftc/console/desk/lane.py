@@ -13,6 +13,7 @@ import numpy as np
 
 from bayesftc.console.desk.alarms import Alarm, Alarms, sensor_names
 from bayesftc.console.desk.history import History, Recorded, SavedStates
+from bayesftc.console.desk.inference import Inference
 from bayesftc.cosim.diagram.roles import LoopRoles, find_roles
 from bayesftc.cosim.errors import FMUError, SimulationError
 from bayesftc.cosim.ports import labels
@@ -51,6 +52,7 @@ class Lane:
         loop = self.scenario.loop()
         self.roles: LoopRoles = find_roles(loop)
         self.sensors = sensor_names(self.roles)
+        self.inference = Inference.of(self.scenario.controller)
         self.step: Fraction = loop.step
         self.stopped: str | None = None
         self._session: Session = loop.start(seed=self.scenario.simulation.seed, engine=self.scenario.simulation.engine)
@@ -173,8 +175,7 @@ class Lane:
 
     def _empty(self) -> tuple[str, ...]:
         """Return the outputs of the controller that never have a value."""
-        precision = getattr(self.scenario.controller, "precision", None)
-        return ("fault_probability",) if getattr(precision, "why_no_probability", None) else ()
+        return () if self.inference.has_probability else ("fault_probability",)
 
 
 __all__ = ["Lane"]

@@ -13,6 +13,7 @@ from bayesftc.console.desk.alarms import Alarm, Alarms, sensor_names
 from bayesftc.console.desk.desk import MEMORY, MOST_ACTIONS
 from bayesftc.console.desk.events import Events
 from bayesftc.console.desk.history import History, Recorded
+from bayesftc.console.desk.inference import Inference
 from bayesftc.cosim.diagram.roles import LoopRoles, find_roles
 from bayesftc.cosim.errors import UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.live.wires import Incoming
@@ -35,8 +36,8 @@ class LiveLane:
 
     Parameters
     ----------
-    name : str
-        Of the precision learner.
+    inference : Inference
+        What the stepper infers; its learner is the name of the lane.
     stepper : Stepper
         What runs; it is prepared.
     roles : LoopRoles
@@ -50,15 +51,18 @@ class LiveLane:
     stopped: str | None = None
     plants: Mapping[str, Any] = {}
 
-    def __init__(self, name: str, stepper: Stepper, roles: LoopRoles, sensors: Sequence[str] = (), prefix: str = ""):
+    def __init__(
+        self, inference: Inference, stepper: Stepper, roles: LoopRoles, sensors: Sequence[str] = (), prefix: str = ""
+    ):
         ports = {**stepper.inputs, **{prefix + output: port for output, port in stepper.outputs.items()}}
-        self.name, self.step, self.roles = name, stepper.step, roles
+        self.name, self.inference, self.step, self.roles = inference.learner, inference, stepper.step, roles
         self.sensors = tuple(sensors) or sensor_names(roles)
         self.shapes = {name: port.shape for name, port in ports.items()}
         self.units = {name: port.unit for name, port in ports.items() if port.unit}
         self.columns = [label for name, shape in self.shapes.items() for label in labels(name, shape)]
         self.place = {label: i for i, label in enumerate(self.columns)}
-        self.watch = Alarms(self.roles, self.place, self.sensors)
+        without = () if inference.has_probability else ("fault_probability",)
+        self.watch = Alarms(self.roles, self.place, self.sensors, without)
         self._history = History(len(self.columns), MEMORY)
 
     @property
@@ -185,7 +189,9 @@ class LiveRun:
 
 def controller_lane(controller: LiveController, stepper: Stepper) -> LiveLane:
     """Return the rows of a live controller."""
-    return LiveLane(controller.learner, stepper, _without_plant(find_roles(controller.diagram)))
+    roles = find_roles(controller.diagram)
+    block = next(node.block for node in controller.diagram.nodes if node.name == roles.controller)
+    return LiveLane(Inference.of(block), stepper, _without_plant(roles))
 
 
 def _without_plant(roles: LoopRoles) -> LoopRoles:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from bayesftc.console.desk.inference import Inference
 from bayesftc.console.desk.live import LiveLane
 from bayesftc.cosim.diagram.roles import ControlRole, LoopRoles, QuantityRole, SensorRole
 
@@ -26,7 +27,7 @@ def monitor_lane(monitor: Monitor, stepper: MonitorStepper) -> LiveLane:
         tuple(precision.fault_kinds),
         tuple(type(mode).__name__ for mode in precision.actuator_modes),
     )
-    return LiveLane(type(precision).__name__, stepper, roles, tuple(monitor.sensors), f"{BLOCK}.")
+    return LiveLane(Inference.of(stepper.estimator), stepper, roles, tuple(monitor.sensors), f"{BLOCK}.")
 
 
 def _quantities(monitor: Monitor) -> tuple[QuantityRole, ...]:

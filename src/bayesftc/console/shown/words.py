@@ -28,6 +28,11 @@ PAST = {
     "StuckActuator": "stuck",
 }
 OFFSETS = ("Offset", "Drifting", "Ramping")
+NOISES = ("Noisier", "Burst")
+CERTAIN = 0.95
+"""The lowest fault probability at which the rest of the belief is too little to mention."""
+LEAST_WEIGHT = 0.01
+"""The lowest weight at which a sensor is still in use."""
 
 
 def cards(lane: AnyLane) -> list[dict[str, Any]]:
@@ -49,8 +54,7 @@ def _sensor(lane: AnyLane, row: Floats, i: int, t: float) -> dict[str, Any]:
     chance, onset, size = value("fault_probability"), value("fault_onset"), value("fault_size")
     kind = _kind(lane, row, i, "")
     since = onset if onset is not None else _alarm_since(lane, "sensor", i)
-    if chance is None and (detected := value("detected")) is not None:
-        chance = detected
+    detected = value("detected")
     card: dict[str, Any] = {
         "id": f"sensor:{i}",
         "p": chance,
@@ -61,12 +65,17 @@ def _sensor(lane: AnyLane, row: Floats, i: int, t: float) -> dict[str, Any]:
         "weight": _weight(lane, row, i),
     }
     device = lane.sensors[i]
+    share = _share(card["weight"])
+    if chance is None and detected is not None:
+        return {**card, **_detected(device, detected, since, card["weight"])}
+    if chance is None and not lane.inference.has_probability:
+        words = f"using {device}{share}: {lane.inference.learner} gives no fault probability"
+        return {**card, "state": "unknown", "words": words}
     if chance is None and f"{name}.fault_probability[{i}]" in lane.place:
         return {**card, "state": "unknown", "words": "nothing is inferred yet: not enough samples"}
     if chance is None:
         return {**card, "state": "unknown", "words": f"using {device} as always: this controller infers no faults"}
     if chance < SUSPECT:
-        share = "" if card["weight"] is None else f", weight {100 * card['weight']:.0f} %"
         return {**card, "state": "healthy", "words": f"using {device}{share}"}
     if chance < ALARM:
         return {**card, "state": "suspect", "words": f"watching {device}: probability {_chance(chance)}"}
@@ -75,14 +84,24 @@ def _sensor(lane: AnyLane, row: Floats, i: int, t: float) -> dict[str, Any]:
     card |= {"state": "faulty", "kind": PAST.get(kind, kind), "since": since}
     if kind in OFFSETS and size is not None:
         card["size"] = f"{size:+.3g}{unit}"
-        words = f"correcting {device} by {-size:+.3g}{unit}{when}"
-    elif kind == "Noisier":
+        correction = f"correcting {device} by {-size:+.3g}{unit}"
+        words = f"{correction if lane.inference.corrects else _ignoring(device, chance, card['weight'])}{when}"
+    elif kind in NOISES:
         card["size"] = None if size is None else f"{size:.3g} times the noise"
         words = f"trusting {device} less{when}"
     else:
-        words = f"ignoring {device}{when}"
+        words = f"{_ignoring(device, chance, card['weight'])}{when}"
     what = f"{card['kind']}, " if card["kind"] else ""
     return {**card, "words": f"{words}: {what}probability {_chance(chance)}"}
+
+
+def _detected(device: str, detected: float, since: float | None, weight: float | None) -> dict[str, Any]:
+    """Return what the page shows of an explicit detection, which is a decision without a probability."""
+    if not detected:
+        return {"state": "healthy", "words": f"using {device}{_share(weight)}: nothing is detected"}
+    when = "" if since is None else f" since {since:.4g} s"
+    words = f"{_ignoring(device, 0.0, weight)}{when}: a fault is detected, without a probability"
+    return {"state": "faulty", "since": since, "words": words}
 
 
 def _actuator(lane: AnyLane, row: Floats, j: int, t: float) -> dict[str, Any]:
@@ -111,7 +130,21 @@ def _actuator(lane: AnyLane, row: Floats, j: int, t: float) -> dict[str, Any]:
     card |= {"state": "faulty", "kind": PAST.get(kind, kind), "since": since}
     card["size"] = None if size is None else f"{size:.3g}"
     what = f"{card['kind']}, " if card["kind"] else ""
-    return {**card, "words": f"compensating {device}{when}: {what}probability {_chance(chance)}"}
+    # No control compensates a stuck actuator, and a monitor compensates nothing: their models take the fault into account.
+    compensates = lane.inference.controls and kind != "StuckActuator"
+    words = f"{'compensating' if compensates else 'allowing for'} the fault of {device}{when}"
+    return {**card, "words": f"{words}: {what}probability {_chance(chance)}"}
+
+
+def _share(weight: float | None) -> str:
+    return "" if weight is None else f", weight {100 * weight:.0f} %"
+
+
+def _ignoring(device: str, chance: float, weight: float | None) -> str:
+    """Return whether a sensor is ignored, or still used with the weight that it has."""
+    used = chance < CERTAIN if weight is None else weight >= LEAST_WEIGHT
+    share = "" if weight is None else f" (weight {100 * weight:.0f} %)"
+    return f"trusting {device} less{share}" if used else f"ignoring {device}"
 
 
 def _value(lane: AnyLane, row: Floats, label: str) -> float | None:
@@ -123,16 +156,36 @@ def _value(lane: AnyLane, row: Floats, label: str) -> float | None:
 
 
 def _weight(lane: AnyLane, row: Floats, i: int) -> float | None:
-    """Return the share of a sensor in the precision of all sensors of its quantity."""
+    """Return the share of a sensor in the precision of all sensors of its quantity.
+
+    None beside a sensor that is corrected: its samples still inform, which its precision does not show. None for a faulty sensor
+    beside another faulty one, too: a large share of little trust is no trust.
+    """
     name = f"{lane.roles.controller}.precision"
     group = next((q.sensors for q in lane.roles.quantities if i in q.sensors), (i,))
-    if len(group) < 2:
+    others = [j for j in group if j != i]
+    if not others or any(_is_corrected(lane, row, j) for j in others):
+        return None
+    if _is_faulty(lane, row, i) and any(_is_faulty(lane, row, j) for j in others):
         return None
     values = [_value(lane, row, f"{name}[{j}]") for j in group]
     if any(v is None for v in values):
         return None
     total = float(np.sum(values))  # type: ignore[arg-type]
     return values[group.index(i)] / total if total > 0 else None  # type: ignore[operator]
+
+
+def _is_corrected(lane: AnyLane, row: Floats, i: int) -> bool:
+    """Return whether the samples of a sensor are used without its inferred offset."""
+    return lane.inference.corrects and _is_faulty(lane, row, i) and _kind(lane, row, i, "") in OFFSETS
+
+
+def _is_faulty(lane: AnyLane, row: Floats, i: int) -> bool:
+    """Return whether there is an alarm of a sensor."""
+    values = [
+        _value(lane, row, f"{lane.roles.controller}.{output}[{i}]") for output in ("fault_probability", "detected")
+    ]
+    return any(value is not None and value >= ALARM for value in values)
 
 
 def _present(lane: AnyLane, row: Floats, faults: tuple[str, ...]) -> list[str]:

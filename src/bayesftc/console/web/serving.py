@@ -10,6 +10,7 @@ import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from errno import EADDRNOTAVAIL
 from functools import partial
 
 import uvicorn
@@ -17,18 +18,22 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bayesftc.console.desk.desk import Desk, Served
 from bayesftc.console.desk.engine import Engine
+from bayesftc.console.desk.events import Events
 from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import view_of
 from bayesftc.console.shown.live import view_of_live
 from bayesftc.console.web.access import Access, new_token
 from bayesftc.console.web.commands import LONGEST
 from bayesftc.console.web.server import Server
-from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.errors import BayesFTCError, brief
 from bayesftc.cosim.live.connections.credentials import is_loopback
 
 PATIENCE = 2
 """Seconds that open connections have to end."""
 
+
+ANY = ("0.0.0.0", "::")
+"""All addresses of this machine; none of them is the address of a page."""
 
 MOST_CONNECTIONS = 100
 """Open connections beyond which new ones are closed: a live run needs file descriptors too."""
@@ -91,7 +96,7 @@ def serve(served: Served, beside: Sequence[str], where: Where, say: Callable[[st
         If the address cannot be used.
     """
     with _listening(where.host, where.port) as listener:
-        engine = Engine(lambda events: Desk(served, tuple(beside), events=events), view_of)
+        engine = Engine(partial(_desk_of, served, tuple(beside), say), view_of)
         server, access = _announced(engine, where, listener, say)
         asyncio.run(_serve(server, listener, access.address_to_open if where.open_page else None))
     say("The console has ended.")
@@ -132,6 +137,14 @@ def shown_beside(run: LiveRun, where: Where, say: Callable[[str], None]) -> Iter
             thread.join(PATIENCE + 3.0)
 
 
+def _desk_of(served: Served, beside: Sequence[str], say: Callable[[str], None], events: Events) -> Desk:
+    try:
+        return Desk(served, beside, events=events)
+    except BayesFTCError as error:  # the page shows it; a user who has not opened the page waits for nothing
+        say(f"Error: {error} End the console by Ctrl-C, and start it again.")
+        raise
+
+
 def _announced(
     engine: Engine | LiveRun, where: Where, listener: socket.socket, say: Callable[[str], None]
 ) -> tuple[Server, Access]:
@@ -142,6 +155,8 @@ def _announced(
         say("Only who has this address can see and move the run. It is not encrypted.")
     shown = access.address("" if access.token is None else f"?token={access.token}")
     say(f"The console is at {shown} (Ctrl-C ends it)")
+    if host in ANY:
+        say(f"In a browser of another machine, write a name or address of this machine in place of {host}.")
     return Server(engine, access), access
 
 
@@ -186,15 +201,24 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise BayesFTCError(
+            f"There is no address {brief(host)} ({why}). Choose a name or address of this machine with --host."
+        ) from None
+    try:
         listener = socket.socket(family, socket.SOCK_STREAM)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
         listener.listen(128)
     except OSError as error:
         why = error.strerror or str(error)
-        raise BayesFTCError(
-            f"The address {host}:{port} cannot be used ({why}). Choose another with --port, or --port 0 for a free one."
-        ) from None
+        is_elsewhere = error.errno == EADDRNOTAVAIL
+        advice = (
+            "Choose an address of this machine with --host." if is_elsewhere
+            else "Choose another with --port, or --port 0 for a free one."
+        )  # fmt: skip
+        raise BayesFTCError(f"The address {host}:{port} cannot be used ({why}). {advice}") from None
     with listener:
         yield listener
 
