@@ -242,6 +242,11 @@ def compare(
     Comparison
         It has ``table`` and ``plot()``.
 
+    Warns
+    -----
+    UserWarning
+        If a fault starts after the end of the run.
+
     Raises
     ------
     ModelError
