@@ -4,12 +4,13 @@ import warnings
 
 import control
 import numpy as np
+import pandas as pd
 import pytest
 from harness import FOREIGN
 
 from bayesftc import cosim, fmus
-from bayesftc.controllers import design
-from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.controllers import LinearModel, design
+from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 SIZES = [
     0.0,
@@ -113,6 +114,58 @@ def test_extreme_plants(chance, make, count):
                 failures.append(f"{i}, {make.__name__} {settings} {given}: {type(error).__name__}: {error}")
     assert not failures, "\n".join(failures)
     assert count < 20 or designed >= count // 20  # most are to be refused, but not all
+
+
+def spoiled(table, rng):
+    """Return a recording with extreme samples, with columns of other sizes, or with columns that follow from each other."""
+    way, table = rng.integers(4), table.copy()
+    if way == 0:
+        for _ in range(5):
+            table.flat[rng.integers(table.size)] = rng.choice(SIZES)
+    elif way == 1:
+        table *= 10.0 ** rng.integers(-40, 40, table.shape[1])
+    elif way == 2:
+        table[:, rng.integers(4)] = table[:, rng.integers(4)]
+    else:
+        table[rng.random(table.shape) < rng.random()] = np.nan
+    return table
+
+
+def recorded(rng, rows=400):
+    """Return inputs a and b, and outputs x and y of a plant with a state for each."""
+    u, y = rng.normal(size=(rows, 2)), np.zeros((rows, 2))
+    for k in range(1, rows):
+        y[k] = 0.8 * y[k - 1] + u[k - 1] * [1.0, 0.5]
+    return np.hstack([u, y + 0.01 * rng.normal(size=y.shape)])
+
+
+def identified(table):
+    with np.errstate(all="ignore"):
+        frame = pd.DataFrame(table, columns=["a", "b", "x", "y"])
+        return LinearModel.identify(frame, inputs=["a", "b"], outputs=["x", "y"], dt=0.1)
+
+
+@pytest.mark.parametrize("count", [4, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings("ignore")
+def test_extreme_recordings(chance, count):
+    failures = []
+    for i in range(count):
+        try:
+            design(identified(spoiled(recorded(chance), chance)), goal=["x"])
+        except BayesFTCError as error:
+            if FOREIGN.search(str(error)):
+                failures.append(f"{i}: {error}")
+        except Exception as error:  # noqa: BLE001 - any other error is what the test is about
+            failures.append(f"{i}: {type(error).__name__}: {error}")
+    assert not failures, "\n".join(failures)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_recording_without_a_steady_filter_is_refused():
+    table = recorded(np.random.default_rng(0))
+    assert identified(table).fit.min() > 95
+    with pytest.raises(ModelError, match=r"no steady Kalman filter in double precision.* similar sizes"):
+        identified(table * [1e24, 1e-34, 1e-26, 1e-22])
 
 
 @pytest.mark.parametrize(
