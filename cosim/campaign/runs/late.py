@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from bayesftc.cosim.blocks.faults.base import Fault
 from bayesftc.cosim.blocks.faults.without_effect import late_faults
-from bayesftc.cosim.campaign.runs.job import Job
+from bayesftc.cosim.campaign.runs.job import Job, fault_starts
 from bayesftc.cosim.diagram.diagram import Diagram
 
 TRIED = 100
@@ -24,7 +23,7 @@ def _of_diagram(loop: Diagram, job: Job) -> dict[str, list[object]]:
     points = job.plan.points
     return {
         name: [point.get(f"{name}.start", start) for point in points]
-        for name, start in _starts(loop).items()
+        for name, start in fault_starts(loop).items()
         if name not in points[0]  # a factor replaces the whole fault
     }
 
@@ -32,7 +31,7 @@ def _of_diagram(loop: Diagram, job: Job) -> dict[str, list[object]]:
 def _of_function(job: Job) -> dict[str, list[object]]:
     """Return the starts of the faults that are late at every point: the function is called until there are none."""
     end = job.steps * job.step
-    late: dict[str, list[object]] = {name: [start] for name, start in _starts(job.diagram(0)).items()}
+    late: dict[str, list[object]] = {name: [start] for name, start in job.starts.items()}
     for point in range(1, len(job.plan.points) + 1):
         late = {name: values for name, values in late.items() if any(late_faults({name: values}, end))}
         if not late or point == len(job.plan.points):
@@ -40,15 +39,11 @@ def _of_function(job: Job) -> dict[str, list[object]]:
         if point == TRIED:
             return {}
         try:
-            starts = _starts(job.diagram(point))
+            starts = fault_starts(job.diagram(point))
         except Exception:  # noqa: BLE001 - the runs of this point fail with this reason
             continue
         late = {name: [*values, starts[name]] if name in starts else values for name, values in late.items()}
     return late
-
-
-def _starts(diagram: Diagram) -> dict[str, object]:
-    return {node.name: node.block.times[0] for node in diagram.nodes if isinstance(node.block, Fault)}
 
 
 __all__ = ["faults_after_the_end"]
