@@ -12,7 +12,7 @@ from bayesftc.controllers.bayesian.lqg import LQGController
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
 from bayesftc.controllers.identification.identify import Identification
-from bayesftc.controllers.models.checks import Matrix, as_covariance, as_vector
+from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_vector
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import INPUT_NOISE, linearize, refuse_unmoved
@@ -159,11 +159,11 @@ def design(
             scale = _half_range(u_min, u_max, len(columns))
             if acceptable_control is not None:
                 scale = np.where(
-                    np.isnan(scale), as_vector("acceptable_control", acceptable_control, len(scale)), scale
+                    np.isnan(scale), _positive("acceptable_control", acceptable_control, len(scale)), scale
                 )
             steady_size = np.maximum(np.abs(linear.u[columns]), 1.0)
             usual = INPUT_NOISE * np.where(np.isnan(scale), steady_size, scale)
-            noise = {linear.inputs[j]: std for j, std in zip(columns, usual, strict=True)}
+            noise = {linear.inputs[j]: float(std) for j, std in zip(columns, usual, strict=True)}
         model = linear.model(
             sensed, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=disturbance
         )
@@ -237,11 +237,19 @@ def _half_range(u_min: object, u_max: object, size: int) -> Floats:
     return np.where(np.isfinite(span), span, np.nan)
 
 
-def _squares(name: str, value: object, size: int) -> Floats:
+def _positive(name: str, value: object, size: int) -> Floats:
     vector = as_vector(name, value, size)
     if (vector <= 0).any():
         raise ModelError(f"{name} is {vector.tolist()}; it must be positive.")
-    return vector**2
+    if (vector**2 < SMALLEST).any():
+        raise ModelError(
+            f"{name} is {vector.tolist()}; it must be at least {SMALLEST**0.5:g}. Choose a unit in which it is larger."
+        )
+    return vector
+
+
+def _squares(name: str, value: object, size: int) -> Floats:
+    return _positive(name, value, size) ** 2
 
 
 def _goal_rows(model: LinearModel, goal: Any) -> Floats:

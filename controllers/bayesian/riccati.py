@@ -83,14 +83,14 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
     refuse_unseen_by_goal(A, H)
     try:
         P = np.asarray(solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost))
+        P = (P + P.T) / 2
+        gain = np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A)
     except (LinAlgError, ValueError) as error:
         raise ModelError(
             f"No feedback law could be computed for these weights ({str(error).rstrip('.')}). Bring the sizes of the states and "
             "of the weights of goals and controls nearer to each other."
         ) from None
-    P = (P + P.T) / 2
     to_goal, to_others = _steady(A, B, H, input_cost, others, _units(P))
-    gain = np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A)
     n = len(A)
     if reduced is None:
         return Regulator(P, gain, to_goal[:n], to_others[:n], to_goal[n:], to_others[n:])

@@ -331,15 +331,28 @@ def _validated(
 
 
 def _run(model: LinearModel, u: Floats, y: Floats, begin: int) -> tuple[Floats, Floats]:
-    """Return predictions one sample ahead by the steady Kalman filter, and a simulation from its state after `begin` samples."""
-    from scipy.linalg import solve_discrete_are
+    """Return predictions one sample ahead by the steady Kalman filter, and a simulation from its state after `begin` samples.
+
+    Raises
+    ------
+    ModelError
+        If no steady filter exists in double precision.
+    """
+    from scipy.linalg import LinAlgError, solve_discrete_are
 
     moving = model.moving
     A, B, C = (model.matrix(name) for name in "ABC")
     n = moving.states
     Q, R = moving.matrix("process_covariance"), moving.matrix("sensor_covariance")
-    P = solve_discrete_are(A[:n, :n].T, C[:, :n].T, Q + 1e-12 * (np.trace(Q) + 1e-12) * np.eye(n), R)
-    steady = _gain(C[:, :n], P, R)
+    try:
+        P = solve_discrete_are(A[:n, :n].T, C[:, :n].T, Q + 1e-12 * (np.trace(Q) + 1e-12) * np.eye(n), R)
+        steady = _gain(C[:, :n], P, R)
+    except (LinAlgError, ValueError):
+        raise ModelError(
+            "The identified model has no steady Kalman filter in double precision: its signals differ too much in size, or a "
+            "few samples are far beyond all others. Choose units in which the signals have similar sizes, take such samples out "
+            "of the recording, or give a lower order=."
+        ) from None
     present = np.isfinite(y)
     # The first state is the one that explains the first samples best, given the inputs.
     x = _first_state(A, B, C, u[:begin], y[:begin])

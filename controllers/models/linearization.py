@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers.models.checks import Matrix, as_number
+from bayesftc.controllers.models.checks import LARGEST, Matrix, as_number
 from bayesftc.controllers.models.differences import derivative
 from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.integrators import without_integrators
@@ -39,6 +39,17 @@ INPUT_NOISE = 0.05
 
 _NEGLIGIBLE = 1e-12
 """An effect of a control below this, relative to the states' size or 1, counts as rounding."""
+
+_QUANTITIES = {
+    "A": "The matrix A",
+    "B": "The matrix B",
+    "C": "The matrix C",
+    "x": "The steady state",
+    "u": "The steady input",
+    "y": "The steady output",
+    "start": "The start",
+}
+"""Names of a linearisation's numbers in messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +83,11 @@ class Linearization:
     outputs: tuple[str, ...]
     step: Fraction
     following: Floats | None = None
+
+    def __post_init__(self) -> None:
+        # Algorithms of linear algebra fail on such numbers with errors that do not name the plant.
+        for name in ("A", "B", "C", "x", "u", "y", "start"):
+            _refuse_huge(name, getattr(self, name), self.step)
 
     def seen(self) -> Linearization:
         """Return the linearisation without integrators that no output sees, such as the position behind a speed."""
@@ -211,7 +227,7 @@ def _of_linear(
     rows, out = chosen(outputs, system.output_names, "output")
     step = _step(system.dt, dt)
     if system.dt == 0:
-        a, b = held(a, b, float(step))
+        a, b = _sampled(a, b, step)
     _refuse_direct(d[np.ix_(rows, columns)])
     zeros = np.zeros(len(a)), np.zeros(len(columns)), np.zeros(len(rows))
     return Linearization(a, b[:, columns], c[rows], *zeros, start, into, out, step)
@@ -242,12 +258,13 @@ def _of_nonlinear(
         return np.concatenate([np.ravel(moves), np.ravel(seen)]).astype(np.float64)
 
     x, u, rate = _rest(residual, x, u, _free(columns, known_inputs, at))
-    whole = derivative(both, np.concatenate([x, u]))
+    with np.errstate(over="ignore", invalid="ignore"):  # a result that is not finite is refused
+        whole = derivative(both, np.concatenate([x, u]))
     a, b, c, d = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
     y = both(np.concatenate([x, u]))[n:]
     step = _step(system.dt, dt)
     if system.dt == 0:
-        a, b = held(a, b, float(step))
+        a, b = _sampled(a, b, step)
     _refuse_direct(d[np.ix_(rows, columns)])
     following = None if rate is None else x + rate * (float(step) if system.dt == 0 else 1.0)
     start = np.array(block.initial)
@@ -318,7 +335,7 @@ def _of_equations(
         a, b, c, d = model.jacobians(x, u)
         y, start = model.outputs(x, u), model.x0
     _refuse_direct(d[np.ix_(rows, columns)])
-    A, B = held(a, b, float(step))
+    A, B = _sampled(a, b, step)
     following = None if rate is None else x + float(step) * rate
     return Linearization(A, B[:, columns], c[rows], x, u[columns], y[rows], start, inputs, outputs, step, following)
 
@@ -354,15 +371,17 @@ def _rest(
         return np.asarray(residual(z[:n] * size, inputs)) / size
 
     z = x / size
-    if np.abs(change(z)).max(initial=0.0) <= 1e-9:
-        return x, u, None
-    still = np.array([not (change(z + step) - change(z - step)).any() for step in 0.1 * np.eye(n)])
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.abs(change(z)).max(initial=0.0) <= 1e-9:
+            return x, u, None
+        still = np.array([not (change(z + step) - change(z - step)).any() for step in 0.1 * np.eye(n)])
     ways: list[tuple[Floats, Any]] = [(z, change)]
     ways += [(np.concatenate([z, u[list(free)]]), change)] if len(free) else []
     ways += [(z, lambda z: np.where(still, 0.0, change(z)))] if still.any() else []
     for start, f in ways:
         try:
-            found = least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+            with np.errstate(all="ignore"):  # the search may try states at which the equations overflow
+                found = least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         except (ValueError, np.linalg.LinAlgError):  # a value is not finite
             continue
         if np.abs(found.fun).max() <= 1e-8:
@@ -375,6 +394,26 @@ def _rest(
         "No steady state was found near the start, even without integrators on which nothing depends"
         f"{' and with any actuated inputs' if len(free) else ''}. Give other start values, or other inputs (at=...)."
     )
+
+
+def _sampled(a: Floats, b: Floats, step: Fraction) -> tuple[Floats, Floats]:
+    """Return A and B of a sample of equations in continuous time; where they overflow, `Linearization` refuses them."""
+    for name, matrix in {"A": a, "B": b}.items():
+        _refuse_huge(name, matrix)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return held(a, b, float(step))
+
+
+def _refuse_huge(name: str, array: Floats, step: Fraction | None = None) -> None:
+    """Refuse numbers of the plant with which matrices cannot be computed; `step` is the sample time of A and B, if sampled."""
+    if array.size and not float(np.abs(array).max()) <= LARGEST:  # NaN is not
+        entry = array[~(np.abs(array) <= LARGEST)][0]
+        sampled = "" if step is None or name not in "AB" else f" (the change in one sample of {show(step)} s)"
+        remedy = "choose another operating point (at=...), or units in which it is smaller"
+        raise ModelError(
+            f"{_QUANTITIES[name]} of the plant{sampled} has the entry {entry:.3g}; at most {LARGEST:g} is allowed. Check its "
+            f"equations, {'give a smaller dt=..., ' if sampled else ''}{remedy}."
+        )
 
 
 def _refuse_direct(D: Floats) -> None:

@@ -12,13 +12,13 @@ import numpy as np
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.base.timebase import whole_number, whole_steps
-from bayesftc.cosim.blocks.faults.base import Fault
-from bayesftc.cosim.blocks.faults.without_effect import late_faults, warn_without_effect
+from bayesftc.cosim.blocks.faults.without_effect import warn_without_effect
 from bayesftc.cosim.campaign.designs.design import Design, Grid
 from bayesftc.cosim.campaign.designs.plan import Plan
 from bayesftc.cosim.campaign.designs.seeds import seeds_of_points
 from bayesftc.cosim.campaign.outcomes import CampaignResult
 from bayesftc.cosim.campaign.runs.job import Job, Loop
+from bayesftc.cosim.campaign.runs.late import faults_after_the_end
 from bayesftc.cosim.campaign.runs.metrics import Metric, as_metrics
 from bayesftc.cosim.campaign.working import Progress, in_memory, in_store, noting_what_is_kept
 from bayesftc.cosim.diagram.diagram import Diagram
@@ -67,6 +67,11 @@ class Campaign:
     piece : int, optional
         Number of runs that are made, stored and resumed together. By default a 32nd of all, but at most half a second of quick
         runs.
+
+    Warns
+    -----
+    UserWarning
+        If a fault starts after the end of the run at every point.
 
     Raises
     ------
@@ -123,8 +128,7 @@ class Campaign:
         size = _piece(trial) if piece is None else min(whole_number(piece, "piece is "), trial.plan.runs)
         trial.plan = Plan(tuple(points), point_seeds, size)
         self.job = trial
-        if isinstance(loop, Diagram):
-            _warn_of_late_faults(loop, trial)
+        warn_without_effect(faults_after_the_end(trial))
 
     @property
     def runs(self) -> int:
@@ -236,16 +240,6 @@ class Campaign:
             ("signals", ", ".join(job.signals) or "none"),
         ]
         return table(repr(self)[1:-1], rows)
-
-
-def _warn_of_late_faults(loop: Diagram, job: Job) -> None:
-    points = job.plan.points
-    starts = {
-        f"The fault {node.name!r}": [point.get(f"{node.name}.start", node.block.times[0]) for point in points]
-        for node in loop.nodes
-        if isinstance(node.block, Fault) and node.name not in points[0]  # a factor replaces the whole fault
-    }
-    warn_without_effect(late_faults(starts, job.steps * job.step))
 
 
 def _piece(job: Job) -> int:

@@ -245,6 +245,11 @@ def compare(
     Comparison
         It has ``table`` and ``plot()``.
 
+    Warns
+    -----
+    UserWarning
+        If a fault starts after the end of the run.
+
     Raises
     ------
     ModelError

@@ -40,6 +40,7 @@ IDLE, STEPPING, READING, WANTED = protocol.IDLE, protocol.STEPPING, protocol.REA
 INTERRUPTED = protocol.INTERRUPTED
 GONE, SIGNALLED, PAUSED, ELSEWHERE = protocol.GONE, protocol.SIGNALLED, protocol.PAUSED, protocol.ELSEWHERE
 ANYWHERE, TOGETHER, PAUSE = protocol.ANYWHERE, protocol.TOGETHER, protocol.PAUSE
+MOST_LOOKS = protocol.MOST_LOOKS
 NO_SIGNAL = 0x4000
 """MSG_NOSIGNAL of Linux: if the other process has ended, `send` returns an error instead of raising a signal."""
 
@@ -121,7 +122,7 @@ def _await(shared, mine, theirs, count, receive, socket, answer):
     `mine` is HOST or WORKER: what this process does.
     """
     if look(shared, mine) == AWAKE or swap(shared, mine, ASLEEP, AWAKE):  # else a message is on its way
-        for _ in range(word(shared, LOOKS)):
+        for _ in range(min(word(shared, LOOKS), MOST_LOOKS)):  # a faulty FMU may write any number there
             if look(shared, theirs) == count:
                 return MESSAGE
             rest()

@@ -41,9 +41,6 @@ HEARING = 1.0
 QUICK = 2e-4
 """Most seconds of a step, with the host's work between steps, for which the FMU's process chooses its processor."""
 
-LOOKS = 1000
-"""How often host and FMU look at the shared memory before they sleep: for some 20 to 50 us, about as long as waking takes."""
-
 
 def main(*descriptors: str) -> None:
     """Run one FMU for the host, over the descriptors that the host has opened."""
@@ -296,7 +293,7 @@ class _CompiledLoop:
         self._slept = total
         if home == protocol.ANYWHERE != before:
             os.sched_setaffinity(0, self._everywhere)
-        words[protocol.LOOKS] = LOOKS if home == protocol.APART else 0
+        words[protocol.LOOKS] = protocol.MOST_LOOKS if home == protocol.APART else 0
         self._table[-1] = home
 
     def _move(self) -> None:

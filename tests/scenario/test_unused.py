@@ -1,11 +1,14 @@
 """What a scenario says to no effect is a note on stderr, and no error: short runs of long scenarios are usual."""
 
 import json
+from pathlib import Path
 
 import control
 import pytest
 
 from bayesftc import controllers, cosim
+from bayesftc.cosim.campaign.designs.design import Points
+from bayesftc.cosim.campaign.runs import late
 from bayesftc.scenario import load_scenario, shipped_scenarios
 from bayesftc.scenario._unused import unused, unused_of_campaign
 from bayesftc.scenario.campaigns import load_campaign
@@ -175,6 +178,56 @@ def test_campaigns_in_python_warn_too(grid, warned, recwarn):
     loop, sentence = late_car()
     cosim.Campaign(loop, duration=2.0, grid=grid, record=["plant.v"])
     assert [sentence in str(warning.message) for warning in recwarn.list] == [True] * warned
+
+
+def starting_at(start=6.0):
+    """Return the loop of the shipped car with another start of its fault."""
+    if start is None:
+        raise ValueError("no start")
+    return cosim.varied(load_scenario("cruise_control").loop(), {"freeze_0.start": start})
+
+
+@pytest.mark.parametrize(
+    ("grid", "warned"),
+    [
+        (None, "6"),
+        ({"start": [2.5, 0.5]}, None),
+        ({"start": [4.0, 2.5]}, "2.5"),
+        ({"start": [2.5, None]}, "2.5"),  # the second fails
+        ({"start": [2.5, cosim.when("plant.v > 22")]}, None),
+        ({"start": [2.5] * late.TRIED + [3.0]}, None),  # so many that it is not known
+    ],
+)
+def test_campaigns_of_functions_warn_too(grid, warned, recwarn):
+    cosim.Campaign(
+        starting_at, duration=2.0, grid=grid and Points([{"start": s} for s in grid["start"]]), record=["plant.v"]
+    )
+    said = [f"The fault 'freeze_0' starts at {warned} s, but the run ends at 2 s. The fault has no effect."]
+    assert [str(warning.message) for warning in recwarn.list] == said * (warned is not None)
+    assert {warning.filename for warning in recwarn.list} <= {__file__}
+
+
+def test_campaigns_of_scenarios_warn_and_note_it_once(car, tmp_path, bayesftc_, recwarn):
+    car()
+    (tmp_path / "campaign.toml").write_text(FACTORS + '"sensors.std" = [0.5, 1.0]')
+    load_campaign(tmp_path / "campaign.toml")
+    assert ["starts at 6 s" in str(warning.message) for warning in recwarn.list] == [True]
+    done = bayesftc_("campaign", tmp_path / "campaign.toml", "--out", tmp_path / "store", "--executor", "threads")
+    assert done.stderr.count("starts at 6 s") == 1
+
+
+def test_comparisons_warn_too(recwarn, bayesftc_, car):
+    loop, sentence = late_car()
+    cosim.compare({"one": loop, "other": late_car()[0]}, duration=2.0, seeds=2, executor=cosim.Threads(1))
+    assert [sentence in str(warning.message) for warning in recwarn.list] == [True]
+    path = car()
+    other = path.with_name("other.toml")
+    other.write_text(path.read_text())
+    arguments = ("run", path, other, "--compare", "--seeds", 2, "--duration", "2")
+    done = bayesftc_(*arguments)
+    notes = [line for line in done.stderr.splitlines() if line.startswith("Note: ")]
+    assert [Path(note.partition(": 'faults[0]' starts at 6 s")[0]).name for note in notes] == ["car.toml", "other.toml"]
+    assert len(json.loads(bayesftc_(*arguments, "--json").stdout)["notes"]) == 2
 
 
 def test_closed_loop_warns_of_sensors_and_blocks_that_nothing_uses(recwarn):

@@ -14,6 +14,7 @@ from bayesftc.controllers.models.names import chosen, operating
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError
 from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.cosim.fmi.reading.ports import WATCHED
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
 
@@ -70,7 +71,8 @@ def _refuse_without_ports(fmu: FMU, measured: Sequence[str]) -> None:
             "StateEstimator can monitor its sensors, and `bayesftc monitor` their recording."
         )
     local = {v.name for v in variables if v.causality == "local"}
-    if not any(v.causality == "output" for v in variables) and not local.intersection(_variables(fmu, measured)):
+    seen = {v.name for v in variables if v.causality in ("output", *WATCHED)}
+    if not any(v.causality == "output" for v in variables) and not seen.intersection(_variables(fmu, measured)):
         raise ModelError(
             f"The FMU {fmu.default_name!r} has no output that a sensor could measure. Export it with an output, or measure "
             f"one of its local variables by name{': ' + ', '.join(sorted(local)[:8]) if local else ' (it has none either)'}."

@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from numbers import Real
 from typing import Any
 
 import numpy as np
 
 from bayesftc.cosim.base.timebase import whole_steps
+from bayesftc.cosim.blocks.faults.base import Fault
 from bayesftc.cosim.campaign.designs.factors import varied
 from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Outcome, Piece, Plan
 from bayesftc.cosim.campaign.runs.columns import OWN
@@ -80,6 +82,7 @@ class Job:
         if time_limit is not None and not (is_number(time_limit) and 0 < time_limit < np.inf):
             raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, above 0.")
         first = self.diagram(0)
+        self.starts = fault_starts(first)
         kept = select_signals(first.schedule, self.record)
         self.signals = {name: Recorded(shape, kept.units.get(name)) for name, (_, shape) in kept.columns.items()}
         # This raises if a signal of a metric is unknown.
@@ -313,6 +316,12 @@ class _Collected:
         return Outcome(self._piece, self._metrics, self._signals, status, tuple(self._reasons), self._steps, seconds)
 
 
+def fault_starts(diagram: Diagram) -> dict[str, float]:
+    """Return the earliest start of each fault in seconds: 0 for a condition, which may be fulfilled at once."""
+    starts = {node.name: node.block.times[0] for node in diagram.nodes if isinstance(node.block, Fault)}
+    return {name: float(start) if isinstance(start, Real) else 0.0 for name, start in starts.items()}
+
+
 def _called(metric: Metric, diagram: Diagram) -> str:
     return ", ".join(map(repr, metric.columns(diagram)[:1])) or type(metric).__name__
 
@@ -323,4 +332,4 @@ def _times(steps: int, decimation: int, step: Fraction) -> Floats:
     return times
 
 
-__all__ = ["Job", "Loop", "Recorded"]
+__all__ = ["Job", "Loop", "Recorded", "fault_starts"]

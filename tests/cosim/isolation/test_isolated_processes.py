@@ -5,6 +5,7 @@ import json
 import multiprocessing
 import os
 import pickle
+import re
 import signal
 import socket
 import subprocess
@@ -93,8 +94,8 @@ def test_of_many_that_are_made_and_ended_nothing_is_left(nothing_left, car, chil
     u, y, before, sizes = np.array([100.0, 0.0]), np.zeros(1), children(), []
     for k in range(count):
         instance = car(FMI[k % 2]).instantiate(STEP, "car")
-        assert instance.update(u, y, 0.0) == 0
-        assert instance.output(u, y, 0.02) == 0
+        status = instance.update(u, y, 0.0) or instance.output(u, y, 0.02)
+        assert status == 0, f"{k}: {instance.explain(status)}"
         assert y[0] == 0.02
         (process,) = children() - before
         if k % 3 == 1:
@@ -105,6 +106,30 @@ def test_of_many_that_are_made_and_ended_nothing_is_left(nothing_left, car, chil
         assert children() == before
         sizes.append(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE"))
     assert sizes[-1] - sizes[count // 4] < 30e6
+
+
+SCRIBBLED = """
+import os, sys
+from fractions import Fraction
+import numpy as np
+from bayesftc import cosim, fmus
+from bayesftc.cosim.isolation import protocol
+
+car = cosim.FMU(fmus.path("CruiseControl"), isolate=True).instantiate(Fraction(1, 50), "car")
+u, y = np.array([100.0, 0.0]), np.zeros(1)
+assert car.output(u, y, 0.0) == 0
+for name in ("LOOKS", "HOST_SLEPT", "WORKER_SLEPT", "LOGGED", "HOST", "WORKER", "DONE"):
+    car.shared.words[getattr(protocol, name)] = 2**62
+os.kill(car._process._process.pid, 9)
+status = car.update(u, y, 0.0)
+print(car.explain(status))
+"""
+
+
+def test_what_an_fmu_writes_into_the_shared_memory_keeps_the_host_from_nothing():
+    """An FMU that writes before its inputs changes words by which the host decides how long it looks for an answer."""
+    done = subprocess.run([sys.executable, "-c", SCRIBBLED], capture_output=True, text=True, timeout=120, check=True)
+    assert re.search(r"The FMU of 'car'.* (crashed|was ended)", done.stdout), done.stderr
 
 
 def test_a_fork_does_not_end_it(nothing_left, car):

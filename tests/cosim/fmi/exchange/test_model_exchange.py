@@ -4,12 +4,14 @@ import math
 import pickle
 import subprocess
 import sys
+import zipfile
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
 from bayesftc import cosim
+from bayesftc.controllers import design
 from bayesftc.controllers.models.linearization import linearize
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError
 from bayesftc.cosim.fmi.equations import ModelEquations
@@ -222,6 +224,28 @@ def test_nominal_values_that_are_none_count_as_one(built):
     linear = linearize(lag, measured="y", actuated="u", dt=0.1)
     np.testing.assert_allclose(linear.x, [0.5, -1.0, 2.0], atol=1e-9)
     np.testing.assert_allclose(linear.A, math.exp(-0.1) * np.eye(3), rtol=1e-7, atol=1e-12)
+    controller = design(lag, measured="y", actuated="u", dt=0.1)
+    assert np.abs(controller.closed_loop_poles()).max() < math.exp(-0.1)
+
+
+@pytest.mark.parametrize("fmi", FMI)
+def test_a_binary_of_another_name_is_used_if_it_is_the_only_one(built, fmi, tmp_path, caplog):
+    paths = {count: tmp_path / f"renamed{count}.fmu" for count in (1, 2)}
+    for count, path in paths.items():
+        with zipfile.ZipFile(built("ball", fmi)) as old, zipfile.ZipFile(path, "w") as new:
+            for name in old.namelist():
+                stem, _, suffix = name.rpartition("/models.")
+                for i in range(count) if stem else ():
+                    new.writestr(f"{stem}/other{i}.{suffix}", old.read(name))
+                if not stem:
+                    new.writestr(name, old.read(name))
+    expected = alone(built("ball", fmi), "1/50").simulate(0.2)["p.h"]
+    np.testing.assert_array_equal(alone(paths[1], "1/50").simulate(0.2)["p.h"], expected)
+    assert "is the only one, and is used" in caplog.text
+    with pytest.raises(
+        FMUError, match=r"no binary models\..* for this platform, .* \(but other0\..* and other1\..* there\)"
+    ):
+        alone(paths[2], "1/50").simulate(0.2)
 
 
 def test_coupled_with_iteration_and_with_steps_of_any_size(built, run_both):
@@ -353,6 +377,7 @@ def test_ctrl_c_and_errors_of_python_come_through_compiled_code(pendulum, monkey
 
 LIVES = """
 import sys
+import zipfile
 from fractions import Fraction
 import numpy as np
 from bayesftc.bench.measures.memory import resident

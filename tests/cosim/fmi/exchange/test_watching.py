@@ -1,11 +1,14 @@
 """Local variables and parameters of FMUs as outputs: where they are asked for, and nowhere else."""
 
+import re
+import zipfile
+
 import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.models.linearization import linearize
-from bayesftc.cosim.errors import UnknownNameError
+from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.fmi.fmu import FMU
 
 ENGINES = ["compiled", "interpreted"]
@@ -72,6 +75,38 @@ def test_a_loop_may_measure_a_local_variable(built):
     )
     result = loop.simulate(5.0, seed=1)
     assert np.abs(result["plant.x"][-20:] - 0.5).max() < 0.3
+
+
+HEAT = 'causality="parameter" variability="fixed" initial="exact"><Real start="20.0"/>'
+CALCULATED = 'causality="calculatedParameter" variability="fixed" initial="calculated"><Real/>'
+
+
+@pytest.fixture
+def heater(built, tmp_path):
+    """Return a heater whose temperature is a local variable, whose heat P is a calculated parameter, and without outputs."""
+
+    def hidden(text):
+        assert HEAT in text
+        text = re.sub(r"<Outputs>.*</Outputs>", "", text.replace(HEAT, CALCULATED).replace('"output"', '"local"'))
+        return text.replace("<InitialUnknowns>", '<InitialUnknowns><Unknown index="8"/>')
+
+    path = tmp_path / "heater.fmu"
+    with zipfile.ZipFile(built("heater")) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            new.writestr(name, hidden(data.decode()) if name == "modelDescription.xml" else data)
+    return FMU(path)
+
+
+def test_design_measures_local_variables_and_calculated_parameters(heater):
+    assert not heater.outputs
+    model = controllers.design(heater, measured=["T", "P"], goal="T", actuated="Ta", dt=0.1).model
+    decay = np.exp(-0.1 / 5.0)  # dT/dt = (Ta - T + P on) / tau
+    np.testing.assert_allclose(model.moving.matrix("A"), [[decay]], rtol=1e-7)
+    np.testing.assert_allclose(model.moving.matrix("B"), [[1.0 - decay]], rtol=1e-7)
+    np.testing.assert_allclose(model.matrix("C"), [[1.0, 0.0], [0.0, 20.0]], atol=1e-9)  # the second never changes
+    with pytest.raises(ModelError, match=r"no output that a sensor could measure.* local variables by name: .*T"):
+        controllers.design(heater, measured="Ta", actuated="Ta", dt=0.1)
 
 
 def test_a_campaign_keeps_it_as_well():

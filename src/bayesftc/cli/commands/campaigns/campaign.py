@@ -59,10 +59,12 @@ def campaign(
     quiet: Quiet = False,
 ) -> None:
     """Run a campaign, or its missing runs, and print its figures."""
+    from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
     from bayesftc.scenario._unused import unused_of_campaign
     from bayesftc.scenario.campaigns import described, load_campaign
 
-    loaded = load_campaign(file)
+    with noted_elsewhere():
+        loaded = load_campaign(file)
     if not json and not quiet:
         output.say_notes(unused_of_campaign(loaded, str(file)))
     chosen = _executor(executor, jobs, scheduler)

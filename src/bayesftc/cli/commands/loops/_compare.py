@@ -12,9 +12,11 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.errors import ScenarioError
 from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.scenario import load_scenario
+from bayesftc.scenario._unused import unused
 
 if TYPE_CHECKING:
     from bayesftc.cosim.comparison.compare import Comparison
@@ -61,13 +63,16 @@ def compare_scenarios(
             )
     if out is not None:
         output.check_folder(out, (TABLE, output.FIGURE), silent=quiet or json)
-    loops = {name: scenario.loop() for name, scenario in scenarios.items()}
-    with output.progress_bar(
-        "Comparing", "count", "remaining", shown=sys.stderr.isatty() and not quiet and not json
-    ) as move:
+    lasts = chosen if duration is None else duration
+    notes = [note for scenario in scenarios.values() for note in unused(scenario, lasts)]
+    if not json and not quiet:
+        output.say_notes(notes)
+    shown = sys.stderr.isatty() and not quiet and not json
+    with noted_elsewhere(), output.progress_bar("Comparing", "count", "remaining", shown=shown) as move:
+        loops = {name: scenario.loop() for name, scenario in scenarios.items()}
         comparison = cosim.compare(
             loops,
-            duration=chosen if duration is None else duration,
+            duration=lasts,
             seeds=SEEDS if seeds is None else seeds,
             seed=0 if seed is None else seed,
             progress=move and (lambda done, of, failed: move(done, of)),
@@ -83,7 +88,7 @@ def compare_scenarios(
             (stage / output.FIGURE).write_bytes(picture.getbuffer())
     rows: Any = comparison.table.astype(object).where(comparison.table.notna(), None).to_dict("records")
     if json:
-        typer.echo(output.as_json({"loops": without_nan(rows)}))
+        typer.echo(output.as_json({"loops": without_nan(rows), "notes": notes}))
     elif not quiet:
         _print(comparison, rows, out)
 
