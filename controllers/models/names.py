@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesftc.controllers.models.checks import as_number, as_vector
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import without_brackets
 from bayesftc.cosim.types import Floats
 
 Names = str | Sequence[str]
@@ -36,7 +37,12 @@ def names_of(given: Names, kind: str) -> list[str]:
 
 
 def elements_of(name: str, available: Sequence[str]) -> list[str]:
-    """Return the elements of a name: itself, or those of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
+    """Return the elements of a name: itself, or those of a vector (``y[0]``, ``y[1]``, ...); none if unknown.
+
+    A default label of python-control, ``y[1]``, also stands for the port ``y1`` of a system without labels.
+    """
+    if name not in available and (plain := without_brackets(name, available)):
+        return [plain]
     return [name] if name in available else [element for element in available if element.startswith(f"{name}[")]
 
 
