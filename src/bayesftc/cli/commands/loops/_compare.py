@@ -62,15 +62,13 @@ def compare_scenarios(
     if out is not None:
         output.check_folder(out, (TABLE, output.FIGURE), silent=quiet or json)
     loops = {name: scenario.loop() for name, scenario in scenarios.items()}
-    with output.progress_bar(
-        "Comparing", "count", "remaining", shown=sys.stderr.isatty() and not quiet and not json
-    ) as move:
+    with output.runs_progress("Comparing", shown=not quiet and not json) as progress:
         comparison = cosim.compare(
             loops,
             duration=chosen if duration is None else duration,
             seeds=SEEDS if seeds is None else seeds,
             seed=0 if seed is None else seed,
-            progress=move and (lambda done, of, failed: move(done, of)),
+            progress=progress,
         )
     if out is not None:
         picture = io.BytesIO()
