@@ -104,5 +104,10 @@ def sensors_of(
     std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
     if (std < 0).any():
         raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
+    if (std == 0).any():
+        raise ModelError(
+            f"sensor_std is {std.tolist()}; a sensor without noise cannot be weighed against others. For a coarse sensor, give "
+            "about a third of its resolution."
+        )
     variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
     return [rows[i % len(rows)] for i in range(count)], variances
