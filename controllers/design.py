@@ -15,7 +15,7 @@ from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_vector
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
 from bayesftc.controllers.models.linear import LinearModel
-from bayesftc.controllers.models.linearization import INPUT_NOISE, linearize, refuse_unmoved
+from bayesftc.controllers.models.linearization import INPUT_NOISE, linearize, refuse_unmoved, refuse_unmoving
 from bayesftc.controllers.models.names import Names, elements_of, names_of
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.learner import SwitchingPrecision
@@ -154,6 +154,7 @@ def design(
                 plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
             )
         refuse_unmoved(linear, driven)
+        refuse_unmoving(linear, sensed)
         if noise is None:
             columns = linear.columns(driven)
             scale = _half_range(u_min, u_max, len(columns))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from math import prod
 from typing import TYPE_CHECKING, Any, Literal
@@ -13,6 +14,9 @@ from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
     from bayesftc.cosim.base.units import Unit
+
+DEFAULT_LABEL = re.compile(r"([uy])\[(0|[1-9]\d*)\]")
+"""The names that python-control gives to inputs and outputs without names."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,21 @@ def listed(ports: Sequence[Port], most: int = 8) -> str:
         for port in ports[:most]
     ]
     return ", ".join(shown + ([f"{len(ports) - most} more"] if len(ports) > most else [])) or "nothing"
+
+
+def without_brackets(label: str, names: Collection[str]) -> str | None:
+    """Return the one of the names that stands for a default label of python-control: ``u`` or ``u0`` for ``u[0]``.
+
+    Brackets mean elements of a vector here, so `StateSpace` names the signals of a system without labels ``u0``, ``u1``.
+    """
+    found = DEFAULT_LABEL.fullmatch(label)
+    if not found:
+        return None
+    letter, number = found.groups()
+    name = letter + number
+    if name in names:
+        return name
+    return letter if number == "0" and letter in names else None
 
 
 def labels(name: str, shape: tuple[int, ...]) -> list[str]:

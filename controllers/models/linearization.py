@@ -30,7 +30,7 @@ from bayesftc.controllers.models.pulse_responses import realise
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held
 from bayesftc.cosim.blocks.state_space import StateSpace
-from bayesftc.cosim.errors import ModelError, StepSizeError
+from bayesftc.cosim.errors import ModelError, StepSizeError, brief
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
 
@@ -184,12 +184,24 @@ def linearize(
         plant = FMU(plant)
     if isinstance(plant, FMU):
         return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
-    block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
+    block = plant if isinstance(plant, StateSpace) else StateSpace(_checked(plant))
     if order is not None:
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
         return _of_nonlinear(block, inputs, outputs, dt, at or {}).seen()
     return _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}).seen()
+
+
+def _checked(plant: Any) -> Any:
+    """Return a system of python-control; anything else is refused in the words of the plant, not of a block."""
+    import control
+
+    if not isinstance(plant, control.InputOutputSystem):
+        raise ModelError(
+            f"The plant is {brief(plant)}; a linear model can be made of an FMU (cosim.FMU(path)), a system of python-control or "
+            "its block cosim.StateSpace. For matrices give control.ss(A, B, C, D), or a LinearModel."
+        )
+    return plant
 
 
 def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
@@ -206,6 +218,22 @@ def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
             raise ModelError(
                 f"{linear.inputs[j]} has no effect about the operating point, so it cannot control the plant. Use another input, "
                 "or an operating point at which it has an effect (start values, or at=...)."
+            )
+
+
+def refuse_unmoving(linear: Linearization, measured: Sequence[str]) -> None:
+    """Refuse measured outputs that no state of the model moves: their sensors see nothing.
+
+    Raises
+    ------
+    ModelError
+        With the name of the output.
+    """
+    for i in linear.rows(measured):
+        if not linear.C[i].any():
+            raise ModelError(
+                f"{linear.outputs[i]} depends on no state of the model, so its sensors see nothing of the plant. Measure another "
+                "output, or give an operating point at which it changes (start values, or at=...)."
             )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesftc.controllers.models.checks import as_number, as_vector
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import without_brackets
 from bayesftc.cosim.types import Floats
 
 Names = str | Sequence[str]
@@ -36,7 +37,12 @@ def names_of(given: Names, kind: str) -> list[str]:
 
 
 def elements_of(name: str, available: Sequence[str]) -> list[str]:
-    """Return the elements of a name: itself, or those of a vector (``y[0]``, ``y[1]``, ...); none if unknown."""
+    """Return the elements of a name: itself, or those of a vector (``y[0]``, ``y[1]``, ...); none if unknown.
+
+    A default label of python-control, ``y[1]``, also stands for the port ``y1`` of a system without labels.
+    """
+    if name not in available and (plain := without_brackets(name, available)):
+        return [plain]
     return [name] if name in available else [element for element in available if element.startswith(f"{name}[")]
 
 
@@ -98,5 +104,10 @@ def sensors_of(
     std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
     if (std < 0).any():
         raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
+    if (std == 0).any():
+        raise ModelError(
+            f"sensor_std is {std.tolist()}; a sensor without noise cannot be weighed against others. For a coarse sensor, give "
+            "about a third of its resolution."
+        )
     variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
     return [rows[i % len(rows)] for i in range(count)], variances

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.errors import ConnectionError, UnknownNameError, did_you_mean
-from bayesftc.cosim.ports import Port, labels
+from bayesftc.cosim.ports import Port, labels, without_brackets
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +75,8 @@ class Node:
                 if candidate.shape and port in (elements := labels(candidate.name, candidate.shape)):
                     return PortRef(self, candidate, direction, (elements.index(port),))
         names = [p.name for _, ports in directions for p in ports]
+        if plain := without_brackets(port, [p.name for _, ports in directions for p in ports if not p.shape]):
+            return self[plain]
         raise UnknownNameError(f"Block {self.name!r} has no port {port!r}; {did_you_mean(port, names)}")
 
     def __repr__(self) -> str:

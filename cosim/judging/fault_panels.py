@@ -69,11 +69,15 @@ def _mark(axis: Axes, time: Floats, sensor: SensorSignals, what: str, row: int, 
     if not where.any():
         return 0
     height = axis.get_xaxis_transform()
-    style: dict[str, Any] = {"ls": "none", "marker": "|" if what == "ignored" else "x", "ms": 5, "transform": height}
-    style |= {"ms": 2.5} if what == "missing" else {}
-    top = 0.97 - ROW * row
-    label = f"sensor {sensor.index} {what}"
-    axis.plot(*thin(time[where], np.full(int(where.sum()), top)), color=colour_of(sensor.index), label=label, **style)
+    top, label = 0.97 - ROW * row, f"sensor {sensor.index} {what}"
+    style: dict[str, Any] = {"color": colour_of(sensor.index), "transform": height, "label": label}
+    if what == "ignored":  # a bar, with a tick for a single sample, which has no length
+        bar: dict[str, Any] = {"lw": 5, "solid_capstyle": "butt", "marker": "|", "ms": 5}
+        ends = np.array([(time[a], time[b - 1], np.nan) for a, b in periods(where)]).ravel()
+        axis.plot(ends, np.where(np.isnan(ends), np.nan, top), **bar, **style)
+    else:
+        crosses: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 2.5 if what == "missing" else 5}
+        axis.plot(*thin(time[where], np.full(int(where.sum()), top)), **crosses, **style)
     begin, end = max(periods(where), key=lambda period: period[1] - period[0])
     width = LETTER * (len(what) + 1) * float(time[-1] - time[0])
     if time[end - 1] - time[begin] > width:

@@ -344,3 +344,23 @@ def test_a_right_model_is_not_warned_of_even_if_a_sensor_fails(pumped):
     done = watch_pumped(pumped)
     assert done.stderr == ""
     assert "Offset" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("begin", "sentence"), [(30.0, "fit to a stretch without the fault"), (36.0, "errors of b last")]
+)
+def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, sentence):
+    """The model of a stretch with a fault expects the fault, and its alarm ends too early."""
+    rng = np.random.default_rng(0)
+    t = 0.1 * np.arange(600)
+    level = 20.0 + np.cumsum(0.02 * rng.standard_normal(600))
+    y = {name: level + 0.1 * rng.standard_normal(600) + 2.0 * (name == "b") * (t >= begin) for name in "abc"}
+    pd.DataFrame({"t": t, **y}).to_csv(tmp_path / "tank.csv", index=False)
+    command = ["monitor", str(tmp_path / "tank.csv"), "--fit", "--model"]
+    whole = RUNNER.invoke(app, [*command, str(tmp_path / "whole.toml")])
+    assert sentence in " ".join(whole.output.split())
+    assert "--from and --to" in " ".join(whole.output.split())
+    healthy = RUNNER.invoke(app, [*command, str(tmp_path / "healthy.toml"), "--to", "29"])
+    assert healthy.exit_code == 0
+    assert "errors of b" not in healthy.output
+    assert "to 59.90" in healthy.output

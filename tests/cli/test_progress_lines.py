@@ -24,3 +24,9 @@ def test_a_quick_command_prints_none(capsys):
     with output.progress_lines("tracking") as move:
         move(12, 12)
     assert capsys.readouterr().err == ""
+
+
+def test_runs_that_are_not_shown_print_nothing(capsys):
+    with output.runs_progress("Comparing", shown=False) as move:
+        move(1, 2, 0)
+    assert capsys.readouterr().err == ""

@@ -396,6 +396,9 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
     assert min(far.values()) < 0.1 * max(far.values())
 
 
+BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
+
+
 @pytest.mark.parametrize(
     ("settings", "error", "words"),
     [
@@ -414,6 +417,10 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
         ({"measured": ["speed", "angle"]}, ModelError, r'2 goals but only 1 controls.* such as goal=\["speed"\]'),
         ({"dt": "soon"}, StepSizeError, "soon"),
         ({"sensor_std": -0.01}, ModelError, "must not be negative"),
+        ({"sensor_std": 0.0}, ModelError, r"sensor_std is \[0.0\]; a sensor without noise"),
+        ({"precision": "fixed"}, ModelError, r"precision is 'fixed'; .* for a Kalman filter, FixedPrecision\(\)"),
+        ({"plant": (np.eye(2), np.eye(2))}, ModelError, r"The plant is .*control.ss\(A, B, C, D\), or a LinearModel"),
+        ({"plant": BLIND, "measured": "y", "actuated": "u", "dt": 0.1}, ModelError, "y depends on no state"),
         ({"noise": 0.1}, ModelError, r"a number for each input by name, as noise=\{'load'"),
         ({"at": 0.1}, ModelError, r"a number for each input by name, as at="),
         ({"u_min": 5.0, "u_max": -5.0}, ModelError, "lies above u_max"),

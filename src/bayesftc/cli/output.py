@@ -231,6 +231,21 @@ def progress_lines(name: str, *, period: float = PERIOD) -> Iterator[Callable[..
         thread.join()
 
 
+@contextmanager
+def runs_progress(name: str, *, shown: bool) -> Iterator[Callable[[int, int, int], None]]:
+    """Give a function of (done, of, failed) that shows the progress of many runs: a bar, or lines where there is no terminal.
+
+    If it is not to be shown, the function does nothing. The runs then say nothing of their own, as without a function.
+    """
+    if not shown:
+        yield lambda done, of, failed: None
+        return
+    as_bar = sys.stderr.isatty()
+    with progress_bar(name, "count", "remaining", shown=True) if as_bar else progress_lines(name) as move:
+        assert move is not None
+        yield lambda done, of, failed: move(done, of)
+
+
 def say_notes(notes: Iterable[str]) -> None:
     """Print notes on stderr: facts that are no errors, but may be mistakes."""
     import typer

@@ -9,7 +9,7 @@ import pytest
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, UnknownNameError
 
 SYSTEM = control.ss(
     [[0.9, 0.1], [0.0, 0.8]], [[0.0], [0.1]], [[1.0, 0.0], [0.0, 1.0]], 0, 0.1,
@@ -113,3 +113,30 @@ def test_discrete_models_with_dead_times_and_ringing_are_not_warned_of(A):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         LinearModel(A, np.eye(len(A))[:, -1:], np.eye(len(A))[:1], 1e-3, 0.1, dt=0.02)
+
+
+def tanks(inputs=2):
+    return control.ss([[-0.1, 0.0], [0.1, -0.1]], np.eye(2)[:, :inputs], np.eye(2)[1:], 0)
+
+
+@pytest.mark.parametrize(("inputs", "plain"), [(1, ["u"]), (2, ["u0", "u1"])])
+def test_default_labels_of_python_control_name_signals(inputs, plain):
+    """A user of python-control knows the signals of a system without names as u[0] and y[0]."""
+    system, settings = tanks(inputs), {"sensors": 2, "sensor_std": 0.01, "dt": 0.5}
+    theirs = controllers.design(system, measured="y[0]", actuated=system.input_labels, goal="y[0]", **settings)
+    ours = controllers.design(system, measured="y", actuated=plain, **settings)
+    assert theirs.model.names == ours.model.names
+    np.testing.assert_array_equal(theirs.model.B, ours.model.B)
+    loop = cosim.closed_loop(
+        plant=system, controller=theirs, control=system.input_labels, measured="y[0]", reference=1.0,
+        sensors=cosim.Sensors(count=2, std=0.01),
+    )  # fmt: skip
+    assert np.isfinite(loop.simulate(1.0, engine="interpreted")["plant.y"]).all()
+    with pytest.raises(UnknownNameError, match=r"no output 'y\[1\]'"):
+        controllers.design(system, measured="y[1]", actuated=plain, **settings)
+    with pytest.raises(UnknownNameError, match=r"no port 'u\[7\]'"):
+        cosim.closed_loop(plant=system, controller=theirs, control="u[7]", measured="y[0]", reference=1.0)
+
+
+def test_brackets_are_elements_where_there_is_a_vector():
+    assert controllers.models.names.places_of(["u[1]"], ["u1", "u[0]", "u[1]"], "input") == [2]

@@ -133,9 +133,13 @@ def test_ticks_of_logarithmic_panels_are_plain_numbers():
 def test_ignored_samples_are_marked():
     signals = run_of(cruise_control(SERFDI(threshold=2.0)))
     deviation = panel(plot_run(signals), "expected")
-    marks = {line.get_label(): line.get_xdata() for line in deviation.lines}
-    np.testing.assert_array_equal(marks["sensor 0 ignored"], signals.time[signals.sensors[0].precision == 0])
-    assert len(marks["sensor 0 ignored"]) > 5
+    marks = next(line for line in deviation.lines if line.get_label() == "sensor 0 ignored")
+    bars = marks.get_xdata().reshape(-1, 3)  # begin, end, gap
+    marked = np.any([(a <= signals.time) & (signals.time <= b) for a, b, _ in bars], axis=0)
+    np.testing.assert_array_equal(marked, signals.sensors[0].precision == 0)
+    assert 5 < len(bars) < marked.sum()
+    assert marks.get_linewidth() > 3  # periods are bars without gaps ...
+    assert marks.get_marker() == "|"  # ... and a single sample has a tick
 
 
 def test_missing_samples_are_gaps_and_marks():

@@ -81,5 +81,6 @@ def _refuse_pairs(y: Floats, names: tuple[str, ...]) -> None:
     if typical[worst] > moved and typical[worst] > FIT.far * noise:
         raise RecordingError(
             f"The column {names[worst]!r} does not follow the others: it differs from them by {typical[worst]:.3g}, but they "
-            f"move by {moved:.3g}. Leave it out: choose the sensors of the same quantity with --sensor."
+            f"move by {moved:.3g}. If it has failed in this recording, fit to a stretch without the fault: --from and --to, in "
+            "seconds. If it measures another quantity, leave it out: name the others with --sensor."
         )

@@ -86,6 +86,9 @@ class FitSettings:
     rare: float = chosen(
         0.9, "quantile in the whole recording, up to the noise: a fault in a tenth of it has no effect"
     )
+    # A fault in the stretch.
+    doubtful: float = chosen(5.0, "multiple of its noise above which a sensor's lasting errors may be a fault")
+    outstanding: float = chosen(3.0, "multiple of the others' lasting errors from which those of one sensor stand out")
     # The model file.
     uncertain: float = chosen(
         3.0,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,15 +66,14 @@ def compare_scenarios(
     notes = [note for scenario in scenarios.values() for note in unused(scenario, lasts)]
     if not json and not quiet:
         output.say_notes(notes)
-    shown = sys.stderr.isatty() and not quiet and not json
-    with noted_elsewhere(), output.progress_bar("Comparing", "count", "remaining", shown=shown) as move:
+    with noted_elsewhere(), output.runs_progress("Comparing", shown=not quiet and not json) as progress:
         loops = {name: scenario.loop() for name, scenario in scenarios.items()}
         comparison = cosim.compare(
             loops,
             duration=lasts,
             seeds=SEEDS if seeds is None else seeds,
             seed=0 if seed is None else seed,
-            progress=move and (lambda done, of, failed: move(done, of)),
+            progress=progress,
         )
     if out is not None:
         picture = io.BytesIO()

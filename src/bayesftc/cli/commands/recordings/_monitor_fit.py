@@ -22,6 +22,7 @@ from bayesftc.monitoring import (
     redundant_signals,
     stretch_of,
 )
+from bayesftc.monitoring.fit.doubtful import doubtful_sensors, lasting_errors
 
 MODEL = "model.toml"
 
@@ -68,22 +69,32 @@ def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
     }
 
 
+def fit_notes(fitted: FittedModel) -> list[str]:
+    """Return a note for each sensor that may have failed in the stretch of the fit."""
+    return [
+        f"The errors of {name} last, and are {ratio:.0f} times its noise and far above those of the other sensors. If {name} has "
+        "failed in this recording, the model expects the fault, and the alarm ends too early. Fit the model to a stretch without "
+        "faults: --from and --to, in seconds."
+        for name, ratio in doubtful_sensors(fitted).items()
+    ]
+
+
 def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
     """Print the fitted model."""
     console, say = output.sayer()
     say("Fitted model", "bold")
     say(_motion(fitted))
     table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")
+    errors = lasting_errors(fitted)
     for name, sensor in fitted.sensors.items():
-        variances = [float(np.max(e.std)) ** 2 for e in fitted.errors if e.sensors and name in e.sensors]
-        lasting = f"{sum(variances) ** 0.5:.3g}" if variances else output.DASH
+        lasting = f"{errors[name]:.3g}" if errors[name] else output.DASH
         resolution = f"{sensor.resolution:.3g}" if sensor.resolution else "fine"
         shares = f"{sensor.repeats:.0%}", f"{sensor.missing:.0%}"
         table.add_row(name, f"{sensor.std:.3g}", lasting, f"{sensor.bias:.3g}", resolution, *shares)
     console.print(table)
-    for errors in fitted.errors:
-        if errors.common:
-            say(f"{' and '.join(errors.sensors or ())} have common errors of std {float(np.max(errors.std)):.3g}.")
+    for each in fitted.errors:
+        if each.common:
+            say(f"{' and '.join(each.sensors or ())} have common errors of std {float(np.max(each.std)):.3g}.")
     say("Noise: standard deviation from sample to sample. Bias: difference from the typical sensor.")
     say(f"Written to {model}\n")
 

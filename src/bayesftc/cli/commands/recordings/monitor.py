@@ -13,7 +13,7 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.commands.recordings._faults import print_faults
-from bayesftc.cli.commands.recordings._monitor_fit import MODEL, Fit, fit_files, fitted_summary, print_fit
+from bayesftc.cli.commands.recordings._monitor_fit import MODEL, Fit, fit_files, fit_notes, fitted_summary, print_fit
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
 from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort
 from bayesftc.controllers import ModelMismatchWarning
@@ -118,6 +118,8 @@ def monitor(
         typer.echo(output.as_json(numbers))
     elif not quiet:
         _print(monitored, numbers, out)
+    if fitted is not None and not quiet:
+        output.say_notes(fit_notes(fitted))
 
 
 def summary(monitored: Monitored, mismatch: ModelFinding | None) -> dict[str, Any]:
