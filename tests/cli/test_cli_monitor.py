@@ -346,7 +346,9 @@ def test_a_right_model_is_not_warned_of_even_if_a_sensor_fails(pumped):
     assert "Offset" in done.stdout
 
 
-@pytest.mark.parametrize(("begin", "sentence"), [(30.0, "fit to a stretch without the fault"), (36.0, "errors of b last")])
+@pytest.mark.parametrize(
+    ("begin", "sentence"), [(30.0, "fit to a stretch without the fault"), (36.0, "errors of b last")]
+)
 def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, sentence):
     """The model of a stretch with a fault expects the fault, and its alarm ends too early."""
     rng = np.random.default_rng(0)
