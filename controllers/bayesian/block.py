@@ -89,8 +89,8 @@ class BayesianBlock(Block, ABC):
         """Check all settings except the model, and expand numbers to arrays."""
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
-                f"precision is {self.precision!r}; it must be a precision learner: an object such as SwitchingPrecision() or, for a "
-                "Kalman filter, FixedPrecision()."
+                f"precision is {self.precision!r}; it must be a precision learner: an object such as SwitchingPrecision() or, "
+                "for a Kalman filter, FixedPrecision()."
             )
         check_choice(self, "belief", "filtered", "joint")
         check_flags(self, "posterior_outputs")
