@@ -80,6 +80,8 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
             H @ reduced.back,
             np.vstack([reduced.rows @ others[:plant], others[plant:]]),
         )
+    if not len(A):
+        raise ModelError("The goals see no state of the plant, so no control moves them. Set goals for other outputs.")
     refuse_unseen_by_goal(A, H)
     try:
         P = np.asarray(solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost))

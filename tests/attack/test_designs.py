@@ -180,3 +180,9 @@ def test_matrices_of_a_plant_that_are_too_large_are_named(A, B, dt, words):
     plant = control.ss(A, B, [[1.0, 0.0]], 0.0)
     with warnings.catch_warnings(action="error"), pytest.raises(BayesFTCError, match=words):
         design(plant, measured="y", actuated="u", dt=dt)
+
+
+def test_goals_that_see_no_state_are_refused():
+    plant = control.ss([[1.0]], [[1.0]], [[0.0], [1.0]], 0.0, 0.1, outputs=["goal", "seen"], inputs=["v"])
+    with pytest.raises(ModelError, match="The goals see no state of the plant"):
+        design(plant, measured=["goal", "seen"], goal="goal", actuated="v")
