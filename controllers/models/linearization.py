@@ -222,19 +222,18 @@ def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
 
 
 def refuse_unmoving(linear: Linearization, measured: Sequence[str]) -> None:
-    """Refuse measured outputs that no state of the model moves: their sensors see nothing.
+    """Refuse measured outputs of which no state of the model moves any: their sensors see nothing.
 
     Raises
     ------
     ModelError
-        With the name of the output.
+        With the names of the outputs.
     """
-    for i in linear.rows(measured):
-        if not linear.C[i].any():
-            raise ModelError(
-                f"{linear.outputs[i]} depends on no state of the model, so its sensors see nothing of the plant. Measure another "
-                "output, or give an operating point at which it changes (start values, or at=...)."
-            )
+    if measured and not any(linear.C[i].any() for i in linear.rows(measured)):
+        raise ModelError(
+            f"{' and '.join(measured)}: no state of the model moves what is measured, so the sensors see nothing of the plant. "
+            "Measure another output, or give an operating point at which it changes (start values, or at=...)."
+        )
 
 
 # --- systems of python-control ---------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ class Node:
                 if candidate.shape and port in (elements := labels(candidate.name, candidate.shape)):
                     return PortRef(self, candidate, direction, (elements.index(port),))
         names = [p.name for _, ports in directions for p in ports]
-        if plain := without_brackets(port, [p.name for _, ports in directions for p in ports if not p.shape]):
+        if plain := without_brackets(str(port), [p.name for _, ports in directions for p in ports if not p.shape]):
             return self[plain]
         raise UnknownNameError(f"Block {self.name!r} has no port {port!r}; {did_you_mean(port, names)}")
 

@@ -15,6 +15,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from types import FrameType
 from typing import Any
 
 EXIT_CODE = 130
@@ -121,3 +123,30 @@ def heard() -> Iterator[None]:
         else:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             sys.unraisablehook = before
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Delay Ctrl-C until the end of the body, and raise it there."""
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield
+        return
+    received: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: received.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if received:
+            handler(*received[0])
+
+
+def import_whole(*modules: str) -> None:
+    """Import modules; Ctrl-C is raised when they are complete.
+
+    If it interrupted an import, a library would remain half imported, and all later runs of the process would fail.
+    """
+    with held_back():
+        for module in modules:
+            import_module(module)

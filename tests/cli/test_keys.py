@@ -50,5 +50,5 @@ def test_sections_files_and_mistakes(bayesftc_):
 
 
 def test_a_reference_to_another_docstring_is_followed():
-    assert described(thing("bayesftc.controllers.design"))["u_min"].startswith("Limits of the control.")
+    assert described(thing("bayesftc.controllers.design"))["u_min"].startswith("Limits of the controls")
     assert described(thing("bayesftc.cosim.Freeze"))["stop"].startswith("Seconds: the fault can be present")

@@ -420,7 +420,7 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
         ({"sensor_std": 0.0}, ModelError, r"sensor_std is \[0.0\]; a sensor without noise"),
         ({"precision": "fixed"}, ModelError, r"precision is 'fixed'; .* for a Kalman filter, FixedPrecision\(\)"),
         ({"plant": (np.eye(2), np.eye(2))}, ModelError, r"The plant is .*control.ss\(A, B, C, D\), or a LinearModel"),
-        ({"plant": BLIND, "measured": "y", "actuated": "u", "dt": 0.1}, ModelError, "y depends on no state"),
+        ({"plant": BLIND, "measured": "y", "actuated": "u", "dt": 0.1}, ModelError, "y: no state of the model moves"),
         ({"noise": 0.1}, ModelError, r"a number for each input by name, as noise=\{'load'"),
         ({"at": 0.1}, ModelError, r"a number for each input by name, as at="),
         ({"u_min": 5.0, "u_max": -5.0}, ModelError, "lies above u_max"),

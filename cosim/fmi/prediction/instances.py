@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc._interrupt import import_whole
 from bayesftc.cosim.fmi.binaries.groups import element_names
 from bayesftc.cosim.fmi.binaries.library import Beginning, Library
 from bayesftc.cosim.fmi.exchange.model import ExchangeModel
@@ -171,6 +172,7 @@ class StepPlaced(_Tabled):
 @cache
 def compiled(role: str) -> Any:
     """Return a compiled function of `bayesftc.cosim.fmi.prediction.kernels`."""
+    import_whole("bayesftc.cosim.stepping.compiler")
     from bayesftc.cosim.fmi.prediction.kernels import FUNCTIONS, SIGNATURE
     from bayesftc.cosim.stepping.compiler import compile_callback
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from bayesftc._interrupt import import_whole
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.diagram.groups import WORDS, Group, Part
 from bayesftc.cosim.diagram.memory import bind
@@ -287,6 +288,8 @@ class CompiledGroup(GroupRun):
 
 @cache
 def _compiled() -> Any:
+    import_whole("bayesftc.cosim.stepping.compiler")
+
     from bayesftc.cosim.run.coupled import kernels
     from bayesftc.cosim.stepping.compiler import compile_raw
 

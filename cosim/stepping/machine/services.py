@@ -19,6 +19,7 @@ from typing import Any
 import llvmlite
 import llvmlite.binding as llvm
 
+from bayesftc._interrupt import import_whole
 from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
@@ -75,12 +76,16 @@ def _found(name: str, find: Callable[[], FunctionType]) -> int:
 
 
 def _numbas_text(find: Callable[[], FunctionType], name: str) -> str:
+    import_whole("bayesftc.cosim.stepping.compiler")
+
     from bayesftc.cosim.stepping.compiler import service_text
 
     return service_text(find(), name)
 
 
 def _by_numba(find: Callable[[], FunctionType]) -> int:
+    import_whole("bayesftc.cosim.stepping.compiler")
+
     from bayesftc.cosim.stepping.compiler import compile_raw
 
     return int(compile_raw(find()).address or 0)

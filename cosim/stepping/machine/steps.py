@@ -28,6 +28,7 @@ import llvmlite.binding as llvm
 import pycparser
 from pycparser.c_parser import ParseError
 
+from bayesftc._interrupt import import_whole
 from bayesftc.cosim import ops
 from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
@@ -116,6 +117,8 @@ def _address(kernel: FunctionType, sections: Sections, name: str) -> int:
     except KernelError as reason:
         if foreign:
             raise
+        import_whole("bayesftc.cosim.stepping.compiler")
+
         from bayesftc.cosim.stepping.compiler import compile_by_numba
 
         return compile_by_numba(kernel, sections, reason)

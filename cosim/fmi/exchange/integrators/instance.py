@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc._interrupt import import_whole
 from bayesftc.cosim.errors import FMUError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.binaries.library import Beginning, CallError
 from bayesftc.cosim.fmi.binaries.model_library import ModelLibrary
@@ -30,6 +31,8 @@ Timing = Literal["plant", "direct", "sampled"]
 
 @cache
 def _compiled(role: str) -> Any:
+    import_whole("bayesftc.cosim.stepping.compiler")
+
     from bayesftc.cosim.fmi.exchange.integrators.kernels import FUNCTIONS
     from bayesftc.cosim.stepping.compiler import compile_raw
 
