@@ -185,8 +185,7 @@ class CompiledEngine:
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
         run, program = self._run, self._program
-        last = program.advance(run.recording, run.seed, run.before, first, begin, end)
-        row, status = program.failure
+        row, status, last = program.advance(run.recording, run.seed, run.before, first, begin, end)
         if row < 0:
             return last, None
         return last, self._failure(row, status, last + int(row < len(run.schedule.evaluate)))

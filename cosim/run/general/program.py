@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.random import CHUNK, SPARE
-from bayesftc.cosim.types import Floats
+from bayesftc.cosim.types import ENTRY, Floats
 
 Whole = np.ndarray[Any, np.dtype[np.int64]]
 Seeds = np.ndarray[Any, np.dtype[np.uint64]]
@@ -38,6 +38,9 @@ _PIECE = Struct("qQqqqq")
 
 _FAILURE = Struct("qqq")
 """From FAILED to LAST."""
+
+_BRIEF = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64, ctypes.c_int64)
+"""The first arguments of `ENTRY`, for a function that reads no others: to convert all six takes longer than most steps."""
 
 
 class Program:
@@ -87,16 +90,18 @@ class Program:
         head = np.array([*counts, *places, -1, *[0] * (TABLES - FAILED - 1)], dtype=np.int64)
         self.words = np.concatenate([head, calls.ravel(), gathers.ravel(), drawn, recorded])
         self.address = self.words.ctypes.data
+        self._place = ctypes.c_int64(self.address)
         self._bytes = memoryview(self.words).cast("B")  # type: ignore[arg-type]
-        self._advance = function("advance")
+        self._advance = function("advance", _BRIEF)
 
-    def advance(self, recording: Floats, seed: int, before: int, first: bool, begin: int, end: int) -> int:
-        """Run from t_begin to t_end; return the last complete step. See `failure` for why it is not `end`."""
+    def advance(
+        self, recording: Floats, seed: int, before: int, first: bool, begin: int, end: int
+    ) -> tuple[int, int, int]:
+        """Run from t_begin to t_end; return the failure, see `failure`, and the last complete step."""
         place = ctypes.addressof(ctypes.c_char.from_buffer(recording)) if recording.size else 0  # type: ignore[arg-type]
         _PIECE.pack_into(self._bytes, 8 * RECORDING, place, seed, before, first, begin, end)
-        self._advance(0, self.address, 0, 0, 0.0, 0)
-        last: int = _FAILURE.unpack_from(self._bytes, 8 * FAILED)[2]
-        return last
+        self._advance(0, self._place)
+        return _FAILURE.unpack_from(self._bytes, 8 * FAILED)
 
     def make_many(
         self,
@@ -132,13 +137,13 @@ class Program:
 
 
 @cache
-def function(name: str) -> Any:
-    """Return a function of `bayesftc.cosim.run.general.loop`, from the disk if it is there."""
-    from bayesftc.cosim.stepping.machine.services import service
+def function(name: str, kind: Any = ENTRY) -> Any:
+    """Return a function of `bayesftc.cosim.run.general.loop` as one of this type, from the disk if it is there."""
+    from bayesftc.cosim.stepping.machine.services import service_address
 
     def find() -> Any:
         from bayesftc.cosim.run.general import loop
 
         return getattr(loop, name)
 
-    return service(f"loop_{name}", find)
+    return kind(service_address(f"loop_{name}", find))
