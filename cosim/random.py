@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.types import ENTRY
 
 CHUNK = 64
 """Steps that are drawn at a time."""
@@ -40,14 +41,14 @@ def check_seed(seed: int) -> int:
 @cache
 def compiled_fill() -> Callable[[int], None]:
     """Return the compiled generator, which takes the address of its words; the first call takes the time to load it."""
-    from bayesftc.cosim.stepping.machine.services import service
+    from bayesftc.cosim.stepping.machine.services import service_address
 
     def find() -> Any:
         from bayesftc.cosim.drawing import draw
 
         return draw
 
-    entry = service("draw", find)
+    entry = ENTRY(service_address("draw", find))
     return lambda words: entry(0, words, 0, 0, 0.0, 0)
 
 

@@ -16,6 +16,7 @@ from types import FunctionType
 
 import llvmlite.binding as llvm
 
+from bayesftc.cosim.stepping.machine.code import enclosed, outside
 from bayesftc.cosim.stepping.machine.shipped import FILE, sources_digest
 
 GENERIC = {
@@ -43,18 +44,13 @@ def text_of(function: FunctionType, name: str) -> str:
     """Return a function's text for any processor: optimised, so that nothing of numba's is left, but without vectors."""
     from bayesftc.cosim.stepping.compiler import service_text
 
-    module = llvm.parse_assembly(service_text(function, name), llvm.create_context())
-    for value in (*module.functions, *module.global_variables):
-        if not value.is_declaration and value.name != name:
-            value.linkage = "internal"
+    module = enclosed(service_text(function, name), name)
     tuning = llvm.create_pipeline_tuning_options(speed_level=3)
     tuning.loop_vectorization = tuning.slp_vectorization = tuning.loop_unrolling = False
     machine = llvm.Target.from_default_triple().create_target_machine(cpu="x86-64", features="", opt=3)
-    llvm.create_pass_builder(machine, tuning).getModulePassManager().run(
-        module, llvm.create_pass_builder(machine, tuning)
-    )
-    values = (*module.functions, *module.global_variables)
-    if others := [v.name for v in values if v.is_declaration and not v.name.startswith("llvm.")]:
+    builder = llvm.create_pass_builder(machine, tuning)
+    builder.getModulePassManager().run(module, builder)
+    if others := outside(module):
         raise SystemExit(f"{name} needs functions of other libraries: {', '.join(others)}.")
     return str(module)
 

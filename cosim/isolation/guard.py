@@ -1,4 +1,4 @@
-"""What surrounds every piece of a run, whoever makes it: settings of this process that FMUs may change, and where it computes."""
+"""What surrounds every piece of a run, whoever makes it: settings of this process that FMUs may change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Self
 from bayesftc.cosim.block import External
 from bayesftc.cosim.fmi.binaries.surroundings import Surroundings
 from bayesftc.cosim.fmi.reading import embedded
-from bayesftc.cosim.isolation.turns import one_processor
 
 
 class Guard:
@@ -37,17 +36,16 @@ class _OfFMUs(Surroundings, Guard):
     """The guard of a run with FMUs in this process."""
 
 
-class _OfOthers(_OfFMUs):
-    """The guard of a run with FMUs in processes of their own, or in this Python interpreter."""
+class _OfPython(_OfFMUs):
+    """The guard of a run with FMUs in this Python interpreter."""
 
-    def __init__(self, isolated: list[External]):
+    def __init__(self) -> None:
         super().__init__()
-        self._isolated, self._stack = isolated, ExitStack()
+        self._stack = ExitStack()
         self._interrupts: list[int] = []
 
     def __enter__(self) -> Self:
         super().__enter__()
-        self._stack.enter_context(one_processor(self._isolated))
         self._interrupts = self._stack.enter_context(embedded.interrupts())
         return self
 
@@ -61,5 +59,4 @@ def guard_of(instances: Mapping[int, External]) -> Guard:
     """Return the guard of a run with these FMUs: most need little of it, and live runs enter it at every step."""
     if not instances:
         return Guard()
-    isolated = [instance for instance in instances.values() if hasattr(instance, "follows")]
-    return _OfOthers(isolated) if isolated or embedded.in_use() else _OfFMUs()
+    return _OfPython() if embedded.in_use() else _OfFMUs()

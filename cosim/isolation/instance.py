@@ -131,11 +131,6 @@ class Isolated(ByAddress):
     # --- steps ----------------------------------------------------------------------------------------------------------------
 
     @property
-    def follows(self) -> bool:
-        """Whether the FMU's process chooses its processor by that of the stepping thread."""
-        return self._is_compiled
-
-    @property
     def output_address(self) -> int:
         """Address of the compiled output function."""
         return self._address("output")

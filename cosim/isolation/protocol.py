@@ -45,7 +45,7 @@ ANYWHERE, TOGETHER, APART = range(3)
 """Where the worker runs: on any processor; on the host's; on any but the host's."""
 
 MOST_LOOKS = 1000
-"""How often host and FMU look at the shared memory before they sleep: for some 20 to 50 us, about as long as waking takes."""
+"""How often host and FMU look at the shared memory before they sleep: for some 20 us, about as long as waking takes."""
 
 PAUSE = 1000
 

@@ -2,13 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from functools import cache
-from typing import Any
-
-from bayesftc.cosim.block import External
 from bayesftc.cosim.isolation import protocol
 
 OFTEN = 0.1
@@ -45,38 +38,3 @@ class Turns:
         else:
             self._home = protocol.APART
         return self._home
-
-
-@contextmanager
-def one_processor(instances: Iterable[External]) -> Iterator[None]:
-    """Keep this thread on its processor, if an FMU in another process goes there, or keeps away from there.
-
-    Without this, the system moves host and FMU, which seem idle to it, between processors. Where both share a processor, a loop
-    made a third of the steps per second. It holds for one part of a run, so that a thread soon leaves a processor that becomes
-    busy.
-    """
-    if not any(getattr(instance, "follows", False) for instance in instances):
-        yield
-        return
-    allowed = os.sched_getaffinity(0)
-    processor = _present_processor()
-    if processor not in allowed:
-        yield
-        return
-    os.sched_setaffinity(0, {processor})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, allowed)
-
-
-@cache
-def _library() -> Any:
-    import ctypes
-
-    return ctypes.CDLL(None)
-
-
-def _present_processor() -> int:
-    """Return the number of the processor that runs this thread."""
-    return int(_library().sched_getcpu())

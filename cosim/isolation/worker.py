@@ -291,7 +291,7 @@ class _CompiledLoop:
         total = int(words[protocol.HOST_SLEPT] + words[protocol.WORKER_SLEPT])
         home = self._turns.next(is_quick, total - self._slept)
         self._slept = total
-        if home == protocol.ANYWHERE != before:
+        if home == protocol.ANYWHERE and before != protocol.ANYWHERE:
             os.sched_setaffinity(0, self._everywhere)
         words[protocol.LOOKS] = protocol.MOST_LOOKS if home == protocol.APART else 0
         self._table[-1] = home

@@ -15,7 +15,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from types import FrameType
 from typing import Any
 
@@ -149,4 +148,4 @@ def import_whole(*modules: str) -> None:
     """
     with held_back():
         for module in modules:
-            import_module(module)
+            __import__(module)

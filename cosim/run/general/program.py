@@ -67,8 +67,12 @@ class Program:
 
     Attributes
     ----------
+    calls : ndarray of int64
+        See above.
     words : ndarray of int64
-        The tables, at `address`.
+        All tables.
+    address : int
+        The address of the words.
     """
 
     def __init__(
@@ -90,7 +94,6 @@ class Program:
         head = np.array([*counts, *places, -1, *[0] * (TABLES - FAILED - 1)], dtype=np.int64)
         self.words = np.concatenate([head, calls.ravel(), gathers.ravel(), drawn, recorded])
         self.address = self.words.ctypes.data
-        self._place = ctypes.c_int64(self.address)
         self._bytes = memoryview(self.words).cast("B")  # type: ignore[arg-type]
         self._advance = function("advance", _BRIEF)
 
@@ -100,7 +103,7 @@ class Program:
         """Run from t_begin to t_end; return the failure, see `failure`, and the last complete step."""
         place = ctypes.addressof(ctypes.c_char.from_buffer(recording)) if recording.size else 0  # type: ignore[arg-type]
         _PIECE.pack_into(self._bytes, 8 * RECORDING, place, seed, before, first, begin, end)
-        self._advance(0, self._place)
+        self._advance(0, self.address)
         return _FAILURE.unpack_from(self._bytes, 8 * FAILED)
 
     def make_many(

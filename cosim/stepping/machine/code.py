@@ -46,14 +46,23 @@ def closed_code(text: str, name: str) -> bytes:
     Only the entry can be called from outside, so LLVM sees which errors of the functions behind it cannot occur, and removes the
     code that would report them.
     """
+    module = _optimised(enclosed(text, name), len(text))
+    return b"" if outside(module) else _emitted(module)
+
+
+def enclosed(text: str, name: str) -> Any:
+    """Return the module of a text, of which only `name` can be called from outside."""
     module = llvm.parse_assembly(text, llvm.create_context())
     for value in (*module.functions, *module.global_variables):
         if not value.is_declaration and value.name != name:
             value.linkage = "internal"
-    _optimised(module, len(text))
+    return module
+
+
+def outside(module: Any) -> list[str]:
+    """Return the names of what a module needs of other libraries."""
     values = (*module.functions, *module.global_variables)
-    is_closed = not any(value.is_declaration and not value.name.startswith("llvm.") for value in values)
-    return _emitted(module) if is_closed else b""
+    return [value.name for value in values if value.is_declaration and not value.name.startswith("llvm.")]
 
 
 def _optimised(module: Any, length: int) -> Any:

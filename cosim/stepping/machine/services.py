@@ -11,10 +11,9 @@ import os
 import platform
 import threading
 from collections.abc import Callable
-from importlib import resources, util
+from importlib import util
 from pathlib import Path
 from types import FunctionType
-from typing import Any
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -24,22 +23,14 @@ from bayesftc.cosim.base.announcing import announced
 from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
 from bayesftc.cosim.stepping.machine.code import closed_code, features, load, opened, sealed
-from bayesftc.cosim.stepping.machine.shipped import shipped_text
-from bayesftc.cosim.types import ENTRY
+from bayesftc.cosim.stepping.machine.shipped import ROOT, digest_of, shipped_text
 
 _lock = threading.RLock()
 _addresses: dict[str, int] = {}
 
 
-def _sources_digest() -> str:
-    """Return a hash of the files with all that the functions use, when this is loaded; they may be edited later."""
-    digest = hashlib.sha256()
-    for file in sorted(Path(str(resources.files("bayesftc.cosim"))).rglob("*.py")):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-_SOURCES_DIGEST = _sources_digest()
+_SOURCES_DIGEST = digest_of(sorted(ROOT.rglob("*.py")))
+"""A hash of the files with all that the functions use, when this is loaded; they may be edited later."""
 
 
 def service_address(name: str, find: Callable[[], FunctionType]) -> int:
@@ -56,11 +47,6 @@ def service_address(name: str, find: Callable[[], FunctionType]) -> int:
         if name not in _addresses:
             _addresses[name] = _found(f"service_{name}", find)
         return _addresses[name]
-
-
-def service(name: str, find: Callable[[], FunctionType]) -> Any:
-    """Return a service function as an object that Python can call; see `service_address`."""
-    return ENTRY(service_address(name, find))
 
 
 def _found(name: str, find: Callable[[], FunctionType]) -> int:

@@ -10,11 +10,14 @@ import hashlib
 import json
 import lzma
 import platform
+from collections.abc import Iterable
 from functools import cache
 from importlib import resources
 from pathlib import Path
 
-FILE = Path(str(resources.files("bayesftc.cosim"))) / "stepping" / "machine" / "engine.json.xz"
+ROOT = Path(str(resources.files("bayesftc.cosim")))
+
+FILE = ROOT / "stepping" / "machine" / "engine.json.xz"
 
 MACHINES = ("x86_64", "AMD64")
 
@@ -27,12 +30,17 @@ SOURCES = (
 """The files on which the text depends."""
 
 
+def digest_of(files: Iterable[Path]) -> str:
+    """Return a hash of the content of files."""
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
 def sources_digest() -> str:
     """Return a hash of the sources of the text."""
-    digest = hashlib.sha256()
-    for name in SOURCES:
-        digest.update(Path(str(resources.files("bayesftc.cosim")), name).read_bytes())
-    return digest.hexdigest()
+    return digest_of(ROOT / name for name in SOURCES)
 
 
 @cache

@@ -15,14 +15,14 @@ import time
 import zipfile
 from fractions import Fraction
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bayesftc import cosim, fmus
 from bayesftc.cosim.errors import FMUCrashed
-from bayesftc.cosim.isolation.turns import one_processor
+from bayesftc.cosim.isolation.protocol import ANYWHERE, APART, PAUSE, TOGETHER
+from bayesftc.cosim.isolation.turns import Turns
 from bayesftc.cosim.run.repeat import repeat
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation needs Linux")
@@ -381,25 +381,7 @@ def test_a_pickled_plant_runs_in_other_processes_which_share_one_extraction(isol
     assert len([p for p in (tmp_path / "fmus").iterdir() if p.is_dir()]) == 1
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="isolation needs Linux")
-def test_a_thread_keeps_to_its_processor_only_while_an_fmu_follows_it():
-    everywhere = os.sched_getaffinity(0)
-
-    def fail(follows, processors):
-        with one_processor([SimpleNamespace(follows=follows)]):
-            assert len(os.sched_getaffinity(0)) == processors
-            raise ZeroDivisionError
-
-    for follows, processors in ((True, 1), (False, len(everywhere))):
-        with pytest.raises(ZeroDivisionError):
-            fail(follows, processors)
-        assert os.sched_getaffinity(0) == everywhere
-
-
 def test_host_and_fmu_are_apart_where_that_is_quicker():
-    from bayesftc.cosim.isolation.protocol import ANYWHERE, APART, PAUSE, TOGETHER
-    from bayesftc.cosim.isolation.turns import Turns
-
     turns = Turns(processors=2)
     assert [turns.next(True, 2 * PAUSE), turns.next(True, 3), turns.next(False, 0), turns.next(True, PAUSE)] == [
         APART,  # whoever runs anywhere sleeps at each command

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import cosim, fmus
 from bayesftc.cosim import Port
+from bayesftc.cosim.errors import ModelError
 
 ENGINES = ("compiled", "interpreted")
 STEPS = 300  # more than a chunk of random numbers
@@ -410,3 +411,13 @@ def test_the_clock_runs_on_between_calls():
 def test_a_pace_must_be_positive(pace):
     with pytest.raises(cosim.ModelError, match=r"pace is .*; it must be a positive number"):
         arm().simulate(0.1, pace=pace)
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((5, 1)), np.zeros((11, 1), dtype=np.float32), np.zeros(11)])
+def test_a_wrong_array_for_the_recording_is_refused(wrong):
+    diagram = cosim.Diagram(dt=0.1)
+    diagram.add(cosim.Ramp(1.0), "ramp")
+    with diagram.start() as session:
+        session.record_into(lambda rows, columns: wrong)
+        with pytest.raises(ModelError, match="The array for the recording has the shape"):
+            session.advance(1.0)
