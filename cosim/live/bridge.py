@@ -30,7 +30,8 @@ class Bridge(ABC):
     2. `open` returns at once, also if the other side cannot be reached now; the bridge then connects again by itself. It
        raises a `bayesftc.cosim.BayesFTCError` only for what cannot become right by waiting, such as a wrong setting.
     3. For each message that arrives it calls ``inbox.put(values, sent)`` or ``inbox.receive(payload, format)``, from any
-       thread. It calls ``inbox.reject(reason)`` for a message that it cannot decode.
+       thread. It calls ``inbox.reject(reason)`` for a message that it cannot decode. A bridge that can look for messages
+       without waiting needs no thread: it does so in `collect`, which the loop calls before each step.
     4. `send` returns at once and never raises. A value that cannot be sent now is lost, and `lost` counts it.
     5. `close` ends its threads, and sends what was given to `send` last, if it can within a second or two.
 
@@ -78,6 +79,9 @@ class Bridge(ABC):
     @abstractmethod
     def open(self, inbox: Inbox | None) -> None:
         """Connect, and begin to put samples into `inbox`; for a bridge that sends, the inbox is None."""
+
+    def collect(self) -> None:  # noqa: B027 - most bridges have nothing to do here
+        """Put what has come into the inbox: called before each step, for a bridge that does not do so by itself."""
 
     @abstractmethod
     def send(self, values: Sequence[float], time: float) -> None:

@@ -15,7 +15,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite, isinf
+from math import inf, isfinite, isinf, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -181,6 +181,7 @@ class Inbox:
         *,
         sequence: int | None = None,
         kept: bool = False,
+        age: float = 0.0,
     ) -> None:
         """Add a sample, from any thread.
 
@@ -195,15 +196,17 @@ class Inbox:
         kept : bool
             Whether the other side has kept the sample for some time, as a broker does. Its age is then the time since `sent`,
             in seconds since 1970, and counts for ``stale_after``. Without ``stale_after``, it is used if samples are held.
+        age : float
+            Seconds since it arrived.
         """
-        now = self._clock()
-        raw = np.atleast_1d(np.asarray(values, dtype=np.float64))
+        now = self._clock() - age
+        raw = values if isinstance(values, tuple) else np.ravel(np.asarray(values, dtype=np.float64)).tolist()
         with self._lock:
             self.received += 1
             if self._is_dropped(now):
                 return
-            if raw.shape != (self.size,):
-                self._refuse(SIZE, f"{SIZE}: {raw.size} instead of {self.size}")
+            if len(raw) != self.size:
+                self._refuse(SIZE, f"{SIZE}: {len(raw)} instead of {self.size}")
                 return
             for kind, stamp in (("sequence", sequence), ("sent", sent)):
                 if stamp is not None and (reason := self._misplaced(kind, stamp)):
@@ -222,7 +225,7 @@ class Inbox:
                 return
             self._accept(raw, now - delay)
 
-    def receive(self, payload: bytes, form: Format, *, kept: bool = False) -> None:
+    def receive(self, payload: bytes, form: Format, *, kept: bool = False, age: float = 0.0) -> None:
         """Decode a message and add its sample, or reject it, from any thread.
 
         Parameters
@@ -233,19 +236,21 @@ class Inbox:
             Its format.
         kept : bool
             Whether the other side has kept it for some time; see `put`.
+        age : float
+            Seconds since it arrived.
         """
         try:
             values, sent, sequence = decode(payload, form)
         except ValueError as error:
-            self.reject(str(error))
+            self.reject(str(error), age=age)
         else:
-            self.put(values, sent, sequence=sequence, kept=kept)
+            self.put(values, sent, sequence=sequence, kept=kept, age=age)
 
-    def reject(self, reason: str) -> None:
+    def reject(self, reason: str, *, age: float = 0.0) -> None:
         """Count a message that cannot be decoded, from any thread; `reason` is shown as the last one."""
         with self._lock:
             self.received += 1
-            if not self._is_dropped(self._clock()):
+            if not self._is_dropped(self._clock() - age):
                 self._refuse(DECODING, f"{DECODING}: {reason}")
 
     def fail(self, reason: str) -> None:
@@ -300,8 +305,8 @@ class Inbox:
                 self._used = True
             elif self._waiting:
                 self._waiting.popleft()
-            for value, reason in zip(values, reasons, strict=True):
-                if value != value:
+            for reason in reasons:
+                if reason:
                     self.missing[reason] += 1
             self._why = NONE
             return values
@@ -323,20 +328,22 @@ class Inbox:
         with self._lock:
             return self._clock() - self._born
 
-    def _accept(self, raw: Floats, born: float) -> None:
+    def _accept(self, raw: Sequence[float], born: float) -> None:
         limits = self.limits
-        values = limits.scale * raw + limits.offset
-        number = np.isfinite(values)
-        inside = (values >= limits.low) & (values <= limits.high)
-        for mask, reason in ((~number, NUMBER), (number & ~inside, RANGE)):
-            if mask.any():
+        values = [limits.scale * value + limits.offset for value in raw]  # quicker than arrays of a few elements
+        reasons = [
+            NUMBER if not isfinite(value) else "" if limits.low <= value <= limits.high else RANGE for value in values
+        ]
+        for reason in (NUMBER, RANGE):
+            if reason in reasons:
                 self.rejected[reason] += 1
                 self.last_reason = reason
-        if not (number & inside).any():
-            self._why = RANGE if number.any() else NUMBER
+        if all(reasons):
+            self._why = RANGE if RANGE in reasons else NUMBER
             return
-        reasons = [RANGE if n else NUMBER for n in number]
-        self._waiting.append(_Sample(np.where(number & inside, values, np.nan), reasons, born))
+        if any(reasons):
+            values = [nan if reason else value for value, reason in zip(values, reasons, strict=True)]
+        self._waiting.append(_Sample(np.array(values), reasons, born))
         self._born, self._came = born, True
         self._drop(1 if limits.hold else MOST)
 

@@ -189,12 +189,8 @@ class OnlineStepper(Stepper):
 
     def advance(self, inputs: Floats) -> Floats:
         """Make a step."""
-        given, first = {}, 0
-        for name, port in self.inputs.items():
-            given[name] = inputs[first : first + port.size].reshape(port.shape)
-            first += port.size
         self._k += 1
-        return np.concatenate([np.empty(0), *(np.ravel(value) for value in self._online(**given).values())])
+        return self._online.advance(inputs)
 
     @property
     def k(self) -> int:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
+from operator import ne
 from typing import Any, Literal
 
 import numpy as np
@@ -136,6 +137,7 @@ class Incoming:
 
     def read(self, inputs: Floats, late: float, behind: int) -> None:
         """Write the sample into the vector of inputs; an input that bears no missing sample keeps its last one."""
+        self.wire.bridge.collect()
         values = self.inbox.take(late, behind)
         if self.bears_missing:
             inputs[self.places] = values
@@ -180,18 +182,18 @@ class Outgoing:
     def send(self, outputs: Floats, time: float) -> None:
         """Send the values of a step, or the safe value if one of them is not a finite number."""
         wire = self.wire
-        values = wire.scale * outputs[self.places] + wire.offset
-        if not np.isfinite(values).all():
+        values = [wire.scale * float(outputs[place]) + wire.offset for place in self.places]
+        if not all(map(isfinite, values)):
             self.not_finite += 1
             if wire.safe is not None:
                 self.make_safe(time)
                 return
-        clipped = np.clip(values, wire.low, wire.high)
-        self.clipped += not np.array_equal(clipped, values, equal_nan=True)
+        clipped = [value if value != value else min(max(value, wire.low), wire.high) for value in values]
+        self.clipped += any(map(ne, clipped, values))
         with self._lock:
             self._time = time
             self.sent += 1
-            wire.bridge.send(clipped.tolist(), time)
+            wire.bridge.send(clipped, time)
 
     def make_safe(self, time: float | None = None, timeout: float = 2.0) -> None:
         """Send the safe value, if it has one; give up after `timeout` seconds in which another thread sends.

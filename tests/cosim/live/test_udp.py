@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.live import UDP, Inbox
+from bayesftc.cosim.live import UDP, Inbox, udp
 
 
 def until(condition, seconds=20.0):
@@ -67,6 +67,32 @@ def test_packets_that_are_no_samples(listener, raw):
     raw.sendto(struct.pack("<2d", 5.0, 7.0), ("127.0.0.1", listener.port_number))
     until(lambda: box.received == 7)
     assert box.take().tolist() == [7.0]
+
+
+def test_the_age_of_a_packet_counts_from_its_arrival(listener, raw, monkeypatch):
+    monkeypatch.setattr(udp, "OFTEN", 1.0)  # the thread does not look
+    box = Inbox(1)
+    listener.open(box)
+    raw.sendto(struct.pack("<2d", 5.0, 7.0), ("127.0.0.1", listener.port_number))
+    time.sleep(0.2)
+    listener.collect()
+    assert box.received == 1
+    assert 0.15 < box.age() < 1.0
+    monkeypatch.setattr(time, "time", lambda: 4e9)  # the clock of the kernel's times has been set
+    raw.sendto(struct.pack("<2d", 5.1, 8.0), ("127.0.0.1", listener.port_number))
+    until(lambda: (listener.collect(), box.received == 2)[1])
+    assert box.age() < 1.0
+
+
+def test_packets_that_come_while_no_step_is_made_are_collected(listener, raw):
+    box = Inbox(1)
+    listener.open(box)
+    for k in range(1, 1001):
+        raw.sendto(struct.pack("<2d", 0.01 * k, float(k)), ("127.0.0.1", listener.port_number))
+        if k % 100 == 0:
+            until(lambda k=k: box.received == k)
+    assert box.take(behind=8).tolist() == [992.0]
+    assert box.replaced == 991
 
 
 def test_a_sender_without_listener_goes_on(raw):
