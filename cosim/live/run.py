@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 import sys
 import threading
@@ -225,6 +226,7 @@ def run_live(
     with ExitStack() as stack:
         stack.enter_context(_signals(stop))
         stack.enter_context(_quick_switches())
+        stack.enter_context(_settled_memory())
         loop = _Loop(stepper, ins, outs, settings)
         stack.callback(loop.end)
         loop.begin()
@@ -318,6 +320,19 @@ def _quick_switches() -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(before)
+
+
+@contextmanager
+def _settled_memory() -> Iterator[None]:
+    """Leave what exists now out of garbage collections: to search all of it takes 50 ms, in which no step can be made."""
+    gc.collect()
+    frozen = gc.get_freeze_count()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        if not frozen:
+            gc.unfreeze()
 
 
 class _Loop:

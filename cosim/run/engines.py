@@ -14,6 +14,7 @@ from bayesftc.cosim.diagram.schedule import NOT_FINITE, Call, Schedule
 from bayesftc.cosim.isolation.guard import guard_of
 from bayesftc.cosim.random import CHUNK, compiled_fill, draw_chunk, stream_key
 from bayesftc.cosim.run.coupled.engines import CompiledGroup, GroupRun, InterpretedGroup, address_of, step_function
+from bayesftc.cosim.run.fused.compiled import fused, fused_lanes
 from bayesftc.cosim.run.general.program import COLUMNS, FUSED, Program
 from bayesftc.cosim.run.state_functions import StateFunctions
 from bayesftc.cosim.types import Floats
@@ -163,15 +164,11 @@ class CompiledEngine:
         """Use one function for the whole loop from now on, if that pays for so many steps."""
         if steps <= self._asked_for:
             return
-        from bayesftc.cosim.run.fused.compiled import fused
-
         address = self._program.words[FUSED] = fused(self._run.schedule, self._described(), steps)
         self._asked_for = inf if address else steps
 
     def in_lock_step(self, steps: float) -> int:
         """Return the address of a function for several runs in lock step; 0 if that does not pay for so many steps."""
-        from bayesftc.cosim.run.fused.compiled import fused_lanes
-
         return fused_lanes(self._run.schedule, self._described(), steps)
 
     @property
