@@ -24,7 +24,7 @@ def measure(quick: bool) -> Section:
     title = "Console: a loop that is watched"
     if reason := why_missing("starlette", "uvicorn", "websockets", purpose="This measurement", of="console"):
         return Section("console", title, (), reason=reason)
-    steps, repetitions, seconds = (4_000, 2, 0.5) if quick else (STEPS, 7, 10.0)
+    steps, repetitions, seconds = (4_000, 2, 0.5) if quick else (STEPS, 21, 10.0)
     cost = [_watched(steps) / _bare(steps) for _ in range(repetitions)]
     alone, _ = asyncio.run(_late(0, seconds))
     late, frames = asyncio.run(_late(VIEWERS, seconds))
