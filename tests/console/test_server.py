@@ -266,6 +266,7 @@ def test_choices_of_signals_without_end_cost_little(address, columns):
                     if over.is_set():
                         return
                     viewer.socket.send(text)
+                    time.sleep(0.0005)  # with a full buffer, this client could not receive either
 
         thread, began, resets, answers = threading.Thread(target=flood), time.monotonic(), 0, 0
         thread.start()
