@@ -1,8 +1,9 @@
-"""Write `cosim/stepping/machine/engine.json.xz`: the engine's own functions, translated by numba into LLVM's text format.
+"""Write functions in LLVM's text format into `cosim/stepping/machine`, so that a first run need not wait for compilers.
 
     python tools/engine_text.py
 
-Run it after a change of one of the files that `bayesftc.cosim.stepping.machine.shipped` names.
+`engine.json.xz` has the engine's own functions, which numba translates. `steps.json.xz` has the long step functions of shipped
+scenarios, optimised by LLVM. Run it after a change of one of their sources; tests say when.
 """
 
 from __future__ import annotations
@@ -12,17 +13,29 @@ import lzma
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from types import FunctionType
 
 import llvmlite.binding as llvm
 
-from bayesftc.cosim.stepping.machine.code import enclosed, outside
-from bayesftc.cosim.stepping.machine.shipped import FILE, sources_digest
+from bayesftc.cosim.stepping.machine.code import enclosed, optimised_text, outside
+from bayesftc.cosim.stepping.machine.lowering import lowered
+from bayesftc.cosim.stepping.machine.shipped import ENTRY, FILE, STEPS, digest_of, sources_digest, step_key
+from bayesftc.cosim.stepping.machine.steps import text_of as step_text
+from bayesftc.cosim.stepping.source.tree import Sections
 
 GENERIC = {
     "NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0",
 }  # fmt: skip
 """Settings with which numba does not translate for this machine's processor."""
+
+CPU = "x86-64-v3"
+"""The processor for which step functions are optimised: vectors of four numbers. LLVM splits them for smaller ones."""
+
+LONG = 100_000
+"""Length of the text from which on a step function is shipped: others are compiled in less than a fifth of a second."""
+
+SCENARIOS = ("cruise_control", "position_servo")
 
 
 def functions() -> dict[str, FunctionType]:
@@ -55,6 +68,29 @@ def text_of(function: FunctionType, name: str) -> str:
     return str(module)
 
 
+def kernels(scenario: str) -> Iterator[tuple[FunctionType, Sections]]:
+    """Yield the step functions of a shipped scenario, with the places of their arguments."""
+    from bayesftc.scenario import load_scenario
+
+    schedule = load_scenario(scenario).loop().schedule
+    for call in (*schedule.evaluate, *schedule.advance):
+        kernel = schedule.kernel(call)
+        if isinstance(kernel, FunctionType):
+            yield kernel, schedule.slots[call.node].sections
+
+
+def steps() -> dict[str, dict[str, str]]:
+    """Return the optimised text of each long step function, and the hash of its sources, by its key."""
+    found = {}
+    for scenario in SCENARIOS:
+        for kernel, sections in kernels(scenario):
+            text = lowered(*step_text(kernel, sections, ENTRY))
+            if len(text) > LONG:
+                key, files = step_key(kernel, sections)
+                found[key] = {"sources": digest_of(files), "text": optimised_text(text, CPU)}
+    return found
+
+
 def content() -> bytes:
     """Return the content of the file."""
     llvm.initialize_native_target()
@@ -66,3 +102,4 @@ if __name__ == "__main__":
     if not GENERIC.items() <= os.environ.items():
         sys.exit(subprocess.run([sys.executable, __file__], env={**os.environ, **GENERIC}, check=False).returncode)
     FILE.write_bytes(lzma.compress(content(), preset=9))
+    STEPS.write_bytes(lzma.compress(json.dumps(steps()).encode(), preset=9))

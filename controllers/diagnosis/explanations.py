@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -111,23 +112,41 @@ def earlier(u: Floats, steps: Sequence[int]) -> Floats:
 
 def lagged(u: Floats, steps: float) -> Floats:
     """Return the controls through a first-order lag with a time constant of `steps` samples."""
-    import pandas as pd  # scipy.signal takes a second to import
-
     share = 1.0 - float(np.exp(-1.0 / steps))
-    padded = pd.DataFrame(np.vstack([np.zeros((1, u.shape[1])), u]))
-    return padded.ewm(alpha=share, adjust=False).mean().to_numpy()[1:]
+    late, last = np.empty_like(u), np.zeros(u.shape[1])
+    for k in range(len(u)):  # scipy.signal takes a second to import, pandas a third of one
+        last = late[k] = (1.0 - share) * last + share * u[k]
+    return late
 
 
 def faster(model: LinearModel, factor: float) -> LinearModel | None:
     """Return the model of a plant that is `factor` times as fast; None if A has no real logarithm, as with delays."""
+    from scipy.linalg import expm
+
+    if (rate := _rate(model)) is None:
+        return None
+    step = expm(factor * rate)
+    if not np.isfinite(step).all():
+        return None
+    n, plant, p = model.states, model.states - model.disturbances, model.controls
+    changed, driven = model.matrix("A").copy(), model.matrix("B").copy()
+    changed[:plant, :plant] = step[:plant, :plant]
+    changed[:plant, plant:] = step[:plant, plant:n]
+    driven[:plant] = step[:plant, n : n + p]
+    return replace(model, A=changed, B=driven)
+
+
+@lru_cache(maxsize=16)  # a search asks for dozens of factors
+def _rate(model: LinearModel) -> Floats | None:
+    """Return the logarithm of the plant's step, with all that is held during it; None if there is no real one."""
     from scipy.linalg import expm, logm
 
     if model.delays is not None:
         return None
-    n, plant, p = model.states, model.states - model.disturbances, model.controls
+    n, plant = model.states, model.states - model.disturbances
     A, B = model.matrix("A"), model.matrix("B")
     # Inputs of the plant (controls, estimated disturbances, the constant) are held during a step.
-    outside = np.hstack([A[:plant, plant:], B[:plant]])
+    outside = np.hstack([A[:plant, plant:n], B[:plant]])
     whole = np.block([[A[:plant, :plant], outside], [np.zeros((outside.shape[1], plant)), np.eye(outside.shape[1])]])
     try:
         rate = logm(whole)
@@ -135,14 +154,8 @@ def faster(model: LinearModel, factor: float) -> LinearModel | None:
         return None
     if not np.isfinite(rate).all() or np.abs(np.imag(rate)).max() > 1e-9:
         return None
-    step = expm(factor * np.real(rate))
-    if not np.isfinite(step).all() or np.abs(expm(np.real(rate)) - whole).max() > 1e-6 * np.abs(whole).max():
-        return None
-    changed, driven = A.copy(), B.copy()
-    changed[:plant, :plant] = step[:plant, :plant]
-    changed[:plant, plant:] = step[:plant, plant:n]
-    driven[:plant] = step[:plant, n : n + p]
-    return replace(model, A=changed, B=driven)
+    real: Floats = np.real(rate)
+    return real if np.abs(expm(real) - whole).max() <= 1e-6 * np.abs(whole).max() else None
 
 
 def holding(model: LinearModel, x: Floats) -> Floats:

@@ -1,5 +1,6 @@
 """``bayesftc`` and ``python -m bayesftc``: the command line."""
 
+import os
 import sys
 import warnings
 
@@ -8,6 +9,8 @@ from bayesftc._interrupt import EXIT_CODE, SENTENCE, Interrupted, ended, heard
 
 def main() -> None:
     """Run the command line and end the process with its exit code."""
+    # Matrices are small: threads of the linear algebra would wait for each other, for a second on a busy machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         with heard():
             from bayesftc.cli import app

@@ -65,10 +65,29 @@ def outside(module: Any) -> list[str]:
     return [value.name for value in values if value.is_declaration and not value.name.startswith("llvm.")]
 
 
-def _optimised(module: Any, length: int) -> Any:
-    machine = _machine()
+def ready_code(text: str) -> bytes:
+    """Return the object file of a module that is optimised already."""
+    module = llvm.parse_assembly(text, llvm.create_context())
+    _placed(module, _machine())
+    return _emitted(module)
+
+
+def optimised_text(text: str, cpu: str) -> str:
+    """Return a module optimised for a kind of processor, in LLVM's text format."""
+    llvm.initialize_native_target()
+    target = llvm.Target.from_default_triple()
+    module = llvm.parse_assembly(text, llvm.create_context())
+    return str(_optimised(module, len(text), target.create_target_machine(cpu=cpu, features="", opt=_SPEED)))
+
+
+def _placed(module: Any, machine: Any) -> None:
     module.data_layout = str(machine.target_data)
     module.triple = llvm.get_process_triple()
+
+
+def _optimised(module: Any, length: int, machine: Any = None) -> Any:
+    machine = machine or _machine()
+    _placed(module, machine)
     # LLVM unrolls nested loops so late that it no longer finds common parts of the copies. A quick pass before the full one
     # unrolls them earlier.
     for level in (1, _SPEED):

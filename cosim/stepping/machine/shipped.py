@@ -1,7 +1,8 @@
-"""The engine's own functions in LLVM's text format, which stand in the package: a first run need not wait for numba.
+"""Functions in LLVM's text format, which stand in the package: a first run need not wait for a compiler.
 
-numba takes seconds to translate them, LLVM a tenth of that to compile the text. `tools/engine_text.py` writes the file. It is for
-64-bit x86 only, where it is tested; elsewhere, and after an edit of the sources, numba translates them.
+They are the engine's own functions, which numba takes seconds to translate, and the long step functions of the shipped scenarios.
+`tools/engine_text.py` writes the files. They are for 64-bit x86 only, where they are tested; elsewhere, and after an edit of the
+sources, the functions are translated as all others.
 """
 
 from __future__ import annotations
@@ -10,14 +11,25 @@ import hashlib
 import json
 import lzma
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+from bayesftc.cosim import ops
+from bayesftc.cosim.stepping.fingerprint import fingerprint_of_files
+from bayesftc.cosim.types import argument_names
 
 ROOT = Path(str(resources.files("bayesftc.cosim")))
 
 FILE = ROOT / "stepping" / "machine" / "engine.json.xz"
+
+STEPS = FILE.with_name("steps.json.xz")
+
+ENTRY = "shipped_step"
+"""The name of step functions in their text."""
 
 MACHINES = ("x86_64", "AMD64")
 
@@ -55,3 +67,30 @@ def _texts() -> dict[str, str]:
 def shipped_text(name: str) -> str | None:
     """Return the text of a service function of this name; None if the package has none for this machine."""
     return _texts().get(name)
+
+
+@cache
+def _steps() -> dict[str, dict[str, Any]]:
+    if platform.machine() not in MACHINES or not STEPS.exists():
+        return {}
+    steps: dict[str, dict[str, Any]] = json.loads(lzma.decompress(STEPS.read_bytes()))
+    return steps
+
+
+def shipped_step(kernel: FunctionType, sections: Mapping[str, Any], name: str) -> str | None:
+    """Return the optimised text of a step function, with the name `name`; None if the package has none for this machine."""
+    if not _steps():
+        return None
+    key, files = step_key(kernel, sections)
+    found = _steps().get(key)
+    if found is None or found["sources"] != digest_of(files):
+        return None
+    return str(found["text"]).replace(ENTRY, name)
+
+
+def step_key(kernel: FunctionType, sections: Mapping[str, Any]) -> tuple[str, list[Path]]:
+    """Return a hash of a step function and its places that does not depend on the version of Python, and all its sources."""
+    places = repr([(name, sections.get(name)) for name in argument_names(kernel)])
+    key, files = fingerprint_of_files(kernel, f"{ops.OF_LIBRARY} {places}")
+    compiler = (file for part in ("machine", "source", "translate") for file in (ROOT / "stepping" / part).glob("*.py"))
+    return key, sorted({*files, *compiler, ROOT / "ops.py", ROOT / "elementary.py"})

@@ -35,8 +35,9 @@ from bayesftc.cosim.base.cache import cache_directory
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.fingerprint import composed, depends_on, fingerprint, foreign_functions, where
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
-from bayesftc.cosim.stepping.machine.code import features, load, machine_code, opened, sealed
+from bayesftc.cosim.stepping.machine.code import features, load, machine_code, opened, ready_code, sealed
 from bayesftc.cosim.stepping.machine.lowering import lowered
+from bayesftc.cosim.stepping.machine.shipped import shipped_step
 from bayesftc.cosim.stepping.source.tree import Sections, parameters
 from bayesftc.cosim.stepping.translate.functions import Functions
 from bayesftc.cosim.types import Kernel, argument_names
@@ -140,6 +141,8 @@ def load_or_compile(name: str, compiled: Callable[[], bytes]) -> int:
 
 
 def _compiled(kernel: FunctionType, sections: Sections, name: str) -> bytes:
+    if ready := shipped_step(kernel, sections, name):
+        return ready_code(ready)
     with sentences(kernel):
         return machine_code(lowered(*text_of(kernel, sections, name)))
 

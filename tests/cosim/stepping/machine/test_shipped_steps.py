@@ -1,0 +1,54 @@
+"""Long step functions of shipped scenarios, which stand in the package in LLVM's text format."""
+
+import platform
+import runpy
+from pathlib import Path
+
+import pytest
+
+from bayesftc.cosim.stepping.machine import shipped
+
+TOOL = runpy.run_path(str(Path(__file__).parents[4] / "tools" / "engine_text.py"))
+
+RUN = """
+import hashlib, json
+from bayesftc.cosim.stepping.machine import code, shipped, steps
+from bayesftc.scenario import load_scenario
+if not SHIPPED:
+    shipped._steps = dict
+ready, made = [], steps.ready_code
+steps.ready_code = lambda text: ready.append(len(text)) or made(text)
+result = load_scenario("cruise_control").loop().simulate(20.0, seed=3)
+print(json.dumps([len(ready), hashlib.sha256(result.table.tobytes()).hexdigest()]))
+"""
+
+pytestmark = pytest.mark.skipif(platform.machine() not in shipped.MACHINES, reason="the text is for 64-bit x86")
+
+
+def test_a_shipped_step_has_the_bits_of_a_compiled_one(python, tmp_path):
+    used, bits = python(RUN.replace("SHIPPED", "True"), cache=tmp_path / "shipped")
+    assert used == 1
+    assert python(RUN.replace("SHIPPED", "False"), cache=tmp_path / "compiled") == [0, bits]
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name != "cruise_control")) for name in TOOL["SCENARIOS"]],
+)
+def test_the_shipped_steps_are_those_of_the_present_sources(scenario):
+    """A run of the tool is due otherwise: python tools/engine_text.py."""
+    assert any(shipped.shipped_step(*each, "step") for each in TOOL["kernels"](scenario)), "python tools/engine_text.py"
+
+
+def test_they_are_not_used_after_an_edit_of_their_sources(monkeypatch):
+    monkeypatch.setattr(shipped, "digest_of", lambda files: "of edited sources")
+    assert not any(shipped.shipped_step(*each, "step") for each in TOOL["kernels"]("cruise_control"))
+
+
+def gain(u, y):
+    y[0] = 2.0 * u[0]
+
+
+def test_another_function_is_not_among_them():
+    sections = {"u": ("inputs", 0, (1,)), "y": ("outputs", 0, (1,))}
+    assert shipped.shipped_step(gain, sections, "step") is None
