@@ -136,6 +136,25 @@ def test_keyboard(page):
     assert float(page.one("#sensor-0-duration").get_attribute("value")) > 0
 
 
+def test_the_reference_shows_its_present_value_until_another_is_entered(page):
+    box = "#settings input[type=number]"
+
+    def value():
+        return float(page.one(box).get_attribute("value"))
+
+    page.click("#step")
+    page.until(lambda: value() == 20.0)
+    page.set(box, "23")
+    page.click("[aria-label='Set reference of v']")
+    page.click("#step")
+    page.set("#moment", "0")
+    page.until(lambda: value() == 20.0)
+    page.set(box, "7")
+    page.click("#step")
+    time.sleep(0.3)
+    assert value() == 7.0
+
+
 def test_strips_of_a_paused_run_follow_the_width_of_the_window(page):
     page.click("#step")
     for width in (1280, 800, 390, 1280):

@@ -286,20 +286,38 @@ function updateCards() {
 
 // --- Reference, inputs, branches ---------------------------------------------------------------------------------
 
+const typed = new Map(); // values that the operator has entered and not yet set; the other settings show the present value
+
 function showSettings() {
   const rows = [...layout.goals.map((g) => ["goal", g.target, `reference of ${g.name}`, g.unit, g.column]), ...layout.inputs.map((i) => ["input", i.name, `${i.parameter ? "parameter" : "input"} ${i.name}`, layout.units[`plant.${i.name}`] || "", null, i.value])];
   $("settings").replaceChildren(...rows.map(([what, target, title, unit, column, known]) => {
     const id = `set-${what}-${target}`, level = column && buffer ? buffer.last(0, column) : known ?? 0;
     const value = tidy(Number.isFinite(level) ? level : 0), reach = Math.abs(value) || 1;
-    const row = field(id, `${title}${unit ? ` in ${unit}` : ""}`, target, [tidy(value - 1.5 * reach), tidy(value + 1.5 * reach)], value);
+    const row = field(id, `${title}${unit ? ` in ${unit}` : ""}`, target, [tidy(value - 1.5 * reach), tidy(value + 1.5 * reach)], typed.get(id) ?? value);
     const set = make("button", { type: "button", "aria-label": `Set ${title}` }, "Set");
     row.className = "setting";
     row.append(set);
-    set.onclick = () => act({ do: what, target, value: Number($(id).value) });
+    set.onclick = async () => {
+      const entered = Number($(id).value);
+      await act({ do: what, target, value: entered });
+      if (Number($(id).value) === entered) typed.delete(id);
+    };
+    row.addEventListener("input", () => typed.set(id, $(id).value));
     set.disabled = !layout.operator;
     row.querySelectorAll("input").forEach((each) => { each.disabled = !layout.operator; });
+    if (column) row.dataset.column = column;
     return row;
   }));
+}
+
+function updateSettings() {
+  for (const row of document.querySelectorAll("#settings [data-column]")) {
+    const [slider, box] = row.querySelectorAll("input"), value = tidy(buffer.last(0, row.dataset.column));
+    if (typed.has(box.id) || !Number.isFinite(value) || Number(box.value) === value) continue;
+    slider.min = Math.min(slider.min, value);
+    slider.max = Math.max(slider.max, value);
+    slider.value = box.value = value;
+  }
 }
 
 const reach = (branch, end) => `${branch.parent === null ? "" : `from ${branch.parent} at ${branch.since.toFixed(2)} s, `}to ${end.toFixed(2)} s`;
@@ -383,6 +401,7 @@ function draw() {
   dirty = false;
   updateTime();
   updateCards();
+  updateSettings();
   updateLog();
   wires.show(state.wires, layout);
   loop.show(buffer, state.cards);
