@@ -140,9 +140,9 @@ def test_the_reference_shows_its_present_value_until_another_is_entered(page):
     box = "#settings input[type=number]"
 
     def value():
-        return float(page.one(box).get_attribute("value"))
+        return page.browser.execute_script("return Number(document.querySelector(arguments[0]).value)", box)
 
-    page.click("#step")
+    page.set("#moment", "0")
     page.until(lambda: value() == 20.0)
     page.set(box, "23")
     page.click("[aria-label='Set reference of v']")
