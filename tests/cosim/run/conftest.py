@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesftc.cosim.run import many
+from bayesftc.cosim.run import engines, many
 from bayesftc.cosim.run.fused import compiled, side_by_side
 
 
@@ -17,7 +17,7 @@ def as_one(monkeypatch):
 
     monkeypatch.setattr(compiled, "LOADED", 0)
     monkeypatch.setattr(compiled, "COMPILED", 0)
-    monkeypatch.setattr(compiled, "fused", noted)
+    monkeypatch.setattr(engines, "fused", noted)
     yield used
     assert used
     assert all(used)

@@ -6,6 +6,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.bench.measures.full_loop import RECORD, full_diagram
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.run import engines
 from bayesftc.cosim.run.fused import compiled
 from bayesftc.cosim.stepping.kept import STATISTICS
 
@@ -86,7 +87,7 @@ def test_what_numba_has_compiled_is_called_by_its_address(as_one, make_block, ru
 
 def test_paced_runs_compile_no_loop(monkeypatch):
     monkeypatch.setattr(compiled, "LOADED", 0)
-    monkeypatch.setattr(compiled, "fused", lambda *_: pytest.fail("It would make the first steps late."))
+    monkeypatch.setattr(engines, "fused", lambda *_: pytest.fail("It would make the first steps late."))
     slow_and_fast().simulate(0.1, pace=1000.0)
 
 
