@@ -1,4 +1,4 @@
-"""Messages about what takes long: that step functions are being compiled, once per process, and what a slow call does.
+"""Messages to the user: that step functions are being compiled, what a slow call does, and how a file is read.
 
 A message goes to the logger ``bayesftc`` (level INFO). If logging is not set up, it is written to stderr, which a notebook
 shows, too. ``logging.getLogger("bayesftc").setLevel("WARNING")`` turns them off.
@@ -66,6 +66,16 @@ def announced(needed: bool) -> Iterator[None]:
             yield
     finally:
         announcement.spent += time.monotonic() - begun
+
+
+_informed: set[str] = set()
+
+
+def inform(sentence: str) -> None:
+    """Give a message, once per process."""
+    if sentence not in _informed and not has_host():  # else each of several workers would give the message
+        _informed.add(sentence)
+        _log(sentence)
 
 
 @contextmanager

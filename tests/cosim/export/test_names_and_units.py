@@ -164,10 +164,8 @@ def test_the_goal_has_the_unit_of_the_quantity(reference, unit):
 
 
 def test_goals_of_different_units_have_none():
-    plant = cosim.FMU(fmus.path("PositionServo"))
-    model = controllers.LinearModel(
-        np.diag([0.9, 0.9]), [[0.1], [0.1]], np.eye(2), 0.01 * np.eye(2), np.eye(2), dt=0.01
-    )
+    plant, torques, angles = cosim.FMU(fmus.path("TwoLinkArm")), ["torque1", "torque2"], ["q1", "dq2"]
+    model = controllers.LinearModel(0.9 * np.eye(2), np.eye(2), np.eye(2), 0.01 * np.eye(2), np.eye(2), dt=0.01)
     controller = controllers.LQGController(model, goal_covariance=np.eye(2))
     loop = cosim.closed_loop(plant, controller, control=torques, measured=angles, reference=[0.0, 0.0])
     assert {signal.name: signal.unit for signal in program_of(loop, blocks="controller").inputs}["goal"] is None
