@@ -32,7 +32,7 @@ from bayesftc.controllers.signals import port
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import sqrt
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.stepping.source.written import function_from_text
@@ -382,7 +382,7 @@ class UnbiasedActiveInference(Block):
             raise ModelError("control='gradient' needs a control_rate; give one, or set control='law'.")
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
-                f"precision is {self.precision!r}; it must be a precision learner such as GammaPrecision()."
+                f"precision is {brief(self.precision)}; it must be a precision learner such as GammaPrecision()."
             )
 
     def _check_prior(self) -> None:

@@ -28,7 +28,7 @@ from bayesftc.controllers.signals import port
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -89,8 +89,8 @@ class BayesianBlock(Block, ABC):
         """Check all settings except the model, and expand numbers to arrays."""
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
-                f"precision is {self.precision!r}; it must be a precision learner: an object such as SwitchingPrecision() or, "
-                "for a Kalman filter, FixedPrecision()."
+                f"precision is {brief(self.precision)}; it must be a precision learner: an object such as SwitchingPrecision() "
+                "or, for a Kalman filter, FixedPrecision()."
             )
         check_choice(self, "belief", "filtered", "joint")
         check_flags(self, "posterior_outputs")

@@ -84,8 +84,8 @@ class StateEstimator(Block):
             )
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
-                f"precision is {self.precision!r}; it must be a precision learner: an object such as SwitchingPrecision() or, "
-                "for a Kalman filter, FixedPrecision()."
+                f"precision is {brief(self.precision)}; it must be a precision learner: an object such as SwitchingPrecision() "
+                "or, for a Kalman filter, FixedPrecision()."
             )
         n = self.model.states
         object.__setattr__(self, "initial_mean", as_vector("The initial_mean", self._extended(self.initial_mean), n))

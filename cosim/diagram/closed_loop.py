@@ -176,7 +176,7 @@ def closed_loop(
         )
     if not isinstance(input_faults, Mapping | None):
         raise ModelError(
-            f"input_faults is {input_faults!r}; it must be a mapping from inputs of the plant to faults: "
+            f"input_faults is {brief(input_faults)}; it must be a mapping from inputs of the plant to faults: "
             f"input_faults={{{next(iter(inputs))!r}: GainFault(factor=0.5)}}."
         )
     remaining, first = dict(input_faults or {}), 0
@@ -261,11 +261,11 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
         )
     if not isinstance(sensors, Sensors | None):
         raise ModelError(
-            f"sensors is {sensors!r}; it must be a Sensors block, such as cosim.Sensors(count=2, std=0.01)."
+            f"sensors is {brief(sensors)}; it must be a Sensors block, such as cosim.Sensors(count=2, std=0.01)."
         )
     if not isinstance(noise, Mapping | None):
         raise ModelError(
-            f"noise is {noise!r}; it must be a mapping from inputs of the plant to sources: "
+            f"noise is {brief(noise)}; it must be a mapping from inputs of the plant to sources: "
             "noise={'load': cosim.Gaussian(std=0.1)}."
         )
 
@@ -343,7 +343,9 @@ def _chain(faults: Fault | Sequence[Fault]) -> Sequence[Fault]:
     chain = [faults] if isinstance(faults, Fault | str) else faults
     wrong = [each for each in chain if not isinstance(each, Fault)] if isinstance(chain, Sequence) else [chain]
     if wrong:
-        raise ModelError(f"faults must contain only faults, such as Freeze(sensor=0, start=6.0), not {wrong[0]!r}.")
+        raise ModelError(
+            f"faults must contain only faults, such as Freeze(sensor=0, start=6.0), not {brief(wrong[0])}."
+        )
     check_count(chain)
     return chain
 

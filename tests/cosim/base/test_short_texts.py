@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import numpy as np
+import pytest
 
 from bayesftc import controllers, cosim, monitoring
 
@@ -19,6 +20,20 @@ def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
     assert repr(event) == (
         "FaultEvent(sensor='wheel', start=3.333 s, end=20 s, probability=1, kind='Frozen', onset=3.3 s, size=None)"
     )
+
+
+def test_a_class_in_place_of_an_object_is_named():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 0.01, 1.0, dt=0.1)
+    diagram, sentence = cosim.Diagram(0.1), r"the class {0} \(make an object of it: {0}\(...\)\)"
+    for make, name in (
+        (lambda: controllers.BayesianController(model, precision=controllers.GammaPrecision), "GammaPrecision"),
+        (lambda: controllers.StateEstimator(model, controllers.GammaPrecision), "GammaPrecision"),
+        (lambda: controllers.BayesianController(controllers.LinearModel), "LinearModel"),
+        (lambda: diagram.add(cosim.Sine), "Sine"),
+        (lambda: cosim.closed_loop(cosim.FMU, cosim.Constant(1.0), control="u", measured="y", reference=1.0), "FMU"),
+    ):
+        with pytest.raises(cosim.ModelError, match=sentence.format(name)):
+            make()
 
 
 def test_a_recording_shows_the_shapes_of_its_samples():
