@@ -28,7 +28,7 @@ from bayesftc.controllers.models.modality import Modality
 from bayesftc.controllers.models.trial import try_out
 from bayesftc.controllers.precision.base import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
-from bayesftc.controllers.signals import port
+from bayesftc.controllers.signals import port, summary_of
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block, Definition
@@ -153,6 +153,10 @@ class UnbiasedActiveInference(Block):
     initial_mean: float | Sequence[float] = 0.0
     sizes: Sequence[int] | None = None
     invalid: Invalid = field(default=(), kw_only=True)
+
+    def __str__(self) -> str:
+        """Return the sizes of the model and the kind of learner, for ``print``; the ``repr`` has all settings."""
+        return summary_of(self)
 
     def __post_init__(self) -> None:
         self._check_choices()

@@ -16,7 +16,7 @@ from bayesftc.controllers.models.delays import extended_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
-from bayesftc.controllers.signals import port
+from bayesftc.controllers.signals import port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition
@@ -76,6 +76,10 @@ class StateEstimator(Block):
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix | None = None
     invalid: Invalid = field(default=(), kw_only=True)
+
+    def __str__(self) -> str:
+        """Return the sizes of the model and the kind of learner, for ``print``; the ``repr`` has all settings."""
+        return summary_of(self)
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
