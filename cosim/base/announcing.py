@@ -72,10 +72,10 @@ _informed: set[str] = set()
 
 
 def inform(sentence: str) -> None:
-    """Give a message, once per process."""
-    if sentence not in _informed and not has_host():  # else each of several workers would give the message
+    """Give a message now, unless this process has given it."""
+    if sentence not in _informed:
         _informed.add(sentence)
-        _log(sentence)
+        tell(sentence)
 
 
 @contextmanager
@@ -105,4 +105,4 @@ def _after(seconds: float, say: Callable[[], None]) -> Iterator[None]:
         timer.cancel()
 
 
-__all__ = ["announced", "reported", "tell"]
+__all__ = ["announced", "inform", "reported", "tell"]

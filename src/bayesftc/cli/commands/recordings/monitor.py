@@ -44,9 +44,6 @@ def monitor(
             "--fit", help="First fit the model to the recording. All columns must be sensors of one quantity."
         ),
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="With --fit: replace the model file if it exists.")
-    ] = False,
     start: Annotated[float | None, typer.Option("--from", metavar="S", help="Fit from this time on.")] = None,
     stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Fit up to this time.")] = None,
     sensors: Annotated[
@@ -67,6 +64,9 @@ def monitor(
     json: Json = False,
     quiet: Quiet = False,
     *,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="With --fit: replace the model file if it exists.")
+    ] = False,
     serve: Beside = False,
     drops: Drops = False,
     host: Host = HOST,
