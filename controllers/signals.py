@@ -1,5 +1,7 @@
 """Names and descriptions of the signals of controllers, estimators and monitors."""
 
+from typing import Any
+
 from bayesftc.cosim.ports import Port
 
 _SIGNALS = {
@@ -63,3 +65,15 @@ def port(
     """
     description = "Input of the plant from this sample to the next" if applied else _SIGNALS.get(name, "")
     return Port(name, shape, feedthrough=feedthrough, default=default, description=description)
+
+
+def summary_of(block: Any) -> str:
+    """Return the kind, the sizes and the kind of learner of a controller or an estimator, in one line."""
+    parts = [f"{block.port(name).size} {kind}" for name, kind in _SIZES.items()]
+    if block.sample_time is not None:
+        parts.append(f"dt = {float(block.sample_time):g} s")
+    return f"{type(block).__name__} of {', '.join(parts)}, with {type(block.precision).__name__}"
+
+
+_SIZES = {"x_hat": "states", "u": "controls", "y": "sensors"}
+"""The ports of the size of a model's states, controls and sensors."""

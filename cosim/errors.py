@@ -157,6 +157,8 @@ class StoreError(BayesFTCError):
 
 def brief(value: object, length: int = 60) -> str:
     """Return the text of a given value, short enough for a message."""
+    if isinstance(value, type):  # a forgotten pair of parentheses
+        return f"the class {value.__name__} (make an object of it: {value.__name__}(...))"
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # Python does not write out whole numbers of more than 4300 digits

@@ -23,6 +23,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.errors",),
     ("cosim.types",),
     ("cosim.base",),
+    ("cosim.base.recordings",),
     ("cosim.elementary",),
     ("cosim.ops", "cosim.ports"),
     ("cosim.stepping", "cosim.stepping.source"),

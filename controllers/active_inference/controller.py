@@ -28,11 +28,11 @@ from bayesftc.controllers.models.modality import Modality
 from bayesftc.controllers.models.trial import try_out
 from bayesftc.controllers.precision.base import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
-from bayesftc.controllers.signals import port
+from bayesftc.controllers.signals import port, summary_of
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import sqrt
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.stepping.source.written import function_from_text
@@ -153,6 +153,10 @@ class UnbiasedActiveInference(Block):
     initial_mean: float | Sequence[float] = 0.0
     sizes: Sequence[int] | None = None
     invalid: Invalid = field(default=(), kw_only=True)
+
+    def __str__(self) -> str:
+        """Return the sizes of the model and the kind of learner, for ``print``; the ``repr`` has all settings."""
+        return summary_of(self)
 
     def __post_init__(self) -> None:
         self._check_choices()
@@ -382,7 +386,7 @@ class UnbiasedActiveInference(Block):
             raise ModelError("control='gradient' needs a control_rate; give one, or set control='law'.")
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
-                f"precision is {self.precision!r}; it must be a precision learner such as GammaPrecision()."
+                f"precision is {brief(self.precision)}; it must be a precision learner such as GammaPrecision()."
             )
 
     def _check_prior(self) -> None:

@@ -24,11 +24,11 @@ from bayesftc.controllers.models.checks import (
 from bayesftc.controllers.models.delays import extended_covariance, extended_rows
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
-from bayesftc.controllers.signals import port
+from bayesftc.controllers.signals import port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -85,12 +85,19 @@ class BayesianBlock(Block, ABC):
     invalid: Invalid = field(default=(), kw_only=True)
     posterior_outputs: bool = field(default=False, kw_only=True)
 
+    def __str__(self) -> str:
+        """Return the sizes of the model and the kind of learner, for ``print(controller)``; its ``repr`` has all settings."""
+        more = (
+            f"; {type(self).__name__}.describe() returns gains, poles and accuracy" if hasattr(self, "describe") else ""
+        )
+        return f"{summary_of(self)}{more}"
+
     def _check_settings(self) -> None:
         """Check all settings except the model, and expand numbers to arrays."""
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
-                f"precision is {self.precision!r}; it must be a precision learner: an object such as SwitchingPrecision() or, "
-                "for a Kalman filter, FixedPrecision()."
+                f"precision is {brief(self.precision)}; it must be a precision learner: an object such as SwitchingPrecision() "
+                "or, for a Kalman filter, FixedPrecision()."
             )
         check_choice(self, "belief", "filtered", "joint")
         check_flags(self, "posterior_outputs")

@@ -16,7 +16,7 @@ from bayesftc.controllers.models.delays import extended_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
-from bayesftc.controllers.signals import port
+from bayesftc.controllers.signals import port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition
@@ -77,6 +77,10 @@ class StateEstimator(Block):
     initial_covariance: Matrix | None = None
     invalid: Invalid = field(default=(), kw_only=True)
 
+    def __str__(self) -> str:
+        """Return the sizes of the model and the kind of learner, for ``print``; the ``repr`` has all settings."""
+        return summary_of(self)
+
     def __post_init__(self) -> None:
         if not isinstance(self.model, LinearModel):
             raise ModelError(
@@ -84,8 +88,8 @@ class StateEstimator(Block):
             )
         if not isinstance(self.precision, PrecisionLearner):
             raise ModelError(
-                f"precision is {self.precision!r}; it must be a precision learner: an object such as SwitchingPrecision() or, "
-                "for a Kalman filter, FixedPrecision()."
+                f"precision is {brief(self.precision)}; it must be a precision learner: an object such as SwitchingPrecision() "
+                "or, for a Kalman filter, FixedPrecision()."
             )
         n = self.model.states
         object.__setattr__(self, "initial_mean", as_vector("The initial_mean", self._extended(self.initial_mean), n))

@@ -18,7 +18,7 @@ from bayesftc.controllers.models.checks import as_number
 from bayesftc.controllers.models.delays import whole_delays
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import PoorFitWarning
-from bayesftc.cosim.base.table_files import time_column
+from bayesftc.cosim.base.recordings.table_files import time_column
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.run.tables import named_columns, read_table, sample_time
 from bayesftc.cosim.statistics._whiteness import FEW, LAGS, whiteness

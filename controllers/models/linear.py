@@ -171,6 +171,10 @@ class LinearModel:
         """Numbers of states, controls and sensors, and the sample time, as text."""
         return sizes_of(self)
 
+    def __str__(self) -> str:
+        """Return the sizes, for ``print(model)``; ``repr(model)`` has all settings."""
+        return f"{type(self).__name__} of {self.sizes}"
+
     def _repr_html_(self) -> str:
         """Return the sizes and matrices as a table, for notebooks."""
         return settings(self, [("sizes", self.sizes)])

@@ -17,7 +17,7 @@ from bayesftc.controllers.precision.gamma import GammaPrecision
 from bayesftc.controllers.precision.threshold import ChebyshevThreshold, FittedThreshold
 from bayesftc.controllers.signals import port
 from bayesftc.cosim.base.timebase import whole_steps
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import both, maximum, minimum, select, sqrt, square
 
 if TYPE_CHECKING:
@@ -198,7 +198,7 @@ class ExplicitDetection(PrecisionLearner):
     def __post_init__(self) -> None:
         if not isinstance(self.learning, PrecisionLearner) or isinstance(self.learning, ExplicitDetection):
             raise ModelError(
-                f"ExplicitDetection has learning={self.learning!r}; it must be a precision learner such as GammaPrecision()."
+                f"ExplicitDetection has learning={brief(self.learning)}; it must be a precision learner such as GammaPrecision()."
             )
         if self.groups is not None:
             object.__setattr__(self, "groups", _groups(self.groups))

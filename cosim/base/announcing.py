@@ -1,4 +1,4 @@
-"""Messages about what takes long: that step functions are being compiled, once per process, and what a slow call does.
+"""Messages to the user: that step functions are being compiled, what a slow call does, and how a file is read.
 
 A message goes to the logger ``bayesftc`` (level INFO). If logging is not set up, it is written to stderr, which a notebook
 shows, too. ``logging.getLogger("bayesftc").setLevel("WARNING")`` turns them off.
@@ -68,6 +68,16 @@ def announced(needed: bool) -> Iterator[None]:
         announcement.spent += time.monotonic() - begun
 
 
+_informed: set[str] = set()
+
+
+def inform(sentence: str) -> None:
+    """Give a message now, unless this process has given it."""
+    if sentence not in _informed:
+        _informed.add(sentence)
+        tell(sentence)
+
+
 @contextmanager
 def reported(sentence: str) -> Iterator[None]:
     """Give a message if the code in this context takes long."""
@@ -95,4 +105,4 @@ def _after(seconds: float, say: Callable[[], None]) -> Iterator[None]:
         timer.cancel()
 
 
-__all__ = ["announced", "reported", "tell"]
+__all__ = ["announced", "inform", "reported", "tell"]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real, reals
-from bayesftc.cosim.base.table_files import in_seconds, read_table_file, time_column
+from bayesftc.cosim.base.recordings.table_files import in_seconds, read_table_file, time_column
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.tables import place
 from bayesftc.cosim.errors import ModelError, RecordingError, brief, did_you_mean

@@ -22,7 +22,7 @@ from bayesftc.cosim.campaign.runs.late import faults_after_the_end
 from bayesftc.cosim.campaign.runs.metrics import Metric, as_metrics
 from bayesftc.cosim.campaign.working import Progress, in_memory, in_store, noting_what_is_kept
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.run.interrupts import import_engine
 
 if TYPE_CHECKING:
@@ -109,7 +109,9 @@ class Campaign:
     ):
         import_engine()
         if not isinstance(loop, Diagram) and not callable(loop):
-            raise ModelError(f"The loop of a campaign must be a Diagram, or a function that returns one, not {loop!r}.")
+            raise ModelError(
+                f"The loop of a campaign must be a Diagram, or a function that returns one, not {brief(loop)}."
+            )
         self.design = grid if isinstance(grid, Design) or grid is None else Grid(grid)
         self.labels: list[dict[str, Any]] = self.design.labels() if self.design else [{}]
         points = self.design.points() if self.design else [{}]
@@ -179,7 +181,7 @@ class Campaign:
         """
         if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "run", None))):
             raise ModelError(
-                f"executor is {executor!r}; it must be Threads(), Processes() or DaskCluster(), or left out."
+                f"executor is {brief(executor)}; it must be Threads(), Processes() or DaskCluster(), or left out."
             )
         reason = f"{executor!r}, as requested."
 

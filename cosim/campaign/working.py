@@ -28,6 +28,9 @@ Progress = Callable[[int, int, int], None]
 Labels = list[dict[str, Any]]
 
 
+HINT = "To see how many are done, give progress=print, or any function of (done, of, failed)."
+
+
 def work(
     job: Job, pieces: list[Piece], executor: Executor, keep: Callable[[Outcome], None], done: int, failed: int,
     progress: Progress | None,
@@ -52,7 +55,7 @@ def work(
     if progress:
         progress(done, job.plan.runs, failed)
     count = sum(map(len, pieces))
-    what = f"Making {count} run{'s' * (count != 1)}. To see how many are done, give progress=, a function of (done, of, failed)."
+    what = f"Making {count} run{'s' * (count != 1)}. {HINT}"
     quiet = nullcontext() if progress else reported(what)
     with quiet, closing(executor.run(job, pieces)) as outcomes:
         for outcome in outcomes:

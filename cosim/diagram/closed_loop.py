@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import real
-from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
 from bayesftc.cosim.blocks.faults.without_effect import (
@@ -40,6 +40,7 @@ from bayesftc.cosim.errors import (
     brief,
     did_you_mean,
 )
+from bayesftc.cosim.fmi.fmu import FMU
 
 Names = str | Sequence[str]
 Connection = tuple[Names, str]
@@ -76,7 +77,8 @@ def closed_loop(
     plant : Block, or system of python-control
         An `FMU`, a `StateSpace`, or any block. A system of python-control becomes a `StateSpace`.
     controller : Block
-        A block with inputs ``y`` and ``goal`` and the output ``u``.
+        A block with inputs ``y`` and ``goal`` and the output ``u``, or an exported controller: ``FMU("controller.fmu")``. One of
+        FMI 2.0 gets ``arrays=True``, so that its ``y[0]`` and ``y[1]`` are one port.
     control : str or sequence of str
         The plant's inputs for ``u``, in its order: vectors as a whole, or elements of them (``"u[1]"``).
     measured : str or sequence of str
@@ -142,6 +144,7 @@ def closed_loop(
     (1.0, 0.5)
     """
     plant = StateSpace(plant) if is_system(plant) else plant
+    controller = with_arrays(controller)
     _check_kinds(plant, controller, sensors, noise)
     diagram = Diagram(base_step(controller, dt))
     goals = [diagram.add(block, name)[output] for name, block, output in _references(reference, controller)]
@@ -173,7 +176,7 @@ def closed_loop(
         )
     if not isinstance(input_faults, Mapping | None):
         raise ModelError(
-            f"input_faults is {input_faults!r}; it must be a mapping from inputs of the plant to faults: "
+            f"input_faults is {brief(input_faults)}; it must be a mapping from inputs of the plant to faults: "
             f"input_faults={{{next(iter(inputs))!r}: GainFault(factor=0.5)}}."
         )
     remaining, first = dict(input_faults or {}), 0
@@ -217,10 +220,28 @@ def base_step(controller: Block, dt: float | str | Fraction | None) -> float | s
     StepSizeError
         If there is neither.
     """
-    step = controller.sample_time if dt is None else dt
+    step = _sample_time(controller) if dt is None else dt
     if step is None:
         raise StepSizeError(f"{type(controller).__name__} has no sample time; give closed_loop(dt=...) in seconds.")
     return step
+
+
+def with_arrays(controller: Block) -> Block:
+    """Return a controller with array ports: an FMU without arrays has numbers in their place, ``y[0]``, ``y[1]``."""
+    if not isinstance(controller, FMU) or controller.arrays:
+        return controller
+    scalars, gathered = controller, replace(controller, arrays=True)
+    return gathered if len(_missing_ports(gathered)) < len(_missing_ports(scalars)) else scalars
+
+
+def _sample_time(block: Block) -> Fraction | None:
+    """Return the sample time of a block; of a controller in an FMU, which makes steps of one size only, that size."""
+    if isinstance(block, FMU) and block.timing == "sampled":
+        description = block.description
+        step = description.default_experiment.get("stepSize")
+        if step and not description.capabilities.get("canHandleVariableCommunicationStepSize"):
+            return rational_step(step)
+    return block.sample_time
 
 
 def _check_kinds(plant: object, controller: object, sensors: object, noise: object) -> None:
@@ -232,23 +253,29 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
                 "system of python-control, or write a block (docs/reference/write-a-block.md)."
             )
     assert isinstance(controller, Block)
-    ports = {p.name for p in controller.inputs}, {p.name for p in controller.outputs}
-    for name, kind, names in (("y", "input", ports[0]), ("goal", "input", ports[0]), ("u", "output", ports[1])):
-        if name not in names:
-            raise UnknownNameError(
-                f"The controller, of the kind {type(controller).__name__}, has no {kind} {name!r}; a controller has the "
-                "inputs y and goal and the output u. Check whether plant and controller are exchanged. Connect blocks with "
-                "other ports in a cosim.Diagram."
-            )
+    for kind, name in _missing_ports(controller)[:1]:
+        raise UnknownNameError(
+            f"The controller, of the kind {type(controller).__name__}, has no {kind} {name!r}; a controller has the "
+            "inputs y and goal and the output u. Check whether plant and controller are exchanged. Connect blocks with "
+            "other ports in a cosim.Diagram."
+        )
     if not isinstance(sensors, Sensors | None):
         raise ModelError(
-            f"sensors is {sensors!r}; it must be a Sensors block, such as cosim.Sensors(count=2, std=0.01)."
+            f"sensors is {brief(sensors)}; it must be a Sensors block, such as cosim.Sensors(count=2, std=0.01)."
         )
     if not isinstance(noise, Mapping | None):
         raise ModelError(
-            f"noise is {noise!r}; it must be a mapping from inputs of the plant to sources: "
+            f"noise is {brief(noise)}; it must be a mapping from inputs of the plant to sources: "
             "noise={'load': cosim.Gaussian(std=0.1)}."
         )
+
+
+def _missing_ports(controller: Block) -> list[tuple[str, str]]:
+    """Return the ports of a controller that a block lacks: pairs of side and name."""
+    sides = {"input": {port.name for port in controller.inputs}, "output": {port.name for port in controller.outputs}}
+    return [
+        (side, name) for side, name in (("input", "y"), ("input", "goal"), ("output", "u")) if name not in sides[side]
+    ]
 
 
 def _check_source(what: str, given: object) -> None:
@@ -316,7 +343,9 @@ def _chain(faults: Fault | Sequence[Fault]) -> Sequence[Fault]:
     chain = [faults] if isinstance(faults, Fault | str) else faults
     wrong = [each for each in chain if not isinstance(each, Fault)] if isinstance(chain, Sequence) else [chain]
     if wrong:
-        raise ModelError(f"faults must contain only faults, such as Freeze(sensor=0, start=6.0), not {wrong[0]!r}.")
+        raise ModelError(
+            f"faults must contain only faults, such as Freeze(sensor=0, start=6.0), not {brief(wrong[0])}."
+        )
     check_count(chain)
     return chain
 
@@ -431,10 +460,11 @@ def _sources(diagram: Diagram, names: Names, own: Mapping[tuple[str, str, int], 
 
 def _every(block: Block, name: str, step: Fraction) -> int:
     """Return the number of base steps in the sample time of a block; 1 if it has none."""
-    ratio = Fraction(1) if block.sample_time is None else block.sample_time / step
+    sample_time = _sample_time(block)
+    ratio = Fraction(1) if sample_time is None else sample_time / step
     if ratio.denominator != 1:
         raise StepSizeError(
-            f"The {name} must run every {show(block.sample_time or step)} s, which is no whole multiple of dt, {show(step)} s; "
+            f"The {name} must run every {show(sample_time or step)} s, which is no whole multiple of dt, {show(step)} s; "
             "give closed_loop a dt that divides it, or leave dt out to use the controller's sample time."
         )
     return int(ratio)

@@ -16,7 +16,7 @@ from bayesftc.cosim.diagram.coupling import Coupling, Method
 from bayesftc.cosim.diagram.loop_methods import LoopMethods
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.subsystem import INSIDE, Boundary, Subsystem
-from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ConnectionError, ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.run.interrupts import import_engine
 
@@ -72,7 +72,7 @@ class Diagram(LoopMethods):
         self._refuse_if_built("add a block")
         if not isinstance(block, Block):
             raise ModelError(
-                f"Only blocks can be added to a diagram, not {block!r}; wrap a python-control system in StateSpace, "
+                f"Only blocks can be added to a diagram, not {brief(block)}; wrap a python-control system in StateSpace, "
                 "call the method block() of a trained classifier."
             )
         name = block.default_name if name is None else name
@@ -123,7 +123,7 @@ class Diagram(LoopMethods):
         for reference, direction, role in [*((s, "output", "source") for s in sources), (target, "input", "target")]:
             if not isinstance(reference, PortRef):
                 raise ConnectionError(
-                    f"The {role} of a connection must be a port, such as node['y'], not {reference!r}."
+                    f"The {role} of a connection must be a port, such as node['y'], not {brief(reference)}."
                 )
             if self._nodes.get(reference.node.name) is not reference.node:
                 raise ConnectionError(

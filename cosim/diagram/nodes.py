@@ -77,6 +77,11 @@ class Node:
         names = [p.name for _, ports in directions for p in ports]
         if plain := without_brackets(str(port), [p.name for _, ports in directions for p in ports if not p.shape]):
             return self[plain]
+        if elements := [name for name in names if name.startswith(f"{port}[")]:
+            raise UnknownNameError(
+                f"Block {self.name!r} has no port {port!r}, but {' and '.join(elements[:2])}, each a port. Connect them one by "
+                f"one, or give FMU the argument arrays=True: then they are one port {port!r}."
+            )
         raise UnknownNameError(f"Block {self.name!r} has no port {port!r}; {did_you_mean(port, names)}")
 
     def __repr__(self) -> str:

@@ -302,6 +302,20 @@ def units_of(diagram: Diagram) -> Units:
     return result
 
 
+def unit_of_goal(diagram: Diagram) -> Units:
+    """Return the unit of the controller's goal, if all its elements are goals of quantities of one unit; else nothing.
+
+    A source of the goal has no unit, so that no connection passes one on.
+    """
+    roles = known_roles(diagram)
+    if roles is None:
+        return {}
+    size = diagram[roles.controller].port("goal").size
+    units = {quantity.goal: quantity.unit for quantity in roles.quantities}
+    first = units.get(0)
+    return {(roles.controller, "goal"): first} if first and all(units.get(i) == first for i in range(size)) else {}
+
+
 __all__ = [
     "ControlRole",
     "InputRole",
@@ -312,5 +326,6 @@ __all__ = [
     "Units",
     "find_roles",
     "known_roles",
+    "unit_of_goal",
     "units_of",
 ]

@@ -17,7 +17,7 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE, Names, opened, part_of
-from bayesftc.cosim.diagram.roles import units_of
+from bayesftc.cosim.diagram.roles import unit_of_goal, units_of
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.diagram.subsystem import Subsystem, with_inside
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
@@ -94,7 +94,7 @@ def program_of(
         If there is no block or signal of that name.
     """
     diagram = _as_diagram(exported, dt)
-    part, units = _part(diagram, blocks), units_of(diagram)
+    part, units = _part(diagram, blocks), {**unit_of_goal(diagram), **units_of(diagram)}
     alone = len(part.nodes) == 1
     prefix = ""
     if isinstance(exported, Subsystem):

@@ -147,6 +147,10 @@ class StandIn:
         return whole.build(old._coupling)
 
 
+NAME_IT = "Name it by blocks=..."
+"""The remedy where the block is not clear; the command line has another one."""
+
+
 def _blocks_of(fmu: FMU, diagram: Diagram, blocks: Sequence[str] | str | None) -> tuple[str, ...]:
     """Return the blocks that an FMU replaces."""
     if blocks is not None:
@@ -171,8 +175,8 @@ def _blocks_of(fmu: FMU, diagram: Diagram, blocks: Sequence[str] | str | None) -
         reason = f"{', '.join(fitting[:-1])} and {fitting[-1]} have its inputs and outputs"
     note = f" It was exported from {' and '.join(declared)}." if declared else ""
     raise ModelError(
-        f"The block from which {_file(fmu)} was exported is not clear: {reason}.{note} Name it by blocks=... (on the command "
-        f"line --block); there are {_some([node.name for node in candidates])}."
+        f"The block from which {_file(fmu)} was exported is not clear: {reason}.{note} {NAME_IT}; there are "
+        f"{_some([node.name for node in candidates])}."
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.base.table_files import time_column
+from bayesftc.cosim.base.recordings.table_files import time_column
 from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.run.tables import named_columns, read_table, sample_time, times_of
 from bayesftc.cosim.types import Floats

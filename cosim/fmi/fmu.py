@@ -17,6 +17,7 @@ from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, Unknown
 from bayesftc.cosim.fmi.binaries.library import Beginning
 from bayesftc.cosim.fmi.exchange.settings import checked_settings
 from bayesftc.cosim.fmi.reading.archive import Archive, absolute, open_archive
+from bayesftc.cosim.fmi.reading.arrays import gathered, scattered
 from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Given, Value, read_description
 from bayesftc.cosim.fmi.reading.ports import WATCHED, choose, choose_tunable, late_outputs, ticking_clocks
 from bayesftc.cosim.fmi.running.values import as_floats, resolved, start_values, value_of
@@ -76,6 +77,9 @@ class FMU(ExternalBlock):
     time_limit : float, optional
         With `isolate`: seconds that a call of the FMU (its initialization, or one step) may take. After that its process is
         ended. 10 by default, ``math.inf`` for no limit.
+    arrays : bool
+        True: numbers with the names of an array's elements, such as ``y[0]`` and ``y[1]``, become one port ``y``. FMI 1.0 and
+        2.0 have no arrays, so exports of this package for FMI 2.0 have such names. `parameters` still has the elements.
 
     Raises
     ------
@@ -115,6 +119,7 @@ class FMU(ExternalBlock):
     atol: float | None = field(default=None, kw_only=True)
     isolate: bool = field(default=False, kw_only=True)
     time_limit: float | None = field(default=None, kw_only=True)
+    arrays: bool = field(default=False, kw_only=True)
 
     @property
     def checks_finite(self) -> bool:  # type: ignore[override]
@@ -130,6 +135,8 @@ class FMU(ExternalBlock):
             raise ModelError(f"FMU has name={self.name!r}; it must be a string, as 'plant'.")
         if not isinstance(self.validate, bool):
             raise ModelError(f"FMU has validate={self.validate!r}; it must be True or False.")
+        if not isinstance(self.arrays, bool):
+            raise ModelError(f"FMU has arrays={self.arrays!r}; it must be True or False.")
         set_ = object.__setattr__
         set_(self, "path", path)
         archive, description = self._read()
@@ -180,7 +187,9 @@ class FMU(ExternalBlock):
             set_(self, "timing", "plant")  # the same without feedthrough
         resized = {v.name for v in description.variables if v.start is not None}
         for side, ports in chosen.items():
-            set_(self, f"{side}s", tuple(self._port(v, side, reaching, description.units, resized) for v in ports))
+            scalars = tuple(self._port(v, side, reaching, description.units, resized) for v in ports)
+            set_(self, f"_{side}s", scalars)
+            set_(self, f"{side}s", gathered(scalars) if self.arrays else scalars)
         if requested is None and self.timing == "plant" and not exchange:
             late = late_outputs(archive, description, *self._sides)
             if late:
@@ -195,7 +204,7 @@ class FMU(ExternalBlock):
         ]
         if self.parameters:
             settings.append(f"parameters={dict(self.parameters)!r}")
-        into, out = map(listed, self._sides)
+        into, out = listed(self._ports("input")), listed(self._ports("output"))
         return f"<FMU {', '.join(settings)}: {into} -> {out}>"
 
     @property
@@ -322,7 +331,11 @@ class FMU(ExternalBlock):
     def _without_tunable(self, side: str) -> Sequence[str | Port] | None:
         # dataclasses.replace passes the ports again, and the tunable parameters are among the inputs.
         requested: Sequence[str | Port] | None = getattr(self, side)
-        if side == "outputs" or not isinstance(requested, list | tuple):
+        if not isinstance(requested, list | tuple):
+            return requested
+        if self.arrays and all(isinstance(item, str | Port) for item in requested):
+            requested = scattered(requested, [variable.name for variable in self.description.variables])
+        if side == "outputs":
             return requested
         return [item for item in requested if not (isinstance(item, Port) and item.name in self.tunable)]
 
@@ -333,8 +346,12 @@ class FMU(ExternalBlock):
 
     @property
     def _sides(self) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
-        """The ports that `inputs` and `outputs` hold after construction."""
-        return cast("tuple[Port, ...]", self.inputs), cast("tuple[Port, ...]", self.outputs)
+        """A port for each variable; `inputs` and `outputs` hold these after construction, or arrays of them."""
+        return vars(self)["_inputs"], vars(self)["_outputs"]
+
+    def _ports(self, side: str) -> tuple[Port, ...]:
+        """Return what `inputs` or `outputs` holds after construction."""
+        return cast("tuple[Port, ...]", getattr(self, f"{side}s"))
 
     def _read(self) -> tuple[Archive, FMUDescription]:
         archive = open_archive(Path(self.path))

@@ -16,6 +16,7 @@ from bayesftc.cosim.judging.fault_panels import (
     draw_shades,
     name_faults,
 )
+from bayesftc.cosim.judging.limits import limit_axis
 from bayesftc.cosim.judging.panels import finish, legend, make_panels, thin, with_unit
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.signals import ControlSignals, InputSignals, LoopSignals, QuantitySignals, SensorSignals
@@ -49,6 +50,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     - the fault probability of each sensor and, in black, of each actuator whose faults the controller infers; above it the most
       probable kind of fault during an alarm. Without a probability: beta, with marks for detected faults. Without both there is
       no such panel.
+
+    If a transient at the start would squeeze a panel, its belief or control is cut off there, with marks and the largest value.
 
     Present faults are shaded, those of an input hatched, and named at the top. Lines have gaps at missing samples. Signals that
     were not recorded are left out.
@@ -100,12 +103,15 @@ def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> Non
     for label, values, look in lines:
         if values is not None:
             axis.plot(*thin(time, values), label=label, **look)
+    cut = [] if quantity.belief is None else [quantity.belief]
     if quantity.belief is not None and quantity.spread is not None:
+        cut = [quantity.belief - NORMAL_95 * quantity.spread, quantity.belief + NORMAL_95 * quantity.spread]
         shown, mean = thin(time, quantity.belief)
         half = NORMAL_95 * thin(time, quantity.spread)[1]
         style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
         axis.fill_between(shown, mean - half, mean + half, label="belief: 95 % interval", **style)
     axis.set_ylabel(with_unit(quantity.name, quantity.unit))
+    limit_axis(axis, time, [values for values in (quantity.truth, quantity.reference) if values is not None], cut)
 
 
 def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panels:
@@ -123,6 +129,7 @@ def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panel
 def _draw_samples(axis: Axes, *, time: Floats, sensor: SensorSignals, belief: Floats | None, label: str | None) -> None:
     """Draw samples and belief; with a label for the samples, both are in the legend (only for the first sensor)."""
     if belief is not None:
+        limit_axis(axis, time, [] if sensor.samples is None else [sensor.samples], [belief])
         axis.plot(*thin(time, belief), color=BLUE, lw=0.8, zorder=2, label=label and "belief: mean")
     style: dict[str, Any] = {"ls": "none", "marker": MARKERS[sensor.index % len(MARKERS)], "ms": 2.0, "mew": 0}
     axis.plot(*thin(time, sensor.samples), color=colour_of(sensor.index), alpha=0.6, zorder=3, label=label, **style)  # type: ignore[arg-type]
@@ -138,6 +145,7 @@ def _draw_control(axis: Axes, *, time: Floats, control: ControlSignals, inputs: 
     for number, limit in enumerate(limits):
         axis.axhline(limit, color="0.4", lw=0.9, ls=":", zorder=1, label=None if number else "limits of the control")
     axis.set_ylabel(with_unit(control.name, control.unit))
+    limit_axis(axis, time, [], [control.sent, *(each.received for each in inputs if each.received is not None)])
 
 
 def _draw_input(axis: Axes, *, time: Floats, each: InputSignals) -> None:
@@ -146,6 +154,7 @@ def _draw_input(axis: Axes, *, time: Floats, each: InputSignals) -> None:
     if each.received is not None:
         axis.plot(*thin(time, each.received), color=BLACK, lw=0.9, zorder=4, label="received")
     axis.set_ylabel(with_unit(each.name, each.unit))
+    limit_axis(axis, time, [], [values for values in (each.sent, each.received) if values is not None])
 
 
 def _draw_sent(axis: Axes, time: Floats, values: Floats, label: str) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import IO, Any
 
-from bayesftc.cosim.base.table_files import time_unit
+from bayesftc.cosim.base.recordings.table_files import time_unit
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.bridge import PATH, Reconnecting
 from bayesftc.cosim.live.formats import LONGEST, encode
@@ -22,7 +22,8 @@ PIECE = 1 << 16
 class File(Reconnecting):
     r"""A CSV file that another program extends row by row, or that this one extends.
 
-    Only complete rows are used. A file that is replaced, shortened or deleted is opened again from its beginning.
+    Columns are separated by commas, or by semicolons; then numbers may have decimal commas. Only complete rows are used. A file
+    that is replaced, shortened or deleted is opened again from its beginning.
 
     Parameters
     ----------
@@ -148,11 +149,12 @@ class File(Reconnecting):
 
 
 def _words(line: bytes) -> list[str]:
-    return [word.strip().strip('"') for word in line.decode("utf-8-sig", errors="replace").replace(";", ",").split(",")]
+    text = line.decode("utf-8-sig", errors="replace")
+    return [word.strip().strip('"') for word in text.split(";" if ";" in text else ",")]
 
 
 def _number(word: str) -> Any:
     try:
-        return float(word)
+        return float(word.replace(",", "."))  # decimal commas are possible between semicolons only
     except ValueError:
         return None

@@ -82,7 +82,9 @@ def _stamped(payload: bytes) -> Message:
 
 def _text(payload: bytes) -> Message:
     try:
-        words = payload.decode("ascii").replace(",", " ").replace(";", " ").split()
+        text = payload.decode("ascii")
+        # Between semicolons, a comma is a decimal one.
+        words = (text.replace(",", ".").replace(";", " ") if ";" in text else text.replace(",", " ")).split()
         values = tuple(map(float, words))
     except ValueError:
         raise ValueError("not a number") from None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.table_files import TIMES, in_seconds, read_table_file
+from bayesftc.cosim.base.recordings.table_files import TIMES, in_seconds, read_table_file
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.run.result import Result

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayesftc.cosim.base.table_files import read_table_file
+from bayesftc.cosim.base.recordings.table_files import read_table_file
 from bayesftc.examples.redundant_speed_sensors.command import sentences
 from bayesftc.examples.redundant_speed_sensors.study import DATA, broken, noise_of
 from bayesftc.monitoring import Monitor, Monitored, Signal, align, load_monitor

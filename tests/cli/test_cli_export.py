@@ -5,6 +5,7 @@ import zipfile
 
 import pytest
 
+from bayesftc import fmus
 from bayesftc.scenario import shipped_scenarios
 
 
@@ -132,6 +133,7 @@ def test_what_cannot_be_verified_is_a_sentence(bayesftc_, scenarios, tmp_path):
         (3, "There is no file 'carr'", ("empty.fmu", "--against", "carr")),
         (9, "--tolerance is nan", ("empty.fmu", "--against", car, "--tolerance", "nan")),
         (2, "--against", ("empty.fmu",)),
+        (9, "Name it by --block; there are ", (fmus.path("TwoMasses"), "--against", car)),
     ):
         done = bayesftc_("verify", *arguments)
         assert done.exit_code == code, done.output

@@ -192,12 +192,25 @@ def test_a_missing_recording_is_said_before_a_model_that_is_there(files, tmp_pat
 
 
 def test_a_model_that_is_there_is_not_overwritten(drive, files, tmp_path):
+    fit = ["--fit", "--to", "29"]
     before = (tmp_path / "model.toml").read_text(encoding="utf-8")
-    done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--model", files[2]])
+    done = RUNNER.invoke(app, ["monitor", drive, *fit, "--model", files[2]])
     assert done.exit_code == 12
     assert "exists already" in done.output
-    assert f"give --model {files[2]} without --fit" in " ".join(done.output.split())
+    sentence = " ".join(done.output.split())
+    assert "Add --overwrite to replace it" in sentence
+    assert f"give --model {files[2]} without --fit" in sentence
     assert (tmp_path / "model.toml").read_text(encoding="utf-8") == before
+    replaced = RUNNER.invoke(app, ["monitor", drive, *fit, "--overwrite", "--model", files[2], "--json"])
+    assert replaced.exit_code == 0, replaced.output
+    assert (tmp_path / "model.toml").read_text(encoding="utf-8") != before
+    again = RUNNER.invoke(
+        app, ["monitor", drive, *fit, "--model", files[2], "--json"]
+    )  # the same model: nothing to lose
+    assert (again.exit_code, json.loads(again.output)) == (0, json.loads(replaced.output))
+    alone = RUNNER.invoke(app, ["monitor", drive, "--overwrite", "--model", files[2]])
+    assert alone.exit_code == 2
+    assert "--overwrite replaces the model file" in " ".join(alone.output.replace("│", " ").split())
 
 
 @pytest.mark.slow

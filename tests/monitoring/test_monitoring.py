@@ -26,6 +26,7 @@ from bayesftc.monitoring import (
     log_likelihood,
     monitor as _monitor,
     monitor_recording,
+    redundant_signals,
 )
 from bayesftc.monitoring.alarms import alarms, sensor_events
 from bayesftc.monitoring.csv import Tables
@@ -491,6 +492,20 @@ def test_states_that_no_sensor_reads_need_a_beginning(tmp_path):
     assert found.x_hat[-1] == pytest.approx([10 + 3 * np.sin(1), 1.5 * np.cos(1)], abs=1.0)
 
 
+def test_absurd_values_are_named_and_count_as_missing(tmp_path, caplog):
+    """Their squares are no numbers, so that a fit had a standard deviation of NaN."""
+    file, times = tmp_path / "data.csv", np.arange(100) * 0.1
+    left, right = 1e150 * np.cos(times), np.cos(times)
+    right[::10] = -1e200
+    rows = "".join(f"{t:g},{a!r},{b!r}\n" for t, a, b in zip(times, left.tolist(), right.tolist(), strict=True))
+    file.write_text("t,left,right\n" + rows)
+    right_signal = redundant_signals([file], ["right"])[1]["right"]
+    assert len(right_signal.values) == 90
+    assert "column 'right', has 10 values above 1e+50 in size, such as -1e+200" in caplog.text
+    with pytest.raises(RecordingError, match=r"column 'left': A signal has no samples but .* Use a larger unit"):
+        redundant_signals([file], ["left"])
+
+
 def test_a_model_of_another_size_is_refused():
     recording = align({"a": Signal([0, 1], [1, 2])}, {}, 1.0)
     with pytest.raises(ModelError, match=r"2 sensors, 1 .* and steps of 1 s, but the recording has 1"):
@@ -513,8 +528,8 @@ def test_a_model_of_another_size_is_refused():
         ("\n \n", "data.csv is empty"),
         ("t,left,right,gnss,accel\n", "no row of samples"),
         ("0,1,1,1,1\n1,1,1,1,1\n", "begins with numbers"),
-        ("t;left;right;gnss;accel\n0;1,5;1;1;1\n", "semicolons between its columns. Save it with commas"),
-        ("t\tleft\tright\tgnss\taccel\n0\t1\t1\t1\t1\n", "tabs between its columns"),
+        ("t;left;right;gnss;accel\n0;1,5;1;1;1\n1;1.5;1;1;1\n", "'1,5' in line 2, column 'left', is no number"),
+        ("t;left;right;gnss;accel\n0;1;1;1\n", "line 2 has 1 cell.* the first row has 1 name|no column"),
         (
             "t,left,left,right,gnss,accel\n0,1,1,1,1,1\n",
             "2 columns 'left': the first is number 2, the last number 3",

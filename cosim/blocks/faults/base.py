@@ -119,6 +119,11 @@ class Fault(Block):
                 f"{kind} has start={brief(self.start)} and stop={brief(self.stop)}; the start must be finite and before "
                 "the stop. Each is a number of seconds, or a condition such as cosim.when('plant.v', '>', 22.0)."
             )
+        if start < 0 or stop <= 0:
+            raise ModelError(
+                f"{kind} has start={brief(self.start)} and stop={brief(self.stop)}, but a run begins at 0 s. Give start=0 for a "
+                "fault that is present from the beginning."
+            )
         if not real(self.duration) > 0:
             raise ModelError(f"{kind} has duration={brief(self.duration)}; it must be a positive number of seconds.")
         if not isinstance(self.latching, bool) or not (self.latching or isinstance(self.start, When)):

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import islice
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
-from bayesftc.cosim.base.table_files import exact_numbers, in_seconds
+from bayesftc.cosim.base.recordings.csv_form import ENCODING, CsvForm, cells_of, form_of
+from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds
+from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.recording import LARGEST, absurd_values
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-ENCODING = "utf-8-sig"
-"""UTF-8, with or without a byte order mark."""
-
 MOST_COLUMNS = 10_000
-
-SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 class Tables:
@@ -45,6 +45,8 @@ class Tables:
             if not exists(path):
                 raise RecordingError(f"The recording {fspath(path)} does not exist. Check the path.")
         self._read: dict[Path, tuple[list[str], pd.DataFrame]] = {}
+        self._forms: dict[Path, CsvForm] = {}
+        self._origin: pd.Timestamp | None = None  # of all dates, so that files fit together
 
     def files(self) -> list[Path]:
         """Return all CSV files, including those in folders."""
@@ -64,6 +66,10 @@ class Tables:
         header, table = self._table(file)
         return [name for i, name in enumerate(header) if pd.to_numeric(table[i], errors="coerce").notna().any()]
 
+    def has_dates(self, file: Path, column: int) -> bool:
+        """Return whether a column, by its number, has dates."""
+        return are_dates(self._table(file)[1][column])
+
     def find(self, name: str | None, signal: str) -> Path:
         """Return the file with this name, or the only file if no name is given; `signal` begins the error message."""
         if name is None:
@@ -80,13 +86,27 @@ class Tables:
         return matches[0]
 
     def times(self, file: Path, name: str, whose: str = "") -> Floats:
-        """Return a column of times in seconds; its name may have another unit (``t_ms``)."""
-        return in_seconds(name, self.column(file, name, f"the times{whose}"))
+        """Return a column of times in seconds; its name may have another unit (``t_ms``). Dates become seconds, too."""
+        signal = f"the times{whose}"
+        cells = self._cells(file, name, signal)
+        if not are_dates(cells):
+            return in_seconds(name, self._numbers(cells, file, name, signal))
+        seconds, self._origin = as_seconds(cells, f"column {name!r} of {fspath(file)}", self._origin)
+        self._refuse_wrong(cells, np.isnan(seconds), file, name, signal)
+        return seconds
 
     def column(self, file: Path, name: str, signal: str) -> Floats:
-        """Return a column as numbers, NaN where a cell is empty."""
-        import pandas as pd
+        """Return a column as numbers, NaN where a cell is empty. The user is informed of values that are too large."""
+        numbers = self._numbers(self._cells(file, name, signal), file, name, signal)
+        absurd = absurd_values(numbers)
+        if absurd and np.any(np.abs(numbers) <= LARGEST):  # else there is nothing to read, which is an error
+            inform(
+                f"{fspath(file)}, column {name!r}, has {absurd}. No quantity is so large: they count as missing samples. "
+                "Empty these cells, or correct the program that wrote them."
+            )
+        return numbers
 
+    def _cells(self, file: Path, name: str, signal: str) -> pd.Series[Any]:
         header, table = self._table(file)
         places = [i for i, title in enumerate(header) if title == name]
         if not places:
@@ -96,32 +116,44 @@ class Tables:
                 f"{fspath(file)} has {len(places)} columns {name!r}: the first is number {places[0] + 1}, the last number "
                 f"{places[-1] + 1}. Give each a different name."
             )
-        cells = table[places[0]]
+        return table[places[0]]
+
+    def _numbers(self, cells: pd.Series[Any], file: Path, name: str, signal: str) -> Floats:
+        import pandas as pd
+
         if not pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_bool_dtype(cells):
             cells = cells.astype(str).where(cells.notna())  # otherwise true would become 1
         numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, copy=True)
         if not pd.api.types.is_numeric_dtype(cells):  # such as +.5; before pandas 3.1 the last bit can be wrong
             right = np.isfinite(numbers)
             numbers[right] = cells.to_numpy()[right].astype(np.float64)
-        wrong = np.flatnonzero(np.isnan(numbers) & cells.notna().to_numpy())
-        if len(wrong):
-            line, _ = next(islice(_rows(file), int(wrong[0]) + 1, None))
-            remedy = (
-                "Write times as seconds, such as 12.5."
-                if signal.startswith("the times")
-                else "Leave a missing sample empty, and write numbers with a decimal point."
-            )
-            raise RecordingError(
-                f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number. {remedy}"
-            )
+        self._refuse_wrong(cells, np.isnan(numbers), file, name, signal)
         return np.asarray(numbers)
+
+    def _refuse_wrong(
+        self, cells: pd.Series[Any], missing: NDArray[np.bool_], file: Path, name: str, signal: str
+    ) -> None:
+        """Refuse cells that are neither numbers nor empty."""
+        wrong = np.flatnonzero(missing & cells.notna().to_numpy())
+        if not len(wrong):
+            return
+        line, _ = next(islice(cells_of(file, self._forms[file].separator), int(wrong[0]) + 1, None))
+        remedy = (
+            "Write times as seconds, such as 12.5, or as dates, such as 2026-05-01T10:00:12.5."
+            if signal.startswith("the times")
+            else "Leave a missing sample empty, and write numbers with a decimal point."
+        )
+        raise RecordingError(
+            f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number. {remedy}"
+        )
 
     def _table(self, file: Path) -> tuple[list[str], pd.DataFrame]:
         import pandas as pd
 
         if file not in self._read:
             try:
-                header, begin = _check(file)
+                form = self._forms[file] = form_of(file)
+                header, begin = _check(file, form)
                 table = pd.read_csv(
                     file,
                     skipinitialspace=True,
@@ -129,6 +161,8 @@ class Tables:
                     skiprows=begin,
                     index_col=False,
                     encoding=ENCODING,
+                    sep=form.separator,
+                    decimal=form.decimal,
                     **exact_numbers(),
                 )
             except UnicodeDecodeError:
@@ -146,35 +180,21 @@ class Tables:
         return self._read[file]
 
 
-def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Give the number of the line where each row ends, and its cells, without empty lines."""
-    with open(file, encoding=ENCODING, newline="") as text:
-        reader = csv.reader(text, skipinitialspace=True, strict=True)
-        for cells in reader:
-            if any(cell.strip() for cell in cells) or len(cells) > 1:
-                yield reader.line_num, cells
-
-
-def _check(file: Path) -> tuple[list[str], int]:
+def _check(file: Path, form: CsvForm) -> tuple[list[str], int]:
     """Return the names of the columns and the line where they end, if all rows have as many cells.
 
     pandas would fill a row that is too short. If all rows are too long, it would use the first columns as an index.
     """
-    rows = _rows(file)
+    rows = cells_of(file, form.separator)
     begin, cells = next(rows, (0, []))
     names = [cell.strip() for cell in cells]
     if not names:
         raise RecordingError(f"{fspath(file)} is empty. It needs a first row of names and a row for each time.")
-    for separator, word in SEPARATORS.items():
-        if len(names) == 1 and separator in names[0]:
-            raise RecordingError(
-                f"{fspath(file)} has {word} between its columns. Save it with commas, and numbers with a decimal point."
-            )
     if len(names) > MOST_COLUMNS:
         raise RecordingError(
             f"{fspath(file)} has {len(names)} columns, but a recording has at most {MOST_COLUMNS}. Keep those of the sensors."
         )
-    if all(map(_is_number, names)):
+    if all(_is_number(form.number(name)) for name in names):
         raise RecordingError(f"{fspath(file)} begins with numbers. Add a first row with the names of the columns.")
     row = None
     for row in rows:

@@ -23,6 +23,9 @@ MOST_STEPS = 20_000_000
 ROUNDING = 0.05
 """Share of a step by which an input's time stamp may differ from the step that it belongs to: times in files are rounded."""
 
+LARGEST = 1e50
+"""Largest size of a sample: the square of a much larger number is no number any more, and no quantity is so large."""
+
 LEAST_LOSS, MOST_LOSS = 0.01, 0.999
 """Limits of a healthy sensor's share of steps without a sample."""
 
@@ -36,7 +39,7 @@ class Signal:
     time : array_like
         Time stamps in seconds, increasing.
     values : array_like
-        One sample per time. Samples that are not finite are missing.
+        One sample per time. Samples that are not finite, or above 1e50 in size, are missing.
     bias : float
         Known offset in the unit of the values, which is subtracted.
     delay : float
@@ -87,10 +90,13 @@ class Signal:
             check_number(self, name)
         check_number(self, "smooth", least=0)
         check_number(self, "resolution", optional=True, least=0)
-        kept = np.isfinite(values) & ~np.isin(values, invalid_values("A signal", self.invalid, 1))
+        usable = np.abs(values) <= LARGEST  # not if NaN
+        kept = usable & ~np.isin(values, invalid_values("A signal", self.invalid, 1))
         if not np.isfinite(time[kept]).all():
             raise RecordingError("A signal has samples without a time. Remove them.")
         time, values = time[kept], values[kept]
+        if not len(time) and (absurd := absurd_values(self.values)):
+            raise RecordingError(f"A signal has no samples but {absurd}. Use a larger unit, or leave out the column.")
         if not len(time):
             raise RecordingError("A signal has no samples. Leave it out, or check its column.")
         back = np.flatnonzero(np.diff(time) <= 0)
@@ -107,6 +113,14 @@ class Signal:
     def corrected(self) -> tuple[Floats, Floats]:
         """The samples' times in seconds without the delay, and their values without the bias."""
         return np.asarray(self.time) - self.delay, np.asarray(self.values) - self.bias
+
+
+def absurd_values(values: ArrayLike) -> str:
+    """Return how many samples are too large in size, and the first of them; nothing if there is none."""
+    given = np.asarray(values, dtype=np.float64)
+    absurd = given[np.isfinite(given) & (np.abs(given) > LARGEST)]
+    count = f"{len(absurd)} value{'s' if len(absurd) > 1 else ''}"
+    return f"{count} above {LARGEST:g} in size, such as {absurd[0]:g}" if len(absurd) else ""
 
 
 @dataclass(frozen=True, eq=False)

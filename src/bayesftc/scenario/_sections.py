@@ -18,7 +18,7 @@ from bayesftc.cosim.blocks.faults import kinds as faults
 from bayesftc.cosim.blocks.kinds import SOURCES
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
-from bayesftc.cosim.diagram.closed_loop import check_count
+from bayesftc.cosim.diagram.closed_loop import check_count, with_arrays
 from bayesftc.cosim.diagram.subsystem import Subsystem
 from bayesftc.scenario._blocks import Surroundings, subsystem
 from bayesftc.scenario._fmu_files import fmu_of, taken
@@ -155,10 +155,14 @@ def controller(
     wiring: Wiring,
     sensors: Sensors | None,
 ) -> Block:
-    """Return the controller of ``[controller]``: with the model of ``[model]``, designed for the plant, or a subsystem."""
+    """Return the controller of ``[controller]``: with the model of ``[model]``, designed, a subsystem, or an exported FMU."""
     from bayesftc.controllers import design
 
     place = root / "controller"
+    if isinstance(content["controller"], Mapping) and "fmu" in content["controller"]:
+        if "model" in content:
+            raise (root / "model").error("cannot be used with an FMU as controller, which has no model. Leave it out.")
+        return with_arrays(fmu_of(dict(content["controller"]), place, Path(root.file).absolute().parent))
     cls, rest = choose((*CONTROLLERS, design, Subsystem), content["controller"], place)
     if cls is Subsystem:
         if "model" in content:

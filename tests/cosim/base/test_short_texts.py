@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import numpy as np
+import pytest
 
 from bayesftc import controllers, cosim, monitoring
 
@@ -19,6 +20,53 @@ def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
     assert repr(event) == (
         "FaultEvent(sensor='wheel', start=3.333 s, end=20 s, probability=1, kind='Frozen', onset=3.3 s, size=None)"
     )
+
+
+def motion(x, u, x_next):
+    for i in range(3):
+        x_next[i] = 0.9 * x[i] + u[0]
+
+
+def first_twice(x, y):
+    y[0] = y[1] = x[0]
+
+
+def test_models_and_controllers_are_printed_in_one_line_and_repr_has_all():
+    model = controllers.LinearModel(0.9 * np.eye(3), np.eye(3, 1), np.eye(3)[[0, 0]], 0.01, 1.0, dt=0.1)
+    sizes = "of 3 states, 1 controls, 2 sensors, dt = 0.1 s"
+    nonlinear = controllers.NonlinearModel(motion, first_twice, 3, 1, 2, 1e-3, 1.0, 0.1)
+    controller = controllers.LQGController(model, goal_on=[[1.0, 0.0, 0.0]])
+    assert f"{model} / {nonlinear}" == f"LinearModel {sizes} / NonlinearModel {sizes}"
+    assert str(controller) == (
+        f"LQGController {sizes}, with SwitchingPrecision; LQGController.describe() returns gains, poles and accuracy"
+    )
+    for each, kind in (
+        (controllers.NonlinearBayesianController(nonlinear, goal_on=[[1.0, 0.0, 0.0]]), "SwitchingPrecision"),
+        (controllers.StateEstimator(model, controllers.GammaPrecision()), "GammaPrecision"),
+    ):
+        assert str(each) == f"{type(each).__name__} {sizes}, with {kind}"
+    places = controllers.Modality("positions", matrix=[[1.0], [1.0]], std=0.1)
+    law = controllers.Proportional(gain=2.0)
+    paper = controllers.UnbiasedActiveInference(places, law, dt=0.05, belief_rate=4.0, control_rate=2.0)
+    assert str(paper) == (
+        "UnbiasedActiveInference of 1 states, 1 controls, 2 sensors, dt = 0.05 s, with FixedPrecision"
+    )
+    assert "goal_covariance=array([[" in repr(controller)
+    assert "process_covariance=array([[" in repr(controller)
+
+
+def test_a_class_in_place_of_an_object_is_named():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 0.01, 1.0, dt=0.1)
+    diagram, sentence = cosim.Diagram(0.1), r"the class {0} \(make an object of it: {0}\(...\)\)"
+    for make, name in (
+        (lambda: controllers.BayesianController(model, precision=controllers.GammaPrecision), "GammaPrecision"),
+        (lambda: controllers.StateEstimator(model, controllers.GammaPrecision), "GammaPrecision"),
+        (lambda: controllers.BayesianController(controllers.LinearModel), "LinearModel"),
+        (lambda: diagram.add(cosim.Sine), "Sine"),
+        (lambda: cosim.closed_loop(cosim.FMU, cosim.Constant(1.0), control="u", measured="y", reference=1.0), "FMU"),
+    ):
+        with pytest.raises(cosim.ModelError, match=sentence.format(name)):
+            make()
 
 
 def test_a_recording_shows_the_shapes_of_its_samples():

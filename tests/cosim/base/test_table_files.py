@@ -8,7 +8,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.controllers import LinearModel
-from bayesftc.cosim.base.table_files import in_seconds, time_column, time_unit
+from bayesftc.cosim.base.recordings.table_files import in_seconds, time_column, time_unit
 from bayesftc.cosim.errors import RecordingError, StepSizeError
 from bayesftc.cosim.fitting.samples import sample
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bayesftc import controllers, cosim, fmus
+from bayesftc.cosim.base import announcing
 from bayesftc.cosim.campaign.designs.plan import Plan
 from bayesftc.cosim.run.many import StoppedFromOutside
 
@@ -258,6 +259,20 @@ def test_time_limit_is_a_reason(make_block):
     table = campaign.run(executor=cosim.Threads(1)).table
     assert (table["status"] == "failed").all()
     assert table["reason"].str.contains("time limit of 0.06 s").all()
+
+
+def test_the_hint_about_progress_can_be_followed(monkeypatch, caplog, capsys):
+    monkeypatch.setattr(announcing, "PATIENCE", 0.0)
+    campaign = cosim.Campaign(loop(), duration=1.0, seeds=30, piece=5)
+    loops = {"gamma": loop(), "fixed": loop(precision=controllers.FixedPrecision())}
+    for call in (campaign.run, lambda **more: cosim.compare(loops, duration=1.0, seeds=3, **more)):
+        caplog.clear()
+        call()
+        hint = next(message for message in caplog.messages if "Making" in message)
+        assert "give progress=print," in hint
+        call(progress=print)
+        done, of, failed = map(int, capsys.readouterr().out.split()[-3:])
+        assert (done, failed) == (of, 0)
 
 
 def test_progress_counts_runs_and_a_run_can_be_stopped_from_outside():

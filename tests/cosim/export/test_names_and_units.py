@@ -8,10 +8,11 @@ from fractions import Fraction
 from itertools import pairwise
 
 import fmpy
+import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from bayesftc import controllers, cosim
+from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.base.units import parse
 from bayesftc.cosim.export.dependencies import feeding_elements
 from bayesftc.cosim.export.names import legal, program_name, unique
@@ -150,6 +151,24 @@ def test_units_travel_along_connections():
     assert [(s.name, s.unit) for s in (*alone.inputs, *alone.outputs)] == [("u", "m/s"), ("y", "N")]
     both = program_of(diagram, blocks=["sensors", "fault"])
     assert {s.name: s.unit for s in both.outputs} == {"sensors.y": "m/s", "fault.y": "m/s", "fault.active": None}
+
+
+@pytest.mark.parametrize(("reference", "unit"), [(2.0, "m/s"), (cosim.Constant(2.0, unit="km/h"), "km/h")])
+def test_the_goal_has_the_unit_of_the_quantity(reference, unit):
+    plant = cosim.FMU(fmus.path("CruiseControl"))
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]], 0.001, 1.0, dt=0.02)
+    controller = controllers.BayesianController(model, controllers.GammaPrecision(forgetting=0.95))
+    loop = cosim.closed_loop(plant, controller, control="force", measured="v", reference=reference)
+    found = {signal.name: signal.unit for signal in program_of(loop, blocks="controller").inputs}
+    assert found == {"y": "m/s", "goal": unit}
+
+
+def test_goals_of_different_units_have_none():
+    plant, torques, angles = cosim.FMU(fmus.path("TwoLinkArm")), ["torque1", "torque2"], ["q1", "dq2"]
+    model = controllers.LinearModel(0.9 * np.eye(2), np.eye(2), np.eye(2), 0.01 * np.eye(2), np.eye(2), dt=0.01)
+    controller = controllers.LQGController(model, goal_covariance=np.eye(2))
+    loop = cosim.closed_loop(plant, controller, control=torques, measured=angles, reference=[0.0, 0.0])
+    assert {signal.name: signal.unit for signal in program_of(loop, blocks="controller").inputs}["goal"] is None
 
 
 def test_where_units_meet_nothing_is_said():

@@ -70,6 +70,11 @@ def test_json_is_a_number_a_list_or_an_object(text, message):
     assert decode(text.encode(), "json") == message
 
 
+def test_between_semicolons_commas_are_decimal():
+    assert decode(b"1,5;2;-3,25e1", "text") == Message((1.5, 2.0, -32.5))
+    assert decode(b"1.5,2", "text") == Message((1.5, 2.0))
+
+
 def test_null_is_a_missing_number():
     assert math.isnan(decode(b"[null]", "json").values[0])
     assert encode([math.nan, 1.0], 0.0, "json") == b'{"time": 0.0, "values": [null, 1.0]}'

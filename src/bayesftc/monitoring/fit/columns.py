@@ -6,10 +6,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
-from bayesftc.cosim.base.table_files import TIMES, time_column
+from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables
@@ -105,15 +106,15 @@ def redundant_signals(
     return places, signals
 
 
-def _time_column(tables: Tables, file: os.PathLike[str], header: Sequence[str]) -> str:
+def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
     """Return the column of times: by its name, else the first one, if that increases."""
     every = tables.names(file)
     if (name := time_column(every)) is not None:
         return name
     why = "has no number"
-    if every[0] in header:
+    if every[0] in header or tables.has_dates(file, 0):
         why = "does not increase"
-        if np.all(np.diff(tables.times(file, every[0])) > 0):  # type: ignore[arg-type]
+        if np.all(np.diff(tables.times(file, every[0])) > 0):
             return every[0]
     raise RecordingError(
         f"{os.fspath(file)} has no column of times: none is called {', '.join(TIMES[:3])}, and the first, {every[0]!r}, {why}. "

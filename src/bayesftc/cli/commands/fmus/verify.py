@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
@@ -55,22 +56,36 @@ def verify(
         raise ModelError(f"--tolerance is {tolerance!r}. It must be finite and not negative.")
     scenario = load_scenario(against)
     defaults = scenario.simulation
-    verification = verify_fmu(
-        expanded(fmu),
-        scenario.loop(),
-        block or None,
-        duration=defaults.duration if duration is None else duration,
-        seed=defaults.seed if seed is None else seed,
-        timing=timing.value if timing else None,  # type: ignore[arg-type]
-        isolate=isolate,
-        engine=defaults.engine,
-    )
+    with _remedies_of_options():
+        verification = verify_fmu(
+            expanded(fmu),
+            scenario.loop(),
+            block or None,
+            duration=defaults.duration if duration is None else duration,
+            seed=defaults.seed if seed is None else seed,
+            timing=timing.value if timing else None,  # type: ignore[arg-type]
+            isolate=isolate,
+            engine=defaults.engine,
+        )
     if json:
         typer.echo(output.as_json(_plain(verification, against, tolerance)))
     elif not quiet:
         _print(verification, against, tolerance)
     if not verification.agrees(tolerance):
         raise typer.Exit(DIFFERS)
+
+
+@contextmanager
+def _remedies_of_options() -> Iterator[None]:
+    """Give errors the options of the command in place of arguments in Python."""
+    from bayesftc.cosim.export.stand_in import NAME_IT
+
+    try:
+        yield
+    except ModelError as error:
+        if NAME_IT not in str(error):
+            raise
+        raise ModelError(str(error).replace(NAME_IT, "Name it by --block")) from error
 
 
 def _plain(verification: Verification, name: str, tolerance: float) -> dict[str, Any]:

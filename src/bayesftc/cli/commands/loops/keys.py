@@ -34,6 +34,7 @@ FILES: dict[str, dict[str, list[Part]]] = {
         "[controller]": [
             Part("bayesftc.controllers.design", 'kind = "design"', "plant measured actuated sensors"),
             Part("bayesftc.controllers.CONTROLLERS", without="model modalities"),
+            Part("bayesftc.scenario._fmu_files.Shipped", "An exported controller; other keys as those of [plant]"),
         ],
         "precision = { kind = ... }": [
             Part("bayesftc.controllers.LEARNERS"),

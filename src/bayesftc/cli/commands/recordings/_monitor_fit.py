@@ -36,25 +36,36 @@ class Fit:
     sensors: tuple[str, ...] = ()
 
 
-def fit_files(recording: Sequence[Path], part: Fit, model: Path) -> tuple[FittedModel, Recording]:
+def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: bool) -> tuple[FittedModel, Recording]:
     """Fit a model to CSV files or folders, write it, and return it with the recording.
+
+    A file that has exactly this model stays as it is, so that a command can be repeated.
 
     Raises
     ------
     ResultFileError
-        If the model file exists, which is not overwritten, or if it cannot be written.
+        If the model file exists with another content and `overwrite` is not set, or if it cannot be written.
     """
     places, signals = redundant_signals(recording, part.sensors)
-    if os.path.lexists(model):
-        raise ResultFileError(
-            f"{model} exists already. Name another file with --model, or give --model {model} without --fit to use it."
-        )
-    output.check_folder(model.parent, (model.name,))
+    output.check_folder(model.parent, (model.name,), silent=True)
     samples = recorded(signals)
     fitted = fit_model(samples, stretch_of(samples, part.start, part.stop))
+    text = as_model_file(fitted, samples, places)
+    if os.path.lexists(model) and not overwrite and not _has(model, text):
+        raise ResultFileError(
+            f"{model} exists already, with another content. Add --overwrite to replace it, name another file with --model, or "
+            f"give --model {model} without --fit to use it."
+        )
     with output.staged(model.parent) as stage:
-        (stage / model.name).write_text(as_model_file(fitted, samples, places), encoding="utf-8")
+        (stage / model.name).write_text(text, encoding="utf-8")
     return fitted, samples
+
+
+def _has(file: Path, text: str) -> bool:
+    try:
+        return file.read_text(encoding="utf-8") == text
+    except (OSError, UnicodeDecodeError):
+        return False
 
 
 def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:

@@ -64,6 +64,9 @@ def monitor(
     json: Json = False,
     quiet: Quiet = False,
     *,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="With --fit: replace the model file if it exists.")
+    ] = False,
     serve: Beside = False,
     drops: Drops = False,
     host: Host = HOST,
@@ -95,12 +98,14 @@ def monitor(
         raise typer.BadParameter("there is no recording: give CSV files, or a file of wires with --live.")
     if model is None and not fit:
         raise typer.BadParameter("there is no model: give a file with --model, or fit one to the recording with --fit.")
+    if overwrite and not fit:
+        raise typer.BadParameter("--overwrite replaces the model file that --fit writes: add --fit, or leave it out.")
     if not fit and (sensors or start is not None or stop is not None):
         raise typer.BadParameter("--from, --to and --sensor choose what to fit: add --fit.")
     model = model or (out or Path()) / MODEL
     fitted = None
     if fit:
-        fitted, fitted_to = fit_files(recording, Fit(start, stop, tuple(sensors or ())), model)
+        fitted, fitted_to = fit_files(recording, Fit(start, stop, tuple(sensors or ())), model, overwrite=overwrite)
         if not (json or quiet):
             print_fit(fitted, fitted_to, model)
     loaded = load_monitor(model)

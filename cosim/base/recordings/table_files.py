@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.recordings.csv_form import ENCODING, form_of
+from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 
@@ -91,8 +93,31 @@ def exact_numbers() -> dict[str, Any]:
     return {"float_precision": "round_trip"} if (major, minor) < (3, 1) else {}
 
 
+def _read_csv(path: str | PathLike[str]) -> pd.DataFrame:
+    import pandas as pd
+
+    form = form_of(path)
+    table: pd.DataFrame = pd.read_csv(
+        path, encoding=ENCODING, sep=form.separator, decimal=form.decimal, **exact_numbers()
+    )
+    return table
+
+
+def _with_seconds(table: pd.DataFrame, path: str | PathLike[str]) -> pd.DataFrame:
+    """Return the table with the dates in columns of times as numbers in the unit of the column's name."""
+    seconds = {}
+    for name in table.columns:
+        if time_column([str(name)]) and are_dates(table[name]):
+            unit = time_unit(name)
+            seconds[name] = as_seconds(table[name], f"column {name!r} of {path}")[0] * unit.denominator / unit.numerator
+    return table.assign(**seconds)
+
+
 def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
     """Return the table in a file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
+
+    Columns of a CSV file may be separated by semicolons, tabs or bars; then numbers may have decimal commas. Dates (ISO 8601) in
+    a column of times become the unit of its name, by default seconds, from the first one on.
 
     Raises
     ------
@@ -102,7 +127,8 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
     import pandas as pd
 
     try:
-        return pd.read_parquet(path) if Path(path).suffix == ".parquet" else pd.read_csv(path, **exact_numbers())
+        table = pd.read_parquet(path) if Path(path).suffix == ".parquet" else _read_csv(path)
+        return _with_seconds(table, path)
     except (OSError, ValueError, ImportError) as error:  # pandas without a package for Parquet raises the last
         message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
         raise RecordingError(

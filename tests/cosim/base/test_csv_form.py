@@ -1,0 +1,109 @@
+"""CSV files with other separators, decimal commas and dates, wherever a recording is read."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayesftc import cosim, monitoring
+from bayesftc.cosim.base.recordings.csv_form import CsvForm, form_of
+from bayesftc.cosim.base.recordings.table_files import read_table_file
+from bayesftc.cosim.errors import RecordingError
+
+TIMES = [0.0, 0.5, 1.0, 1.5]
+LEFT = [1.25, 2.5, -0.75, 1e-3]
+RIGHT = [1.0, 2.0, 3.0, 4.0]
+DATES = ["2026-05-01T10:00:00", "2026-05-01T10:00:00.5", "2026-05-01T10:00:01", "2026-05-01T10:00:01.5"]
+
+
+def write(path, separator=",", decimal=".", times=TIMES, names=("t", "left", "right")):
+    rows = [map(str, row) for row in zip(times, LEFT, RIGHT, strict=True)]
+    lines = [separator.join(names), *(separator.join(cell.replace(".", decimal) for cell in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(",", "."), (";", ","), (";", "."), ("\t", "."), ("\t", ","), ("|", ".")]
+)
+@pytest.mark.parametrize("times", [TIMES, DATES])
+def test_every_reader_reads_every_form(separator, decimal, times, tmp_path):
+    file = write(tmp_path / "drive.csv", separator, decimal, times)
+    assert form_of(file) == CsvForm(separator, decimal)
+    table = read_table_file(file)
+    signals = monitoring.redundant_signals([file])[1]
+    source = cosim.Table.read(file, "left")
+    for found in (table["t"], signals["left"].time, source.times):
+        np.testing.assert_array_equal(found, TIMES)
+    for found in (table["left"], signals["left"].values, source.values):
+        np.testing.assert_array_equal(found, LEFT)
+
+
+@pytest.mark.parametrize(
+    ("text", "form"),
+    [
+        ("t,a;b\n0,1\n", CsvForm()),  # a name with a semicolon
+        ("t;a\n0;1\n0,5;2\n", CsvForm(";", ",")),  # whole numbers first
+        ("t;a\n0.5;1\n", CsvForm(";")),
+        ("t;a,b\n0;1\n", CsvForm(";")),  # a name with a comma
+        ("t;a\n", CsvForm(";")),
+        ('"t";"a, in m"\n0;"1,5"\n', CsvForm(";", ",")),
+        ("t,a\n0,1\n1\n", CsvForm()),  # a row that is too short
+        ("t\n0\n", CsvForm()),
+    ],
+)
+def test_the_form_is_found_from_all_rows(text, form, tmp_path):
+    file = tmp_path / "drive.csv"
+    file.write_text(text)
+    assert form_of(file) == form
+
+
+def test_an_unusual_file_is_announced_once(tmp_path, caplog):
+    file = write(tmp_path / "drive.csv", ";", ",", DATES)
+    for _ in range(2):
+        read_table_file(file)
+    lines = [record.getMessage() for record in caplog.records]
+    assert [line.replace(str(file), "drive.csv") for line in lines] == [
+        "drive.csv is read with semicolons between its columns and decimal commas.",
+        "The dates in column 't' of drive.csv are read as seconds from 2026-05-01 10:00:00.",
+    ]
+    read_table_file(write(tmp_path / "usual.csv"))
+    assert len(caplog.records) == len(lines)
+
+
+def test_files_with_dates_have_one_origin(tmp_path):
+    first = write(tmp_path / "a.csv", times=DATES)
+    later = write(tmp_path / "b.csv", times=[date.replace("T10:00", "T10:01") for date in DATES])
+    signals = monitoring.redundant_signals([first, later])[1]
+    assert np.asarray(signals["b_left"].time)[0] - np.asarray(signals["left"].time)[0] == 60.0
+
+
+def test_time_zones_and_a_column_of_another_name(tmp_path):
+    dates = [
+        "2026-05-01 10:00:00+02:00",
+        "2026-05-01 08:00:00,5Z",
+        "2026-05-01 10:00:01+02:00",
+        "2026-05-01 08:00:01.5Z",
+    ]
+    file = write(tmp_path / "drive.csv", ";", times=dates, names=("Zeit", "left", "right"))
+    np.testing.assert_array_equal(monitoring.redundant_signals([file])[1]["left"].time, TIMES)
+
+
+def test_the_unit_in_the_name_of_a_column_of_dates_does_not_change_its_times(tmp_path):
+    file = write(tmp_path / "drive.csv", times=DATES, names=("t_ms", "left", "right"))
+    assert cosim.Table.read(file, "left").times == tuple(TIMES)
+    np.testing.assert_array_equal(monitoring.redundant_signals([file])[1]["left"].time, TIMES)
+
+
+def test_dates_of_pandas_in_a_parquet_file(tmp_path):
+    pytest.importorskip("pyarrow")
+    file = tmp_path / "drive.parquet"
+    pd.DataFrame({"time": pd.to_datetime(DATES, format="ISO8601"), "left": LEFT}).to_parquet(file)
+    np.testing.assert_array_equal(read_table_file(file)["time"], TIMES)
+
+
+def test_a_date_that_is_none_is_named(tmp_path):
+    file = write(tmp_path / "drive.csv", times=[*DATES[:3], "noon"])
+    with pytest.raises(
+        RecordingError, match=r"'noon' in line 5, column 't', is no number. Write times as .* or as dates"
+    ):
+        monitoring.redundant_signals([file])

@@ -1,0 +1,113 @@
+"""An exported controller in place of the controller: in a closed loop, a scenario file, and a diagram by hand."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from bayesftc import controllers, cosim, fmus
+from bayesftc.scenario import load_scenario
+
+CAR = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0})
+MODEL = controllers.LinearModel(
+    [[0.999]], [[2e-4]], [[1], [1]], process_covariance=0.001, sensor_covariance=1.0, dt=0.02
+)
+CONTROLLER = controllers.BayesianController(
+    MODEL, controllers.GammaPrecision(forgetting=0.95), initial_mean=20.0, u_max=3000.0
+)
+
+SCENARIO = """
+[simulation]
+duration = 2.0
+[plant]
+fmu = "CruiseControl"
+control = "force"
+measured = "v"
+[sensors]
+count = 2
+std = 1.0
+[reference]
+kind = "Constant"
+value = 3.0
+[controller]
+fmu = "controller.fmu"
+"""
+
+
+def loop(controller, **settings):
+    return cosim.closed_loop(
+        plant=CAR,
+        controller=controller,
+        control="force",
+        measured="v",
+        sensors=cosim.Sensors(count=2, std=1.0),
+        faults=[cosim.Drift(sensor=0, start=1.0, slope=1.0)],
+        reference=cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),
+        **settings,
+    )
+
+
+@pytest.fixture(scope="module", params=["2.0", "3.0"])
+def path(request, tmp_path_factory, c_compiler):
+    folder = tmp_path_factory.mktemp("exported")
+    return cosim.export_fmu(CONTROLLER, folder / "controller.fmu", fmi=request.param)
+
+
+@pytest.mark.parametrize("dt", [None, 0.01])
+def test_a_loop_takes_the_fmu_in_place_of_the_controller_with_the_same_numbers(path, dt):
+    runs = [loop(each, dt=dt).simulate(2.0, seed=1) for each in (CONTROLLER, cosim.FMU(path))]
+    for signal in ("plant.v", "controller.u", "controller.x_hat", "controller.P", "controller.precision"):
+        assert np.array_equal(runs[0][signal], runs[1][signal]), signal
+    assert runs[1].roles is not None
+    assert [role.name for role in runs[1].roles.quantities] == ["v"]
+
+
+def test_an_fmu_of_numbers_has_arrays_as_its_controller_does(path):
+    fmu = cosim.FMU(path, arrays=True)
+    for side in ("inputs", "outputs"):
+        of_controller = {port.name: (port.shape, port.unit) for port in getattr(CONTROLLER, side)}
+        of_fmu = {port.name: (port.shape, port.unit) for port in getattr(fmu, side)}
+        assert of_controller.items() <= of_fmu.items()
+
+
+def test_its_tunable_numbers_stay_inputs_when_it_is_copied(path):
+    fmu = cosim.FMU(path, arrays=True, tunable=["precision.forgetting"])
+    changed = dataclasses.replace(fmu, parameters={"precision.forgetting": 0.9})
+    names = ["y", "goal", "precision.forgetting"]
+    assert [port.name for port in fmu.inputs] == [port.name for port in changed.inputs] == names
+    assert "y(2), goal(1), precision.forgetting -> u(1)" in repr(changed)
+    campaign = cosim.Campaign(
+        loop(cosim.FMU(path)),
+        duration=0.1,
+        grid={"controller.parameters.precision.forgetting": [0.5, 0.9]},
+        metrics=[cosim.RMSE("plant.v", "reference.y", name="rmse")],
+    )
+    assert len(campaign.run().table) == 2
+
+
+def test_a_scenario_takes_the_fmu(path, tmp_path):
+    (tmp_path / "controller.fmu").write_bytes(path.read_bytes())
+    file = tmp_path / "mine.toml"
+    file.write_text(SCENARIO)
+    assert load_scenario(file).simulate()["controller.u"].shape == (101, 1)
+    file.write_text(SCENARIO + '[model]\nkind = "from_fmu"\n')
+    with pytest.raises(cosim.ScenarioError, match="'model' cannot be used with an FMU as controller"):
+        load_scenario(file)
+
+
+def test_a_diagram_by_hand_says_how_numbers_become_one_port(tmp_path, c_compiler):
+    path = cosim.export_fmu(CONTROLLER, tmp_path / "controller.fmu")
+    diagram = cosim.Diagram(0.02)
+    sensors = diagram.add(cosim.Gaussian(std=(1.0, 1.0)))
+    with pytest.raises(cosim.UnknownNameError, match=r"no port 'y', but y\[0\] and y\[1\].*arrays=True"):
+        diagram.connect(sensors["y"], diagram.add(cosim.FMU(path), "scalars")["y"])
+    diagram.connect(sensors["y"], diagram.add(cosim.FMU(path, arrays=True), "controller")["y"])
+    assert diagram.simulate(0.1)["controller.u"].shape == (6, 1)
+
+
+def test_elements_in_another_order_stay_numbers(tmp_path, c_compiler):
+    path = cosim.export_fmu(CONTROLLER, tmp_path / "controller.fmu")
+    fmu = cosim.FMU(path, arrays=True, inputs=["y[1]", "y[0]", "goal[0]"])
+    assert [port.name for port in fmu.inputs] == ["y[1]", "y[0]", "goal"]
+    with pytest.raises(cosim.ModelError, match="arrays=1; it must be True or False"):
+        cosim.FMU(path, arrays=1)

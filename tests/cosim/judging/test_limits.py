@@ -1,0 +1,53 @@
+"""A transient at the start does not squeeze the rest of a panel, and what is cut off is marked."""
+
+import numpy as np
+import pytest
+
+from bayesftc.cosim.judging.limits import limit_axis
+from bayesftc.cosim.judging.loop_figure import draw_quantity
+from bayesftc.cosim.judging.panels import make_panels
+from bayesftc.cosim.judging.signals import QuantitySignals
+
+TIME = np.linspace(0.0, 10.0, 1001)
+WAVE = np.sin(TIME)
+
+
+def limits(whole, cut):
+    (axis,) = make_panels([2.0])[1]
+    for line in (*whole, *cut):
+        axis.plot(TIME, line)
+    before = axis.get_ylim()
+    limit_axis(axis, TIME, whole, cut)
+    return before, axis.get_ylim(), [text.get_text() for text in axis.texts]
+
+
+def test_a_transient_at_the_start_is_cut_off_and_marked():
+    _, (low, high), texts = limits([WAVE], [WAVE + 50.0 * (TIME < 0.2) - 80.0 * (TIME == 0.3)])
+    assert (low, high) == pytest.approx((-1.16, 1.16), abs=0.05)
+    assert texts == ["cut off: up to 50.2", "cut off: down to -79.7"]
+
+
+@pytest.mark.parametrize(
+    ("whole", "cut"),
+    [
+        ([WAVE + 50.0 * (TIME < 0.2)], [WAVE]),  # the true value is never cut off
+        ([WAVE], [WAVE + 50.0 * ((TIME > 3.0) & (TIME < 3.1))]),  # nor is a later transient
+        ([WAVE], [WAVE + 1.5 * (TIME < 0.2)]),  # nor a small one
+        ([], [np.full_like(TIME, np.nan)]),
+        ([], [np.where(TIME < 0.2, 50.0, 1.0)]),  # there would be no range left
+        ([], []),
+    ],
+)
+def test_other_axes_stay_as_they_are(whole, cut):
+    before, after, texts = limits(whole, cut)
+    assert before == after
+    assert not texts
+
+
+def test_the_wide_interval_of_the_first_belief_is_cut_off():
+    (axis,) = make_panels([2.0])[1]
+    spread = np.where(TIME < 0.1, 100.0, 0.1)
+    quantity = QuantitySignals("level", "m", (0,), WAVE, WAVE, WAVE, True, True, spread)
+    draw_quantity(axis, time=TIME, quantity=quantity)
+    assert np.abs(axis.get_ylim()).max() < 1.5
+    assert [text.get_text() for text in axis.texts] == ["cut off: up to 196", "cut off: down to -196"]
