@@ -17,7 +17,7 @@ PATH = {"path": True}
 """Metadata of a field with a path, which begins at the folder of the file of wires."""
 
 PATIENCE = 2.0
-"""Seconds that `Reconnecting.close` waits for the thread."""
+"""Seconds that a bridge waits for its thread when it is closed."""
 
 
 class Bridge(ABC):
@@ -31,7 +31,8 @@ class Bridge(ABC):
        raises a `bayesftc.cosim.BayesFTCError` only for what cannot become right by waiting, such as a wrong setting.
     3. For each message that arrives it calls ``inbox.put(values, sent)`` or ``inbox.receive(payload, format)``, from any
        thread. It calls ``inbox.reject(reason)`` for a message that it cannot decode. A bridge that can look for messages
-       without waiting needs no thread: it does so in `collect`, which the loop calls before each step.
+       without waiting needs no thread: it does so in `collect`, which the loop calls before each step. It returns at once, and
+       gives ``age=`` if it knows for how long a message has waited.
     4. `send` returns at once and never raises. A value that cannot be sent now is lost, and `lost` counts it.
     5. `close` ends its threads, and sends what was given to `send` last, if it can within a second or two.
 

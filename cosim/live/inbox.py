@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.live.formats import Format, decode
+from bayesftc.cosim.live.formats import Format, Message, decode
 from bayesftc.cosim.types import Floats
 
 NONE, LATE, STALE, ORDER, TWICE, NUMBER, RANGE, DECODING, SIZE, STATUS, DROPPED = REASONS = (
@@ -199,8 +199,11 @@ class Inbox:
         age : float
             Seconds since it arrived.
         """
-        now = self._clock() - age
-        raw = values if isinstance(values, tuple) else np.ravel(np.asarray(values, dtype=np.float64)).tolist()
+        raw = tuple(np.ravel(np.asarray(values, dtype=np.float64)).tolist())
+        self._put(Message(raw, sent, sequence), kept, self._clock() - age)
+
+    def _put(self, message: Message, kept: bool, now: float) -> None:
+        raw, sent, sequence = message
         with self._lock:
             self.received += 1
             if self._is_dropped(now):
@@ -240,11 +243,11 @@ class Inbox:
             Seconds since it arrived.
         """
         try:
-            values, sent, sequence = decode(payload, form)
+            message = decode(payload, form)
         except ValueError as error:
             self.reject(str(error), age=age)
         else:
-            self.put(values, sent, sequence=sequence, kept=kept, age=age)
+            self._put(message, kept, self._clock() - age)
 
     def reject(self, reason: str, *, age: float = 0.0) -> None:
         """Count a message that cannot be decoded, from any thread; `reason` is shown as the last one."""

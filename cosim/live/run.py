@@ -322,17 +322,29 @@ def _quick_switches() -> Iterator[None]:
         sys.setswitchinterval(before)
 
 
+_settling = threading.Lock()
+_settled: list[bool] = []
+"""For each live run of this process, whether objects had been left out of garbage collections before it."""
+
+
 @contextmanager
 def _settled_memory() -> Iterator[None]:
-    """Leave what exists now out of garbage collections: to search all of it takes 50 ms, in which no step can be made."""
+    """Leave what exists now out of garbage collections: to search all of it takes 50 ms, in which no step can be made.
+
+    The last run to end undoes this, unless the program had left out objects of its own (`gc.freeze`) before.
+    """
     gc.collect()
-    frozen = gc.get_freeze_count()
-    gc.freeze()
+    with _settling:
+        _settled.append(not _settled and gc.get_freeze_count() > 0)
+        gc.freeze()
     try:
         yield
     finally:
-        if not frozen:
-            gc.unfreeze()
+        with _settling:
+            others = any(_settled)
+            _settled.pop()
+            if not _settled and not others:
+                gc.unfreeze()
 
 
 class _Loop:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import socket
 import struct
 import sys
@@ -10,6 +9,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from selectors import EVENT_READ, DefaultSelector
 from threading import Lock, Thread
 from typing import Any
 
@@ -22,16 +22,16 @@ POLL = 0.2
 """Most seconds after which the thread looks whether the bridge was closed."""
 
 ARRIVAL = 35 if sys.platform == "linux" else None
-"""Linux: the option SO_TIMESTAMPNS of a socket and the kind of its notes, with the time at which the kernel got a packet."""
+"""Linux: the option SO_TIMESTAMPNS of a socket, and the kind of the ancillary data with the time of a packet's arrival."""
 
 OFTEN = 0.02
 """Seconds between two looks of the thread if packets have the time of their arrival: the buffer must not overflow."""
 
-NOTES = 64
-"""Most bytes of the notes of a packet."""
+ANCILLARY = 64
+"""Most bytes of the ancillary data of a packet."""
 
-MOST = 1000
-"""Most packets at a look, so that a flood does not hold up a step for ever."""
+AT_ONCE, MOST = 30, 1000
+"""Most packets that a step takes, which a flood must not hold up, and most that the thread takes at one look."""
 
 
 @dataclass(eq=False)
@@ -73,7 +73,8 @@ class UDP(Bridge):
     _socket: socket.socket | None = field(default=None, init=False, repr=False)
     _thread: Thread | None = field(default=None, init=False, repr=False)
     _inbox: Inbox | None = field(default=None, init=False, repr=False)
-    _reading: Any = field(default_factory=Lock, init=False, repr=False)
+    _reading: Any = field(default=None, init=False, repr=False)
+    _is_stamped: bool = field(default=False, init=False, repr=False)
     _emptied: float = field(default=0.0, init=False, repr=False)
     _last: bytes = field(default=b"", init=False, repr=False)
 
@@ -104,8 +105,7 @@ class UDP(Bridge):
                 self._where = where
             else:
                 self._socket.bind(where)
-                if ARRIVAL is not None:
-                    self._socket.setsockopt(socket.SOL_SOCKET, ARRIVAL, 1)
+                self._is_stamped = _stamped(self._socket)
         except OSError as error:
             self.close()
             what = "send to" if inbox is None else "listen at"
@@ -114,6 +114,7 @@ class UDP(Bridge):
                 "whether another program uses the port."
             ) from None
         self.connected, self._inbox, self._emptied = True, inbox, time.monotonic()
+        self._reading = Lock()
         if inbox is not None:
             self._thread = Thread(target=self._listen, args=(self._socket,), name="UDP", daemon=True)
             self._thread.start()
@@ -142,47 +143,69 @@ class UDP(Bridge):
             opened.close()
 
     def collect(self) -> None:
-        """Put the packets that have come into the inbox."""
+        """Put the packets that have come into the inbox, some of them if they are many."""
+        for _ in range(AT_ONCE):
+            if not self._take():
+                return
+
+    def _take(self) -> bool:
+        """Put the next packet into the inbox; return whether there was one."""
         with self._reading:
-            for _ in range(MOST):
-                opened, inbox, now = self._socket, self._inbox, time.monotonic()
-                if opened is None or inbox is None:
-                    return
-                try:
-                    payload, age, sender = _packet(opened)
-                except BlockingIOError:
-                    self._emptied = now
-                    return
-                except OSError as error:
-                    self.problem = str(error)
-                    return
-                age = min(age, now - self._emptied)  # also if the clock of the kernel's times is set
-                if self.sender is not None and sender != self.sender:
-                    inbox.reject(f"from {sender}", age=age)
-                else:
-                    inbox.receive(payload, self.format, age=age)
+            opened, inbox, now = self._socket, self._inbox, time.monotonic()
+            if opened is None or inbox is None:
+                return False
+            try:
+                payload, age, sender = _packet(opened, self._is_stamped)
+            except BlockingIOError:
+                self._emptied = now
+                return False
+            except OSError as error:
+                self.problem = str(error)
+                return True
+            age = min(age, now - self._emptied)  # also if the clock of the kernel's times is set
+            if self.sender is not None and sender != self.sender:
+                inbox.reject(f"from {sender}", age=age)
+            else:
+                inbox.receive(payload, self.format, age=age)
+            return True
 
     def _listen(self, opened: socket.socket) -> None:
-        """Collect packets beside the steps.
+        """Take packets beside the steps.
 
-        The loop collects them before each step by itself: to wake a thread for each packet would cost it more than all else that
-        it does. Where packets bear the time of their arrival, nothing is lost by this but the room in the buffer of the socket.
+        The loop takes them before each step by itself: to wake a thread for each packet would cost it more than all else that it
+        does. Without the time of their arrival, the thread waits for each one. With it, the thread only keeps the buffer of the
+        socket from overflowing if the steps are few.
         """
-        while self._socket is opened:
-            if ARRIVAL is not None:
-                time.sleep(OFTEN)
-            else:
-                select.select([opened], [], [], POLL)
-            self.collect()
+        with DefaultSelector() as waiting:
+            waiting.register(opened, EVENT_READ)
+            while self._socket is opened:
+                if self._is_stamped:
+                    time.sleep(OFTEN)
+                elif not waiting.select(POLL):
+                    continue
+                for _ in range(MOST):
+                    if not self._take():
+                        break
 
 
-def _packet(opened: socket.socket) -> tuple[bytes, float, str]:
-    """Return the next packet, the seconds since the kernel got it (0 if it does not tell), and the address of its sender."""
+def _stamped(opened: socket.socket) -> bool:
+    """Ask for the time at which the kernel gets each packet; return whether it gives it."""
     if ARRIVAL is None:
+        return False
+    try:
+        opened.setsockopt(socket.SOL_SOCKET, ARRIVAL, 1)
+    except OSError:  # such as a sandbox that leaves out this option
+        return False
+    return True
+
+
+def _packet(opened: socket.socket, is_stamped: bool) -> tuple[bytes, float, str]:
+    """Return the next packet, the seconds since the kernel got it (0 if that is unknown), and the address of its sender."""
+    if not is_stamped:
         payload, (sender, *_) = opened.recvfrom(LONGEST)
         return payload, 0.0, sender
-    payload, notes, _, (sender, *_) = opened.recvmsg(LONGEST, NOTES)
-    for level, kind, data in notes:
+    payload, ancillary, _, (sender, *_) = opened.recvmsg(LONGEST, ANCILLARY)
+    for level, kind, data in ancillary:
         if (level, kind) == (socket.SOL_SOCKET, ARRIVAL):
             seconds, nanoseconds = struct.unpack("@ll", data)
             return payload, max(time.time() - (seconds + 1e-9 * nanoseconds), 0.0), sender

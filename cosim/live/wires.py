@@ -137,7 +137,11 @@ class Incoming:
 
     def read(self, inputs: Floats, late: float, behind: int) -> None:
         """Write the sample into the vector of inputs; an input that bears no missing sample keeps its last one."""
-        self.wire.bridge.collect()
+        bridge = self.wire.bridge
+        try:
+            bridge.collect()
+        except Exception as error:  # noqa: BLE001 - a bridge of one's own may raise anything; its samples are missing then
+            bridge.problem = f"{type(error).__name__}: {error}"
         values = self.inbox.take(late, behind)
         if self.bears_missing:
             inputs[self.places] = values
@@ -188,7 +192,7 @@ class Outgoing:
             if wire.safe is not None:
                 self.make_safe(time)
                 return
-        clipped = [value if value != value else min(max(value, wire.low), wire.high) for value in values]
+        clipped = [value if value != value else min(max(value, float(wire.low)), float(wire.high)) for value in values]
         self.clipped += any(map(ne, clipped, values))
         with self._lock:
             self._time = time

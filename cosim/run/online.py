@@ -108,6 +108,21 @@ class Online:
 
         This is the quick form of a call, for loops that are short of time.
 
+        Parameters
+        ----------
+        inputs : ndarray, shape (elements,)
+            The elements of all `inputs` in their order, also of those with a start value; NaN for a missing sample.
+
+        Returns
+        -------
+        ndarray, shape (elements,)
+            The elements of all `outputs` in their order.
+
+        Raises
+        ------
+        ModelError
+            If there are more or fewer elements.
+
         Examples
         --------
         >>> from bayesftc import cosim
@@ -116,6 +131,9 @@ class Online:
         [[0.0], [1.0], [2.0]]
         """
         into, out = self._places
+        if len(inputs) != len(into):
+            names = ", ".join(self._inputs)
+            raise ModelError(f"{self._title} has {len(into)} elements of inputs ({names}), not {len(inputs)}.")
         self._memory[into] = inputs
         self._make_step()
         outputs: Floats = self._memory[out]

@@ -11,6 +11,7 @@ import os
 import platform
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import util
 from pathlib import Path
 from types import FunctionType
@@ -56,9 +57,16 @@ def _found(name: str, find: Callable[[], FunctionType]) -> int:
     STATISTICS["compiled" if code is None else "loaded"] += 1
     if code is None:
         with announced(True):
-            code = closed_code(shipped_text(name) or _numbas_text(find, name), name)
+            code = _compiled(name, find)
         write_whole(path, sealed(code))
     return load(code, name) if code else _by_numba(find)
+
+
+def _compiled(name: str, find: Callable[[], FunctionType]) -> bytes:
+    if text := shipped_text(name):
+        with suppress(RuntimeError):  # an older LLVM may not know the text of a newer one
+            return closed_code(text, name)
+    return closed_code(_numbas_text(find, name), name)
 
 
 def _numbas_text(find: Callable[[], FunctionType], name: str) -> str:

@@ -11,7 +11,7 @@ import hashlib
 import json
 import lzma
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -20,7 +20,8 @@ from typing import Any
 
 from bayesftc.cosim import ops
 from bayesftc.cosim.stepping.fingerprint import fingerprint_of_files
-from bayesftc.cosim.types import argument_names
+from bayesftc.cosim.stepping.source.tree import Sections
+from bayesftc.cosim.types import Kernel, argument_names
 
 ROOT = Path(str(resources.files("bayesftc.cosim")))
 
@@ -30,6 +31,9 @@ STEPS = FILE.with_name("steps.json.xz")
 
 ENTRY = "shipped_step"
 """The name of step functions in their text."""
+
+COMPILER = ("machine", "source", "translate")
+"""The folders of the compiler of step functions."""
 
 MACHINES = ("x86_64", "AMD64")
 
@@ -48,6 +52,16 @@ def digest_of(files: Iterable[Path]) -> str:
     for file in files:
         digest.update(file.read_bytes())
     return digest.hexdigest()
+
+
+def compiler_files() -> list[Path]:
+    """Return the files of the compiler of step functions."""
+    return sorted(file for part in COMPILER for file in (ROOT / "stepping" / part).glob("*.py"))
+
+
+def places_of(kernel: Kernel, sections: Sections) -> str:
+    """Return the places of a step function's arguments, as text."""
+    return repr([(name, sections.get(name)) for name in argument_names(kernel)])
 
 
 def sources_digest() -> str:
@@ -77,20 +91,21 @@ def _steps() -> dict[str, dict[str, Any]]:
     return steps
 
 
-def shipped_step(kernel: FunctionType, sections: Mapping[str, Any], name: str) -> str | None:
+def shipped_step(kernel: FunctionType, sections: Sections, name: str) -> str | None:
     """Return the optimised text of a step function, with the name `name`; None if the package has none for this machine."""
     if not _steps():
         return None
     key, files = step_key(kernel, sections)
     found = _steps().get(key)
-    if found is None or found["sources"] != digest_of(files):
+    try:
+        is_present = found is not None and found["sources"] == digest_of(files)
+    except OSError:  # a package without its sources
         return None
-    return str(found["text"]).replace(ENTRY, name)
+    return str(found["text"]).replace(ENTRY, name) if found and is_present else None
 
 
-def step_key(kernel: FunctionType, sections: Mapping[str, Any]) -> tuple[str, list[Path]]:
-    """Return a hash of a step function and its places that does not depend on the version of Python, and all its sources."""
-    places = repr([(name, sections.get(name)) for name in argument_names(kernel)])
-    key, files = fingerprint_of_files(kernel, f"{ops.OF_LIBRARY} {places}")
-    compiler = (file for part in ("machine", "source", "translate") for file in (ROOT / "stepping" / part).glob("*.py"))
-    return key, sorted({*files, *compiler, ROOT / "ops.py", ROOT / "elementary.py"})
+def step_key(kernel: FunctionType, sections: Sections) -> tuple[str, list[Path]]:
+    """Return a hash of a step function and its places, the same in several versions of Python, and all its sources."""
+    key, files = fingerprint_of_files(kernel, f"{ops.OF_LIBRARY} {places_of(kernel, sections)}")
+    others = ("ops.py", "elementary.py", "stepping/fingerprint.py", "stepping/foreign.py", "stepping/records.py")
+    return key, sorted({*files, *compiler_files(), *(ROOT / name for name in others)})

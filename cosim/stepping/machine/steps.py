@@ -1,22 +1,20 @@
 """Compile step functions to C functions with one signature, once per machine.
 
 Every compiled block is ``int32 f(state, parameters, inputs, outputs, t, k)``: four addresses of float64 arrays, the time in
-seconds and the block's integer step count. A step function is translated to the same C as in exports, and LLVM compiles it. The
-machine code is stored in the user's cache folder, in a file whose *name* is a hash of everything it depends on
-(:mod:`bayesftc.cosim.stepping.fingerprint`). Functions that cannot be translated to C are compiled by numba, which supports more
-of Python and takes ten times as long.
+seconds and the block's integer step count. A step function is translated to the same C as in exports, and LLVM compiles it. Some
+long ones stand in the package in LLVM's format already (`shipped`). The machine code is stored in the user's cache folder, in a
+file whose *name* is a hash of everything it depends on (:mod:`bayesftc.cosim.stepping.fingerprint`). Functions that cannot be
+translated to C are compiled by numba, which supports more of Python and takes ten times as long.
 """
 
 from __future__ import annotations
 
-import hashlib
 import operator
 import platform
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
-from importlib import resources
 from itertools import pairwise
 from math import prod
 from types import FunctionType
@@ -37,10 +35,10 @@ from bayesftc.cosim.stepping.fingerprint import composed, depends_on, fingerprin
 from bayesftc.cosim.stepping.kept import STATISTICS, read_own, write_whole
 from bayesftc.cosim.stepping.machine.code import features, load, machine_code, opened, ready_code, sealed
 from bayesftc.cosim.stepping.machine.lowering import lowered
-from bayesftc.cosim.stepping.machine.shipped import shipped_step
+from bayesftc.cosim.stepping.machine.shipped import compiler_files, digest_of, places_of, shipped_step
 from bayesftc.cosim.stepping.source.tree import Sections, parameters
 from bayesftc.cosim.stepping.translate.functions import Functions
-from bayesftc.cosim.types import Kernel, argument_names
+from bayesftc.cosim.types import Kernel
 
 lenient = True
 """Whether numba is also used after an error of this compiler, and not only for unsupported Python; False in tests."""
@@ -50,18 +48,8 @@ _addresses: dict[str, int] = {}
 _kernels: WeakKeyDictionary[FunctionType, dict[str, tuple[list[Any], str]]] = WeakKeyDictionary()
 
 
-def _compiler_digest() -> str:
-    """Return a hash of this compiler's files when they are loaded; they may be edited later."""
-    digest = hashlib.sha256()
-    for part in ("machine", "source", "translate"):
-        folder = resources.files(f"bayesftc.cosim.stepping.{part}")
-        for file in sorted(folder.iterdir(), key=lambda f: f.name):
-            if file.name.endswith(".py"):
-                digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-_COMPILER_DIGEST = _compiler_digest()
+_COMPILER_DIGEST = digest_of(compiler_files())
+"""A hash of the compiler's files when they are loaded; they may be edited later."""
 
 
 def compile_kernel(kernel: Kernel, sections: Sections) -> int:
@@ -96,7 +84,7 @@ def _plain(kernel: Kernel) -> FunctionType:
 def name_of(kernel: Kernel, sections: Sections) -> str:
     """Return the name of a compiled step function: a hash of everything that its code depends on."""
     function = _plain(kernel)
-    places = repr([(name, sections.get(name)) for name in argument_names(kernel)])
+    places = places_of(kernel, sections)
     with _lock:
         cached = _kernels.setdefault(function, {})
         present = depends_on(function)
@@ -142,7 +130,8 @@ def load_or_compile(name: str, compiled: Callable[[], bytes]) -> int:
 
 def _compiled(kernel: FunctionType, sections: Sections, name: str) -> bytes:
     if ready := shipped_step(kernel, sections, name):
-        return ready_code(ready)
+        with suppress(RuntimeError):  # an older LLVM may not know the text of a newer one
+            return ready_code(ready)
     with sentences(kernel):
         return machine_code(lowered(*text_of(kernel, sections, name)))
 

@@ -1,5 +1,6 @@
 """The live run: wires in and out, safe values, the watchdog, the end by a signal, by an error and by a kill."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -36,6 +37,42 @@ def in_thread(until, condition, *arguments):
         stop.request("enough")
         thread.join(30)
     return results[0]
+
+
+def test_an_error_while_samples_are_collected_makes_them_missing(memory):
+    source, sink = memory(), memory()
+
+    def collect():
+        raise OSError("the line is cut")
+
+    source.collect = collect
+    wires = {"in": live.Wire(source, to="u", start=4.0), "out": live.Wire(sink, source="y", safe=0.0)}
+    summary = live.run_live(gain(), wires, live.LiveSettings(duration=0.05))
+    assert summary.steps == 10
+    assert summary.wires_in["in"]["problem"] == "OSError: the line is cut"
+    assert summary.wires_in["in"]["missing"] == {"no message": 10}
+
+
+def test_old_objects_are_left_out_of_garbage_collections_until_the_last_run_ends(memory, until):
+    frozen = []
+
+    def run(seconds):
+        watcher = lambda *_: frozen.append((seconds, gc.get_freeze_count() > 0))  # noqa: E731
+        wires = {"out": live.Wire(memory(), source="y", safe=0.0), "in": live.Wire(memory(), to="u", start=1.0)}
+        live.run_live(gain(), wires, live.LiveSettings(duration=seconds, watcher=watcher))
+
+    live.run_live(gain(), {"in": live.Wire(memory(), to="u", start=1.0)}, live.LiveSettings(duration=0.01))
+    assert gc.get_freeze_count() > 0  # the tests have left out objects of their own
+    gc.unfreeze()
+    threads = [threading.Thread(target=run, args=(seconds,)) for seconds in (0.05, 0.6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert len(frozen) == 130
+    assert all(is_frozen for _, is_frozen in frozen)
+    assert gc.get_freeze_count() == 0
+    gc.freeze()
 
 
 def test_samples_go_in_and_outputs_go_out(memory, until):

@@ -1,5 +1,6 @@
 """UDP on real sockets: loss, reordering, duplication, and packets that are no samples."""
 
+import copy
 import random
 import socket
 import struct
@@ -93,6 +94,29 @@ def test_packets_that_come_while_no_step_is_made_are_collected(listener, raw):
             until(lambda k=k: box.received == k)
     assert box.take(behind=8).tolist() == [992.0]
     assert box.replaced == 991
+
+
+def test_a_flood_does_not_hold_up_a_step(listener, raw, monkeypatch):
+    monkeypatch.setattr(udp, "OFTEN", 1.0)
+    box = Inbox(1)
+    listener.open(box)
+    for k in range(1, 2 * udp.AT_ONCE + 1):
+        raw.sendto(struct.pack("<2d", 0.01 * k, float(k)), ("127.0.0.1", listener.port_number))
+    time.sleep(0.1)
+    listener.collect()
+    assert box.received == udp.AT_ONCE
+
+
+@pytest.mark.parametrize("option", [None, 12_345])  # a system without times of arrival, and one that refuses the option
+def test_without_times_of_arrival_each_packet_is_taken_at_once(listener, raw, monkeypatch, option):
+    monkeypatch.setattr(udp, "ARRIVAL", option)
+    box = Inbox(1)
+    listener.open(box)
+    for k in range(1, 11):
+        raw.sendto(struct.pack("<2d", 0.01 * k, float(k)), ("127.0.0.1", listener.port_number))
+        until(lambda k=k: box.received == k)
+    assert box.take(behind=8).tolist() == [2.0]
+    assert copy.deepcopy(UDP(port=0)) is not None
 
 
 def test_a_sender_without_listener_goes_on(raw):

@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.cosim import Port
 from bayesftc.cosim.ops import isnan, select
 
@@ -155,3 +155,15 @@ def test_each_has_its_own_state(same_bits):
     for i in range(4):
         plain = Filter().online(compiled=False)
         same_bits(rows[i], [plain(y=[k * (i + 1) * 0.1, 0.0]).u for k in range(500)])
+
+
+def test_the_quick_form_is_a_call_with_flat_vectors():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    called, quick = (controllers.BayesianController(model).online(compiled=False) for _ in range(2))
+    assert list(quick.inputs) == ["y", "goal"]
+    for y in ([0.1, 0.2], [math.nan, 0.3]):
+        out = called(y=y, goal=[1.0])
+        row = quick.advance(np.array([*y, 1.0]))
+        assert np.array_equal(row, np.concatenate([np.ravel(value) for value in out.values()]), equal_nan=True)
+    with pytest.raises(cosim.ModelError, match=r"3 elements of inputs \(y, goal\), not 1"):
+        quick.advance(np.array([20.0]))

@@ -299,8 +299,7 @@ function showSettings() {
     row.append(set);
     set.onclick = async () => {
       const entered = Number($(id).value);
-      await act({ do: what, target, value: entered });
-      if (Number($(id).value) === entered) typed.delete(id);
+      if (await act({ do: what, target, value: entered }) && Number($(id).value) === entered) typed.delete(id);
     };
     row.addEventListener("input", () => typed.set(id, $(id).value));
     set.disabled = !layout.operator;
