@@ -24,7 +24,7 @@ MODEL = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 0.01, 1.0, dt=0.1)
         ),
         (
             lambda: controllers.GammaPrecision(forgeting=0.9),
-            "GammaPrecision has no argument 'forgeting'; did you mean 'forgetting'?",
+            "GammaPrecision has no argument 'forgeting'; did you mean 'forgetting' or 'forget_to'?",
         ),
         (
             lambda: controllers.LinearModel([[1.0]], [[1.0]], [[1.0]], 1.0, 1.0, dt=1.0, name="a"),
