@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesftc.cosim.base.arguments import check_arguments
+from bayesftc.cosim.base.arguments import NamedArguments
 from bayesftc.cosim.base.html import settings
 from bayesftc.cosim.errors import BayesFTCError, KernelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, listed
@@ -82,7 +82,7 @@ class Definition:
         return type(self), tuple(values.values())
 
 
-class Block:
+class Block(NamedArguments):
     """Base of everything that a diagram consists of.
 
     To write a block you must:
@@ -107,12 +107,6 @@ class Block:
     A block that keeps these rules runs as plain Python in a debugger, one call at a time on hardware (`online`), and in the
     compiled engine. The numbers are the same to the last bit.
     """
-
-    def __new__(cls, *args: Any, **settings: Any) -> Self:
-        """Make the object; refuse arguments that the class does not have, with the names of those that it has."""
-        if args or settings:
-            check_arguments(cls, len(args), settings)
-        return super().__new__(cls)
 
     #: True: a NaN or infinity in the outputs stops the run (plants). False: a NaN is a missing sample (sensors).
     checks_finite: ClassVar[bool] = False

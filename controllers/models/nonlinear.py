@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number, as_vector
 from bayesftc.controllers.models.linear import LinearModel, SignalNames, sizes_of
 from bayesftc.controllers.models.trial import try_out
+from bayesftc.cosim.base.arguments import NamedArguments
 from bayesftc.cosim.base.html import settings
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import KernelError, ModelError
@@ -21,7 +22,7 @@ from bayesftc.cosim.types import Floats, Kernel, argument_names
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearModel:
+class NonlinearModel(NamedArguments):
     """``x_t+1 = f(x_t, u_t) + q``, ``y_t = g(x_t) + eta`` with Gaussian ``q`` and ``eta``.
 
     The functions are step functions by the rules of `bayesftc.cosim.Block`: plain Python, scalar loops, all mathematics from

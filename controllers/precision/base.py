@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from bayesftc.cosim.base.arguments import NamedArguments
 from bayesftc.cosim.base.html import settings
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
@@ -141,7 +142,7 @@ class Learner:
 
 
 @dataclass(frozen=True)
-class PrecisionLearner:
+class PrecisionLearner(NamedArguments):
     """Base of all precision learners and baselines: the part of a controller that sets the weight of each sensor.
 
     Examples

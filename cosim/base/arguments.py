@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterable
 from functools import lru_cache
+from typing import Any, Self
 
 from bayesftc.cosim.errors import did_you_mean
 
@@ -52,6 +53,16 @@ def check_arguments(cls: type, unnamed: int, named: Iterable[str]) -> None:
         )
 
 
+class NamedArguments:
+    """Base of classes that name the right argument in place of one that they do not have."""
+
+    def __new__(cls, *args: Any, **settings: Any) -> Self:
+        """Make the object; refuse arguments that the class does not have, with the names of those that it has."""
+        if args or settings:
+            check_arguments(cls, len(args), settings)
+        return super().__new__(cls)
+
+
 @lru_cache(maxsize=1024)
 def _arguments(cls: type) -> tuple[tuple[str, ...], int]:
     """Return the names of all arguments, and how many may be given without a name; none if the constructor takes any."""
@@ -62,4 +73,4 @@ def _arguments(cls: type) -> tuple[tuple[str, ...], int]:
     return tuple(each.name for each in parameters), positional
 
 
-__all__ = ["check_arguments"]
+__all__ = ["NamedArguments", "check_arguments"]

@@ -15,6 +15,7 @@ from bayesftc.cosim.control.control_system import allowed
 from bayesftc.cosim.control.loop_parts import Matrices, Parts, loop_parts
 from bayesftc.cosim.control.margins import Margins, margins_of
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import without_brackets
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -253,8 +254,12 @@ class LinearLoop:
                     f"The loop has {len(names)} {what}s: {', '.join(names)}. Name one of them: {argument}={names[0]!r}."
                 )
             return 0
+        given = name
+        for spelling in (name.partition(".")[2], name):  # `plant.u` as in results; `u[0]` as in python-control
+            if spelling and name not in names:
+                name = spelling if spelling in names else without_brackets(spelling, names) or name
         if name not in names:
-            raise UnknownNameError(f"The loop has no {what} {name!r}; {did_you_mean(name, names)}")
+            raise UnknownNameError(f"The loop has no {what} {given!r}; {did_you_mean(given, names)}")
         return names.index(name)
 
     def _title(self, what: str, at: str | None) -> str:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.diagram.nodes import PortRef
+from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.ports import Port, labels, without_brackets
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,18 @@ class Selection:
     places: np.ndarray[Any, np.dtype[np.int64]]
     columns: dict[str, tuple[int, tuple[int, ...]]]
     units: dict[str, str]
+
+
+def _named(name: str, signals: Mapping[str, tuple[Node, Port]]) -> list[str]:
+    """Return the signal of a name; of the name of an element, the whole; of a default label of python-control, its signal."""
+    whole = name.rpartition("[")[0]
+    if name in signals:
+        return [name]
+    if whole in signals and name in labels(whole, signals[whole][1].shape):
+        return [whole]
+    block, _, port = name.rpartition(".")
+    plain = without_brackets(port, [s.removeprefix(f"{block}.") for s in signals if s.startswith(f"{block}.")])
+    return [f"{block}.{plain}"] if plain else []
 
 
 def select_signals(schedule: Schedule, record: Iterable[str | PortRef] | None) -> Selection:
@@ -45,7 +58,7 @@ def select_signals(schedule: Schedule, record: Iterable[str | PortRef] | None) -
     chosen: list[str] = []
     for pattern in outputs if record is None else record:
         pattern = pattern.name if isinstance(pattern, PortRef) else str(pattern)
-        matches = [pattern] if pattern in signals else [name for name in outputs if fnmatchcase(name, pattern)]
+        matches = _named(pattern, signals) or [name for name in outputs if fnmatchcase(name, pattern)]
         if not matches:
             raise UnknownNameError(f"There is no signal {pattern!r} to record; {did_you_mean(pattern, signals)}")
         chosen += [name for name in matches if name not in chosen]

@@ -23,7 +23,7 @@ from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.paths import is_file
 from bayesftc.cosim.diagram.roles import LoopRoles, known_roles, units_of
 from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
-from bayesftc.cosim.ports import labels
+from bayesftc.cosim.ports import labels, without_brackets
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -147,11 +147,26 @@ class Result(Mapping[str, Floats]):
         return self._recording
 
     def __getitem__(self, name: str) -> Floats:
-        if not isinstance(name, str) or name not in self._columns:
+        place = self._place(name) if isinstance(name, str) else None
+        if place is None:
             raise UnknownNameError(self._without(name))
-        start, shape = self._columns[name]
+        start, shape = place
         values = self._recording[:, start : start + prod(shape)]
         return values.reshape(len(values), *shape) if len(shape) != 1 else values
+
+    def _place(self, name: str) -> tuple[int, tuple[int, ...]] | None:
+        """Return the first column and the shape of a signal, or of one element: ``u[0]``, which may also stand for ``u0``."""
+        if name in self._columns:
+            return self._columns[name]
+        whole, bracket, _ = name.rpartition("[")
+        if bracket and whole in self._columns:
+            start, shape = self._columns[whole]
+            if name in (elements := labels(whole, shape)):
+                return start + elements.index(name), ()
+        block, _, port = name.rpartition(".")
+        known = [signal.removeprefix(f"{block}.") for signal in self._columns if signal.startswith(f"{block}.")]
+        plain = without_brackets(port, known)
+        return self._columns[f"{block}.{plain}"] if plain else None
 
     def _without(self, name: object) -> str:
         """Return the message about a missing signal."""
@@ -239,7 +254,7 @@ class Result(Mapping[str, Floats]):
         """Return the scalars of some signals, a row for each, and their names."""
         chosen = [signals] if isinstance(signals, str) else list(signals)
         columns = [self[name].reshape(len(self._recording), -1) for name in chosen]
-        names = [label for name in chosen for label in labels(name, self._columns[name][1])]
+        names = [label for name in chosen for label in labels(name, self[name].shape[1:])]
         return np.hstack([np.empty((len(self._recording), 0)), *columns]).T, names
 
     def plot(self, signals: Iterable[str] | None = None) -> Figure:

@@ -65,6 +65,8 @@ class Runs:
         if name in self.signals:
             return self.signals[name]
         base, index = _element(name)
+        if base not in self.signals:
+            base, index = _resolved(name, self.diagram)
         at: tuple[Any, ...] = (..., *index)
         values: Floats = self.signals[base][at]
         return values
@@ -487,10 +489,12 @@ def _element(name: str) -> tuple[str, tuple[int, ...]]:
 
 
 def _resolved(name: str, diagram: Diagram) -> tuple[str, tuple[int, ...]]:
-    """Return signal and index as `_element` does; for a signal with brackets in its name, without an index."""
+    """Return signal and index as `_element` does; for a signal with brackets in its name, or another name, without an index."""
     with suppress(UnknownNameError):
-        if name in select_signals(diagram.schedule, [name]).columns:
-            return name, ()
+        columns = list(select_signals(diagram.schedule, [name]).columns)
+        labelled = re.fullmatch(r"[^*?\[]+\[\d+\]", name) and columns != [name.partition("[")[0]]
+        if columns == [name] or labelled:
+            return columns[0], ()  # such as `plant.u0` for python-control's label `plant.u[0]`
     return _element(name)
 
 

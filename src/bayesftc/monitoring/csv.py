@@ -33,12 +33,12 @@ class Tables:
 
     Parameters
     ----------
-    paths : sequence of path
+    paths : path, or sequence of path
         Files, or folders with files.
     """
 
-    def __init__(self, paths: Sequence[str | PathLike[str]]):
-        self._files = [expanded(path) for path in paths]
+    def __init__(self, paths: str | PathLike[str] | Sequence[str | PathLike[str]]):
+        self._files = [expanded(path) for path in ([paths] if isinstance(paths, str | PathLike) else paths)]
         if not self._files:
             raise RecordingError("There is no recording to read. Give at least one CSV file.")
         for path in self._files:

@@ -133,7 +133,7 @@ class Monitor:
             model = model.with_sensor_errors(errors.std, errors.time_constant, chosen, common=errors.common)
         return model
 
-    def read(self, paths: Sequence[str | os.PathLike[str]]) -> Recording:
+    def read(self, paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Recording:
         """Read the recording from CSV files, or folders of them, and bring it to the model's steps.
 
         Raises
@@ -143,7 +143,9 @@ class Monitor:
         """
         return align(*self.signals(paths), self.dt)
 
-    def signals(self, paths: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Signal], dict[str, Signal]]:
+    def signals(
+        self, paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+    ) -> tuple[dict[str, Signal], dict[str, Signal]]:
         """Return the sensors' and the inputs' signals from CSV files, or folders of them, by name.
 
         Raises

@@ -23,6 +23,14 @@ MODEL = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 0.01, 1.0, dt=0.1)
             "StateEstimator has no argument 'learner'; known names: initial_covariance, initial_mean, invalid, model, precision.",
         ),
         (
+            lambda: controllers.GammaPrecision(forgeting=0.9),
+            "GammaPrecision has no argument 'forgeting'; did you mean 'forgetting' or 'forget_to'?",
+        ),
+        (
+            lambda: controllers.LinearModel([[1.0]], [[1.0]], [[1.0]], 1.0, 1.0, dt=1.0, name="a"),
+            "LinearModel has no argument 'name'; did you mean 'names'?",
+        ),
+        (
             lambda: cosim.Freeze(0, 5.0),
             "Freeze has 2 arguments without a name, but takes none; write Freeze(sensor=..., start=...).",
         ),

@@ -30,7 +30,7 @@ def test_every_reader_reads_every_form(separator, decimal, times, tmp_path):
     file = write(tmp_path / "drive.csv", separator, decimal, times)
     assert form_of(file) == CsvForm(separator, decimal)
     table = read_table_file(file)
-    signals = monitoring.redundant_signals([file])[1]
+    signals = monitoring.redundant_signals(str(file))[1]  # one path needs no list
     source = cosim.Table.read(file, "left")
     for found in (table["t"], signals["left"].time, source.times):
         np.testing.assert_array_equal(found, TIMES)

@@ -46,13 +46,13 @@ class Place:
 
 
 def redundant_signals(
-    paths: Sequence[str | os.PathLike[str]], names: Sequence[str] = ()
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], names: Sequence[str] = ()
 ) -> tuple[dict[str, Place], dict[str, Signal]]:
     r"""Return all signals of CSV files, except the times, and the place of each.
 
     Parameters
     ----------
-    paths : sequence of path
+    paths : path, or sequence of path
         Files, or folders with files.
     names : sequence of str
         Columns that are sensors; by default all.
