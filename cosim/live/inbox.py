@@ -54,7 +54,7 @@ CALM = 100
 BEHIND = 8
 """Most samples that wait for steps that are late: those that came while the process had stopped."""
 
-MOST = 2 + BEHIND
+WAITING = 2 + BEHIND
 """Most samples that wait."""
 
 LONGEST_DROP = 3600.0
@@ -249,6 +249,13 @@ class Inbox:
         else:
             self._put(message, kept, self._clock() - age)
 
+    def skip(self, count: int) -> None:
+        """Count messages that newer ones have replaced before they were decoded, from any thread."""
+        if count:
+            with self._lock:
+                self.received += count
+                self.replaced += count
+
     def reject(self, reason: str, *, age: float = 0.0) -> None:
         """Count a message that cannot be decoded, from any thread; `reason` is shown as the last one."""
         with self._lock:
@@ -348,7 +355,7 @@ class Inbox:
             values = [nan if reason else value for value, reason in zip(values, reasons, strict=True)]
         self._waiting.append(_Sample(np.array(values), reasons, born))
         self._born, self._came = born, True
-        self._drop(1 if limits.hold else MOST)
+        self._drop(1 if limits.hold else WAITING)
 
     def _drop(self, most: int) -> None:
         """Leave at most so many of the newest samples."""

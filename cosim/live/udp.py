@@ -6,6 +6,7 @@ import socket
 import struct
 import sys
 import time
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from typing import Any
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.bridge import PATIENCE, Bridge
 from bayesftc.cosim.live.formats import LONGEST, Format, encode
-from bayesftc.cosim.live.inbox import Inbox  # at run time: files of wires evaluate the annotations
+from bayesftc.cosim.live.inbox import WAITING, Inbox  # at run time: files of wires evaluate the annotations
 
 POLL = 0.2
 """Most seconds after which the thread looks whether the bridge was closed."""
@@ -30,8 +31,8 @@ OFTEN = 0.02
 ANCILLARY = 64
 """Most bytes of the ancillary data of a packet."""
 
-AT_ONCE, MOST = 30, 1000
-"""Most packets that a step takes, which a flood must not hold up, and most that the thread takes at one look."""
+MOST = 256
+"""Most packets that are taken at once: a flood must not hold up a step."""
 
 
 @dataclass(eq=False)
@@ -143,31 +144,32 @@ class UDP(Bridge):
             opened.close()
 
     def collect(self) -> None:
-        """Put the packets that have come into the inbox, some of them if they are many."""
-        for _ in range(AT_ONCE):
-            if not self._take():
-                return
-
-    def _take(self) -> bool:
-        """Put the next packet into the inbox; return whether there was one."""
+        """Put the packets that have come into the inbox; of very many only the newest, because no step uses the others."""
         with self._reading:
-            opened, inbox, now = self._socket, self._inbox, time.monotonic()
+            opened, inbox = self._socket, self._inbox
             if opened is None or inbox is None:
-                return False
-            try:
-                payload, age, sender = _packet(opened, self._is_stamped)
-            except BlockingIOError:
-                self._emptied = now
-                return False
-            except OSError as error:
-                self.problem = str(error)
-                return True
-            age = min(age, now - self._emptied)  # also if the clock of the kernel's times is set
-            if self.sender is not None and sender != self.sender:
-                inbox.reject(f"from {sender}", age=age)
-            else:
+                return
+            newest: deque[tuple[bytes, float]] = deque(maxlen=WAITING)
+            skipped = 0
+            for _ in range(MOST):
+                now = time.monotonic()
+                try:
+                    payload, age, sender = _packet(opened, self._is_stamped)
+                except BlockingIOError:
+                    self._emptied = now
+                    break
+                except OSError as error:
+                    self.problem = str(error)
+                    continue
+                age = min(age, now - self._emptied)  # also if the clock of the kernel's times is set
+                if self.sender is not None and sender != self.sender:
+                    inbox.reject(f"from {sender}", age=age)
+                    continue
+                skipped += len(newest) == WAITING
+                newest.append((payload, age))
+            inbox.skip(skipped)
+            for payload, age in newest:
                 inbox.receive(payload, self.format, age=age)
-            return True
 
     def _listen(self, opened: socket.socket) -> None:
         """Take packets beside the steps.
@@ -183,9 +185,7 @@ class UDP(Bridge):
                     time.sleep(OFTEN)
                 elif not waiting.select(POLL):
                     continue
-                for _ in range(MOST):
-                    if not self._take():
-                        break
+                self.collect()
 
 
 def _stamped(opened: socket.socket) -> bool:

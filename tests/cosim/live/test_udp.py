@@ -96,15 +96,22 @@ def test_packets_that_come_while_no_step_is_made_are_collected(listener, raw):
     assert box.replaced == 991
 
 
-def test_a_flood_does_not_hold_up_a_step(listener, raw, monkeypatch):
+def test_of_a_flood_only_the_newest_are_decoded(listener, raw, monkeypatch):
     monkeypatch.setattr(udp, "OFTEN", 1.0)
-    box = Inbox(1)
+    monkeypatch.setattr(udp, "MOST", 100)
+    box, decoded = Inbox(1), []
+    monkeypatch.setattr(
+        box, "receive", lambda *given, usual=box.receive, **named: decoded.append(usual(*given, **named))
+    )
     listener.open(box)
-    for k in range(1, 2 * udp.AT_ONCE + 1):
+    for k in range(1, 151):
         raw.sendto(struct.pack("<2d", 0.01 * k, float(k)), ("127.0.0.1", listener.port_number))
     time.sleep(0.1)
     listener.collect()
-    assert box.received == udp.AT_ONCE
+    assert (box.received, len(decoded), box.replaced) == (100, 10, 90)
+    listener.collect()
+    assert box.take().tolist() == [150.0]
+    assert (box.received, len(decoded), box.replaced) == (150, 20, 149)
 
 
 @pytest.mark.parametrize("option", [None, 12_345])  # a system without times of arrival, and one that refuses the option
