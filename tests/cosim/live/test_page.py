@@ -32,8 +32,8 @@ def test_the_files_of_the_page_are_read(tmp_path, text):
             assert wire.bridge.key == str(tmp_path / "certificates" / "controller.key")
 
 
-def test_there_are_six():
-    assert len(FILES) == 6
+def test_there_are_seven():
+    assert len(FILES) == 7
 
 
 @pytest.mark.parametrize(
