@@ -135,6 +135,11 @@ PROVOKED = {
     "the sizes differ": lambda: connected(cosim.Sensors(2)),
     "has no source and no start value": lambda: alone(cosim.Gain(1.0)),
     "The controller has ... sensors": lambda: loop(sensors=cosim.Sensors(3, 1.0)),
+    "The model's B is": lambda: model(A=[[1, 0], [0, 1]], C=[[1, 0]]),
+    "the input 'y' has the shape": lambda: controllers.StateEstimator(model()).online(compiled=False)(
+        y=[1.0, 2.0, 3.0]
+    ),
+    "sensor_covariance is not positive": lambda: model(sensor_covariance=0.0),
     "process_covariance is not positive": lambda: model(process_covariance=-1.0),
     "refers to sensor": lambda: loop(faults=cosim.Freeze(sensor=2)),
     "The duration of": lambda: alone(cosim.Constant(1.0), 0.05),
@@ -142,6 +147,7 @@ PROVOKED = {
     "came out infinite": growing,
     "no control moves": lambda: two_states([[1, 0], [0, 0.9]], [[0], [1]], [[1, 0], [0, 1]], goal=[1]),
     "no sensor sees": lambda: two_states([[1.1, 0], [0, 0.9]], [[1], [1]], [[0, 1]]),
+    "The goals cannot each be held": lambda: two_states([[0.9, 0], [0, 0.9]], [[1, 1], [1, 1]], [[1, 0], [0, 1]]),
     "goals but only": lambda: two_states([[1, 0.1], [0, 0.9]], [[0], [1]], [[1, 0], [0, 1]]),
     "The closed loop is unstable": servo,
     "in opposite directions": lambda: controllers.compare_with_plant(
@@ -153,6 +159,8 @@ PROVOKED = {
     "has no variable": lambda: car(parameters={"mass": 1.0}),
     "is a fixed parameter": lambda: car(tunable=["m"]),
     "its declaration allows": limited,
+    "fmi2DoStep returned Fatal": lambda: alone(cosim.FMU(made_by_pythonfmu("raise ValueError")), engine="interpreted"),
+    "could not be instantiated": lambda: alone(cosim.FMU(changed("token.fmu", replace=(b'guid="{', b'guid="{0')))),
     "crashed in its step": lambda: alone(
         cosim.FMU(made_by_pythonfmu("os.abort()"), isolate=True), engine="interpreted"
     ),
