@@ -3,7 +3,7 @@
 Everything public is importable from here and loaded on first use.
 """
 
-import lazy_loader
+from bayesftc._public import public_names
 
 # The public names stand in __init__.pyi. The full name keeps a bare `import controllers` at the root on the same classes.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub("bayesftc.controllers", __file__)
+__getattr__, __dir__, __all__ = public_names("bayesftc.controllers", __file__)

@@ -21,6 +21,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("_interrupt",),
     ("fmus",),
     ("cosim.errors",),
+    ("_public",),
     ("cosim.types",),
     ("cosim.base",),
     ("cosim.base.recordings",),

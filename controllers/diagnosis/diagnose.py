@@ -224,7 +224,7 @@ def diagnose_recording(
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 
 
-@reported("Comparing the samples with the controller's model, for some seconds.")
+@reported("Comparing the samples with the model, for some seconds.")
 def best_explanations(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0
 ) -> list[Explanation]:

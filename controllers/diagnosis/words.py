@@ -13,6 +13,12 @@ if TYPE_CHECKING:
 ALIKE = "All sensors disagree with the model in the same way"
 ALONE = " No quantity has a second sensor, so a sensor fault may look the same."
 
+UNMOVED = (
+    "the quantity moves differently from the model, or the recording has long gaps. Fit the model to a stretch that moves as the "
+    "rest does (bayesftc monitor --fit --from --to)."
+)
+"""What is wrong with a model that no control moves, as that of a monitor: nothing can be linearised or weakened."""
+
 
 def sentence(
     kind: str, values: Sequence[float], model: LinearModel, others: Sequence[tuple[str, Sequence[float]]] = ()
@@ -23,6 +29,8 @@ def sentence(
     also = "".join(
         f" Or, nearly as likely by this run: {_WORDS[other](other_values, model)}" for other, other_values in others
     )
+    if not np.any(model.B):
+        return f"{ALIKE}: {UNMOVED}{ALONE if alone else ''}"
     return f"{ALIKE}: {_WORDS[kind](values, model)}{also}{ALONE if alone else ''}"
 
 

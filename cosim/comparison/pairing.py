@@ -43,10 +43,13 @@ def check_pairs(loops: Mapping[str, Diagram]) -> None:
         actual = dict(_surroundings(loop))
         for block in (*expected, *actual):
             if block not in expected or block not in actual:
-                owner, other = (first, name) if block in expected else (name, first)
+                owner, other, found = (
+                    (first, name, expected[block]) if block in expected else (name, first, actual[block])
+                )
                 raise ModelError(
-                    f"{block!r} of the loop {owner!r} draws noise, or is a fault, a sensor or a source, and the loop "
-                    f"{other!r} has no such block, so that runs are not paired. Add it to both, with the same name."
+                    f"The loop {owner!r} has the block {block!r} ({type(found.block).__name__}), and {other!r} does not. "
+                    "A comparison needs the same faults, sensors, sources and noise in all loops, with the same names. Only "
+                    "plant and controller may differ. Add the block to both."
                 )
             if not alike(expected[block].block, actual[block].block):
                 raise ModelError(

@@ -38,9 +38,9 @@ class Outputs(dict[str, Any]):
 class Online:
     """A block as a callable that makes one step at each call; made by `Block.online`.
 
-    Call it with the block's inputs by name, as numbers or sequences; ``None`` or NaN is a missing sample. If a call leaves out
-    an input with a start value, the input has that value. A call returns the outputs of this step: numbers for scalar ports,
-    arrays otherwise.
+    Call it with the block's inputs by name, as numbers or sequences; ``None`` or NaN is a missing sample, and ``y=None`` means
+    that all are missing. If a call leaves out an input with a start value, the input has that value. A call returns the outputs
+    of this step: numbers for scalar ports, arrays otherwise.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class Online:
 
     def _checked(self, name: str, value: Any, shape: tuple[int, ...]) -> Any:
         try:
-            array = np.asarray(value, dtype=np.float64)
+            array = np.full(shape, np.nan) if value is None else np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError):
             raise ModelError(
                 f"{self._title}: the input {name}={value!r} is not a number or a sequence of numbers."

@@ -172,9 +172,13 @@ class Result(Mapping[str, Floats]):
         """Return the message about a missing signal."""
         if isinstance(name, list | tuple):
             return f"A result gives one signal at a time, not {name!r}; use result.to_pandas()[{list(name)!r}] for several."
-        message = f"The result has no signal {name!r}; {did_you_mean(name, self._columns)}"
         block, _, port = str(name).rpartition(".")
-        if block and port and any(signal.startswith(f"{block}.") for signal in self._columns):
+        known = any(signal.startswith(f"{block}.") for signal in self._columns)
+        elsewhere = not known and any(
+            signal.endswith(f".{port}") for signal in self._columns
+        )  # under another block's name
+        message = f"The result has no signal {name!r}; {did_you_mean(port if elsewhere else name, self._columns)}"
+        if block and port and known:
             message += f" To record an input of a block, name it: simulate(..., record=['*', {name!r}])."
         return message
 

@@ -432,6 +432,9 @@ def test_wrong_command_lines_end_with_a_sentence(tmp_path):
     runner = CliRunner()
     assert "no shipped scenario" in runner.invoke(app, ["serve", "cruise_contrl"]).output
     assert "--beside" in runner.invoke(app, ["serve", "cruise_control", "--alone", "--beside", "EFFDI"]).output
+    assert "did you mean 'EFFDI'" in " ".join(
+        runner.invoke(app, ["serve", "cruise_control", "--beside", "EFDI"]).output.split()
+    )
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

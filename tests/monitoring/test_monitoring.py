@@ -536,7 +536,7 @@ def test_a_model_of_another_size_is_refused():
         ),
         ("t,left,right,gnss,accel\n0,1,1,1,1\n1,1,1\n", "line 3 has 3 cell.* the first row has 5 name"),
         ("t,left,right,gnss,accel\n0,1,1,1,1,\n1,1,1,1,1,\n", "line 2 has 6 cell.* the first row has 5 name"),
-        ("# a drive\nt,left,right,gnss,accel\n0,1,1,1,1\n", "line 2 has 5 cell.* the first row has 1 name"),
+        ("a drive\nt,left,right,gnss,accel\n0,1,1,1,1\n", "line 2 has 5 cell.* the first row has 1 name"),
         ('t,left\n0,"1\n', "no CSV table"),
         (b"\xff\xfe\x00", "no text in UTF-8"),
     ],

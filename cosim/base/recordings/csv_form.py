@@ -60,12 +60,32 @@ def form_of(path: str | PathLike[str]) -> CsvForm:
 
 
 def cells_of(path: str | PathLike[str], separator: str) -> Iterator[tuple[int, list[str]]]:
-    """Give the number of the line where each row ends, and its cells, without empty lines."""
+    """Give the number of the line where each row ends, and its cells, without empty lines and without comments at the top.
+
+    Comments are the first lines that begin with ``#``. The last of them is the row of names if it has as many cells as the row
+    below it.
+    """
     with open(path, encoding=ENCODING, newline="") as text:
         reader = csv.reader(text, delimiter=separator, skipinitialspace=True, strict=True)
-        for cells in reader:
-            if any(cell.strip() for cell in cells) or len(cells) > 1:
-                yield reader.line_num, cells
+        rows = ((reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells) or len(cells) > 1)
+        comment: tuple[int, list[str]] | None = None
+        for number, cells in rows:
+            if cells[0].startswith("#"):
+                comment = number, cells
+                continue
+            if comment is not None and len(comment[1]) == len(cells) > 1:
+                yield comment
+            yield number, cells
+            yield from rows
+
+
+def lines_above(path: str | PathLike[str], separator: str) -> int:
+    """Return how many lines stand above the row of names."""
+    try:
+        number, names = next(cells_of(path, separator), (1, []))
+    except csv.Error:  # the reader of the table says what is wrong
+        return 0
+    return number - 1 - sum(name.count("\n") for name in names)
 
 
 def _fits(path: str | PathLike[str], separator: str) -> bool:
@@ -88,4 +108,4 @@ def _has_decimal_commas(path: str | PathLike[str], separator: str) -> bool:
     return False
 
 
-__all__ = ["ENCODING", "CsvForm", "cells_of", "form_of"]
+__all__ = ["ENCODING", "CsvForm", "cells_of", "form_of", "lines_above"]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.csv_form import ENCODING, form_of
+from bayesftc.cosim.base.recordings.csv_form import ENCODING, form_of, lines_above
 from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
@@ -98,7 +98,12 @@ def _read_csv(path: str | PathLike[str]) -> pd.DataFrame:
 
     form = form_of(path)
     table: pd.DataFrame = pd.read_csv(
-        path, encoding=ENCODING, sep=form.separator, decimal=form.decimal, **exact_numbers()
+        path,
+        encoding=ENCODING,
+        sep=form.separator,
+        decimal=form.decimal,
+        skiprows=lines_above(path, form.separator),
+        **exact_numbers(),
     )
     return table
 
@@ -116,7 +121,8 @@ def _with_seconds(table: pd.DataFrame, path: str | PathLike[str]) -> pd.DataFram
 def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
     """Return the table in a file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
 
-    Columns of a CSV file may be separated by semicolons, tabs or bars; then numbers may have decimal commas. Dates (ISO 8601) in
+    Columns of a CSV file may be separated by semicolons, tabs or bars; then numbers may have decimal commas. Lines that
+    begin with ``#`` may stand above the names. Dates (ISO 8601) in
     a column of times become the unit of its name, by default seconds, from the first one on.
 
     Raises

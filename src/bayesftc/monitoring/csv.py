@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+ABOVE = " If lines stand above the row of names, begin each with #, or delete it."
+"""The end of a message about a first row with a single cell."""
+
 MOST_COLUMNS = 10_000
 
 
@@ -201,7 +204,7 @@ def _check(file: Path, form: CsvForm) -> tuple[list[str], int]:
         if len(row[1]) != len(names):
             raise RecordingError(
                 f"{fspath(file)}: line {row[0]} has {len(row[1])} cell(s), but the first row has {len(names)} name(s). Each row "
-                "needs as many cells; some may be empty."
+                f"needs as many cells; some may be empty.{ABOVE if len(names) == 1 else ''}"
             )
     if row is None:
         raise RecordingError(f"{fspath(file)} has a row of names, but no row of samples below it.")

@@ -12,6 +12,7 @@ from wrong_models import LEARNERS, Case, cases, loop, parts, run
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.diagnosis.diagnose import diagnose_recording
 from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
+from bayesftc.controllers.diagnosis.words import sentence
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
@@ -389,3 +390,11 @@ def test_the_comparison_before_a_run_leaves_its_bits():
     after = loop(case, LEARNERS["gamma"]).simulate(2.0, seed=1)
     for name in before:
         np.testing.assert_array_equal(before[name], after[name])
+
+
+def test_the_remedy_for_a_model_without_control_needs_no_control():
+    model = controllers.LinearModel([[0.9]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    words = sentence("nonlinear", (), model)
+    assert "monitor --fit --from --to" in words
+    assert "linearis" not in words
+    assert "monitor" not in sentence("nonlinear", (), replace(model, B=[[0.1]]))

@@ -57,6 +57,32 @@ def test_the_form_is_found_from_all_rows(text, form, tmp_path):
     assert form_of(file) == form
 
 
+@pytest.mark.parametrize("separator", [",", ";"])
+@pytest.mark.parametrize("above", ["# logger 3, robot 7\n", "# logger; 3\n\n#\n"])
+def test_comments_may_stand_above_the_names(above, separator, tmp_path):
+    file = write(tmp_path / "drive.csv", separator)
+    file.write_text(above + file.read_text())
+    assert form_of(file).separator == separator
+    np.testing.assert_array_equal(read_table_file(file)["left"], LEFT)
+    np.testing.assert_array_equal(cosim.Table.read(file, "left").values, LEFT)
+    signals = monitoring.redundant_signals(file)[1]
+    np.testing.assert_array_equal(signals["left"].time, TIMES)
+    np.testing.assert_array_equal(signals["right"].values, RIGHT)
+
+
+def test_names_may_begin_with_the_sign_of_a_comment(tmp_path):
+    file = write(tmp_path / "drive.csv", names=("#t", "left", "right"))
+    file.write_text("# logger 3\n" + file.read_text())
+    assert list(read_table_file(file).columns) == ["#t", "left", "right"]
+
+
+def test_other_lines_above_the_names_are_refused_with_the_remedy(tmp_path):
+    file = write(tmp_path / "drive.csv")
+    file.write_text("logger 3\n" + file.read_text())
+    with pytest.raises(RecordingError, match="begin each with #, or delete it"):
+        monitoring.redundant_signals(file)
+
+
 def test_an_unusual_file_is_announced_once(tmp_path, caplog):
     file = write(tmp_path / "drive.csv", ";", ",", DATES)
     for _ in range(2):

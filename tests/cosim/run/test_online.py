@@ -167,3 +167,9 @@ def test_the_quick_form_is_a_call_with_flat_vectors():
         assert np.array_equal(row, np.concatenate([np.ravel(value) for value in out.values()]), equal_nan=True)
     with pytest.raises(cosim.ModelError, match=r"3 elements of inputs \(y, goal\), not 1"):
         quick.advance(np.array([20.0]))
+
+
+def test_none_means_that_all_samples_are_missing():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    short, full = (controllers.BayesianController(model).online(compiled=False) for _ in range(2))
+    np.testing.assert_array_equal(short(y=None, goal=[1.0]).u, full(y=[None, math.nan], goal=[1.0]).u)

@@ -74,6 +74,8 @@ def test_signals(result):
         cosim.UnknownNameError, match=r"To record an input of a block, name it: .* record=\['\*', 'block.u'\]"
     ):
         result["block.u"]
+    with pytest.raises(cosim.UnknownNameError, match=r"no signal 'quad.c'; did you mean 'block.c'\?$"):
+        result["quad.c"]
     with pytest.raises(cosim.UnknownNameError, match="no signal 0"):
         result[0]
     with pytest.raises(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -423,15 +423,27 @@ def _close(lanes: Sequence[Lane]) -> None:
         lane.close()
 
 
+def check_learners(kinds: Iterable[str]) -> None:
+    """Refuse names that are not those of precision learners.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is no learner of one of the names.
+    """
+    known = [learner.__name__ for learner in LEARNERS]
+    for kind in kinds:
+        if kind not in known:
+            raise UnknownNameError(f"There is no precision learner {kind!r}; {did_you_mean(kind, known)}")
+
+
 def _variants(content: Mapping[str, Any], scenario: Scenario, beside: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the content of each lane by its name: the scenario, and the scenario with other learners."""
     precision = getattr(scenario.controller, "precision", None)
     own = "the scenario" if precision is None else type(precision).__name__
     lanes = {own: deepcopy(dict(content))}
-    known = {learner.__name__: learner for learner in LEARNERS}
+    check_learners(beside)
     for kind in beside:
-        if kind not in known:
-            raise UnknownNameError(f"There is no precision learner {kind!r}; {did_you_mean(kind, known)}")
         if kind == own or precision is None:
             continue
         other = deepcopy(dict(content))
@@ -442,4 +454,4 @@ def _variants(content: Mapping[str, Any], scenario: Scenario, beside: Sequence[s
     return lanes
 
 
-__all__ = ["MEMORY", "Branch", "Desk", "Served"]
+__all__ = ["MEMORY", "Branch", "Desk", "Served", "check_learners"]

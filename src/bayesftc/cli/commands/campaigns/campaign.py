@@ -69,7 +69,7 @@ def campaign(
         output.say_notes(unused_of_campaign(loaded, str(file)))
     chosen = _executor(executor, jobs, scheduler)
     folder = Path(file.stem) if out is None else out
-    began = time.perf_counter()
+    began, before = time.perf_counter(), _runs_in(folder)
     again = ["bayesftc", "campaign", str(file)] + (["-o", str(out)] if out else [])
     with _kept(folder, again), _progress(file.stem, shown=not quiet and not json) as progress:
         result = loaded.run(
@@ -81,7 +81,7 @@ def campaign(
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
-        _print(numbers)
+        _print(numbers, 0 if retry_failed else before)
 
 
 @contextmanager
@@ -96,6 +96,14 @@ def _kept(store: Path, again: list[str]) -> Iterator[None]:
             runs, of = kept
             stop.args = (f"Stopped by Ctrl-C. {runs} of {of} runs are kept in {store}. To go on: {shlex.join(again)}",)
         raise
+
+
+def _runs_in(store: Path) -> int:
+    """Return how many runs a folder has already, 0 if it is no store."""
+    from bayesftc.cosim.campaign.working import kept_runs
+
+    kept = kept_runs(store) if store.is_dir() else None
+    return kept[0] if kept else 0
 
 
 def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Runner | None:
@@ -152,7 +160,7 @@ def _plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-def _print(numbers: Mapping[str, Any]) -> None:
+def _print(numbers: Mapping[str, Any], before: int) -> None:
     from rich.console import Console
     from rich.text import Text
 
@@ -165,6 +173,8 @@ def _print(numbers: Mapping[str, Any]) -> None:
         if hidden:
             console.print(Text(f"{' and '.join(hidden)} are in the store."))
     done = f"{numbers['runs']} runs" + (f", of which {numbers['failed']} failed" if numbers["failed"] else "")
+    if before:
+        done += ", all of them from earlier" if before == numbers["runs"] else f", {before} of them from earlier"
     console.print(Text(f"{done}, in {numbers['store']} ({numbers['seconds']:.1f} s)."))
     for reason, count in numbers["reasons"].items():
         console.print(Text(f"{count} of them: {reason}"))

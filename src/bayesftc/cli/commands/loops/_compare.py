@@ -45,13 +45,13 @@ def compare_scenarios(
     from bayesftc import cosim
     from bayesftc.cosim.comparison.figure import plot_comparison
 
-    scenarios = {Path(file).stem: load_scenario(file) for file in files}
-    if len(scenarios) < len(files):
-        raise ScenarioError("Two of the files have the same name, which labels the table's rows. Rename one of them.")
     if len(files) < 2:
         raise ScenarioError(
             f"--compare has only one scenario, {files[0]}. Give at least two: bayesftc run a.toml b.toml --compare."
         )
+    scenarios = {Path(file).stem: load_scenario(file) for file in files}
+    if len(scenarios) < len(files):
+        raise ScenarioError("Two of the files have the same name, which labels the table's rows. Rename one of them.")
     durations = {name: scenario.simulation.duration for name, scenario in scenarios.items()}
     (first, chosen), *others = durations.items()
     for name, other in others:

@@ -28,7 +28,8 @@ def serve(
     if alone and beside:
         raise typer.BadParameter("--alone leaves out what --beside adds: leave one of them out.")
     need_console("bayesftc serve")
-    from bayesftc.console.desk.desk import Served
+    from bayesftc.console.desk.desk import Served, check_learners
 
     learners = () if alone else tuple(beside or ("FixedPrecision",))
+    check_learners(learners)
     serve_page(Served.of(scenario), host, port, open_page, learners)
