@@ -71,7 +71,7 @@ def test_several_blocks_become_one(bayesftc_, scenarios, c_compiler):
         "-o",
         "front.fmu",
         "--fmi",
-        "3.0",
+        "3",
     ]
     done = bayesftc_("export", car, *options)
     assert done.exit_code == 0, done.output

@@ -189,6 +189,9 @@ def test_a_missing_recording_is_said_before_a_model_that_is_there(files, tmp_pat
     assert done.exit_code == 16
     assert "missing.csv does not exist" in done.output
     assert "exists already" not in done.output
+    done = RUNNER.invoke(app, ["monitor", str(tmp_path / "missing.csv")])  # nor before that there is no model
+    assert done.exit_code == 16
+    assert "missing.csv does not exist" in done.output
 
 
 def test_a_model_that_is_there_is_not_overwritten(drive, files, tmp_path):

@@ -78,7 +78,11 @@ def export(
     path = out or Path(f"{_stem(scenario, chosen)}.fmu")
     if not quiet:
         output.note_replaced([path])
-    options: dict[str, Any] = {"fmi": fmi or "2.0", "timing": timing and timing.value, "platforms": platform or None}
+    options: dict[str, Any] = {
+        "fmi": {None: "2.0", "2": "2.0", "3": "3.0"}.get(fmi, fmi),
+        "timing": timing and timing.value,
+        "platforms": platform or None,
+    }
     about = f"{', '.join(chosen)} of the scenario {Path(scenario).name}"
     path = export_fmu(loop, path, blocks=chosen, description=f"{about[0].upper()}{about[1:]}", **options)
     if not quiet:

@@ -19,6 +19,7 @@ from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBes
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.monitoring import Monitored, load_monitor
+from bayesftc.monitoring.csv import Tables
 
 if TYPE_CHECKING:
     from bayesftc.controllers import ModelFinding
@@ -97,6 +98,7 @@ def monitor(
     if not recording:
         raise typer.BadParameter("there is no recording: give CSV files, or a file of wires with --live.")
     if model is None and not fit:
+        Tables(recording)  # says first if a file does not exist
         raise typer.BadParameter("there is no model: give a file with --model, or fit one to the recording with --fit.")
     if overwrite and not fit:
         raise typer.BadParameter("--overwrite replaces the model file that --fit writes: add --fit, or leave it out.")
