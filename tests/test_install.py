@@ -14,7 +14,8 @@ def test_a_clone_without_symbolic_links_is_a_package(tmp_path):
     package = tmp_path / "src" / "bayesftc"
     package.mkdir(parents=True)
     shutil.copy(ROOT / "hatch_build.py", tmp_path)
-    shutil.copy(ROOT / "src" / "bayesftc" / "__init__.py", package)
+    for file in (ROOT / "src" / "bayesftc").glob("*.py"):
+        shutil.copy(file, package)
     for name in ("cosim", "controllers", "fmus", "examples"):
         (package / name).write_text(f"../../{name}", encoding="utf-8")
         (tmp_path / name).symlink_to(ROOT / name)
