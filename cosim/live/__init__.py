@@ -4,7 +4,7 @@ All public names can be imported from here. Each is loaded on first use. The pac
 ``pip install 'bayesftc[live]'``.
 """
 
-import lazy_loader
+from bayesftc._public import public_names
 
 # The public names stand in __init__.pyi.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub("bayesftc.cosim.live", __file__)
+__getattr__, __dir__, __all__ = public_names("bayesftc.cosim.live", __file__)

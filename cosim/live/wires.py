@@ -6,7 +6,6 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from operator import ne
 from typing import Any, Literal
 
 import numpy as np
@@ -193,7 +192,7 @@ class Outgoing:
                 self.make_safe(time)
                 return
         clipped = [value if value != value else min(max(value, float(wire.low)), float(wire.high)) for value in values]
-        self.clipped += any(map(ne, clipped, values))
+        self.clipped += any(value < wire.low or value > wire.high for value in values)
         with self._lock:
             self._time = time
             self.sent += 1

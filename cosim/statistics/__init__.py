@@ -3,7 +3,7 @@
 All public names can be imported from here. Each is loaded on first use.
 """
 
-import lazy_loader
+from bayesftc._public import public_names
 
 # __init__.pyi lists the public names.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub("bayesftc.cosim.statistics", __file__)
+__getattr__, __dir__, __all__ = public_names("bayesftc.cosim.statistics", __file__)

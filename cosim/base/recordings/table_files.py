@@ -122,8 +122,8 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
     """Return the table in a file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
 
     Columns of a CSV file may be separated by semicolons, tabs or bars; then numbers may have decimal commas. Lines that
-    begin with ``#`` may stand above the names. Dates (ISO 8601) in
-    a column of times become the unit of its name, by default seconds, from the first one on.
+    begin with ``#`` may stand above the names. Dates (ISO 8601) in a column of times become the unit of its name, by default
+    seconds, from the first one on.
 
     Raises
     ------

@@ -15,7 +15,7 @@ From files, with a model in TOML: ``monitor = load_monitor("model.toml")``, ``mo
 Everything public is importable from here and loaded on first use.
 """
 
-import lazy_loader
+from bayesftc._public import public_names
 
 # The public names stand in __init__.pyi.
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -154,6 +154,28 @@ def test_a_control_that_is_no_number_is_not_sent(memory):
     assert summary.wires_out["out"]["not_finite"] == 3
 
 
+@pytest.mark.parametrize(("value", "clipped"), [(np.nan, 0), (3.0, 3), (0.5, 0), (-3.0, 3)])
+def test_only_values_beyond_the_limits_count_as_clipped(memory, value, clipped):
+    """One that is no number is sent as it is if there is no safe value."""
+    sink = memory()
+    wires = {"out": live.Wire(sink, source="y", low=-1.0, high=1.0)}
+
+    class Constant(Block):
+        inputs = ()
+        outputs = (cosim.Port("y"),)
+
+        def define(self, dt):
+            def output(y):
+                y[0] = value
+
+            return Definition(output, compiled=False)
+
+    constant = Constant().online(dt=0.01, compiled=False)
+    summary = live.run_live(constant, wires, live.LiveSettings(duration=0.03))
+    assert summary.wires_out["out"]["clipped"] == clipped
+    assert np.array_equal(sink.sent[-1][1], [np.clip(value, -1.0, 1.0)], equal_nan=True)
+
+
 @pytest.mark.filterwarnings("ignore:No wire sets")
 def test_a_sample_of_a_session_feeds_one_step(memory, tmp_path):
     diagram = cosim.Diagram(dt=0.01)
