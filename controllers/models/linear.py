@@ -397,7 +397,7 @@ class LinearModel(NamedArguments):
 
         *Co-simulation*, without access to states: the FMU runs from its start until its outputs are constant. Then it gets short
         pulses of each input, up and down, of several sizes; the sizes with the best agreement count. The model is the eigensystem
-        realisation of the responses (python-control's `era`). Its order is the number of singular values above the uncertainty
+        realisation of the responses (as python-control's `era`). Its order is the number of singular values above the uncertainty
         of the responses. Each experiment starts from a saved state, or in a new instance if the FMU cannot save its state. States
         are balanced and have no physical meaning. A mode that no input moves is not in the model.
 

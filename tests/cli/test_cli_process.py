@@ -98,10 +98,11 @@ else:
 cache folder, five seconds of computing took from 12 to 29 seconds beside other jobs."""
 
 
-def test_a_run_without_files_loads_no_more_than_it_needs(tmp_path):
+@pytest.mark.parametrize("scenario", ["cruise_control", "position_servo"])  # the second one's model is made of its FMU
+def test_a_run_without_files_loads_no_more_than_it_needs(tmp_path, scenario):
     code = (
         LIMITED + "import sys\nfrom typer.testing import CliRunner\nfrom bayesftc.cli import app\n"
-        "done = CliRunner().invoke(app, ['run', 'cruise_control', '--engine', 'interpreted', '--duration', '0.1'])\n"
+        f"done = CliRunner().invoke(app, ['run', '{scenario}', '--engine', 'interpreted', '--duration', '0.1'])\n"
         "assert done.exit_code == 0, done.output\n"
         "print([m for m in ('control', 'sklearn', 'filterpy', 'matplotlib', 'pandas', 'xarray') if m in sys.modules])"
     )
