@@ -41,6 +41,24 @@ def rational_step(dt: float | str | Fraction, what: str = "The step size") -> Fr
     return exact
 
 
+def exact_duration(duration: float | str | Fraction, what: str) -> Fraction:
+    """Return a duration in seconds as a fraction; `what` begins the error message.
+
+    Raises
+    ------
+    StepSizeError
+        If it is negative, infinite or extremely long.
+    """
+    exact = _exact(duration, what)
+    if exact < 0:
+        raise StepSizeError(f"{what} is {brief(duration)} s; it must not be negative.")
+    if exact > _LONGEST:
+        raise StepSizeError(
+            f"{what} is {brief(duration)} s, so long that times cannot be distinguished; use a shorter run."
+        )
+    return exact
+
+
 def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> int:
     """Return the number of steps in `duration` seconds.
 
@@ -50,13 +68,7 @@ def whole_steps(duration: float | str | Fraction, step: Fraction, what: str) -> 
         If `duration` is no whole number of steps, with a relative tolerance of 1e-12. If it is so long that t_k would not be the
         double nearest to k steps.
     """
-    exact = _exact(duration, what)
-    if exact < 0:
-        raise StepSizeError(f"{what} is {brief(duration)} s; it must not be negative.")
-    if exact > _LONGEST:
-        raise StepSizeError(
-            f"{what} is {brief(duration)} s, so long that times cannot be distinguished; use a shorter run."
-        )
+    exact = exact_duration(duration, what)
     ratio = exact / step
     count = round(ratio)
     if abs(ratio - count) > Fraction(1, 10**12) * max(count, 1):

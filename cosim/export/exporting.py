@@ -98,7 +98,7 @@ def export_fmu(
     """
     from bayesftc.fmus.build import FMI_VERSIONS, build_fmu
 
-    target = _file(path)
+    target = fmu_file(path)
     if fmi not in FMI_VERSIONS:
         raise ModelError(f"export_fmu has fmi={fmi!r}; it must be one of {', '.join(map(repr, FMI_VERSIONS))}.")
     if timing not in (None, "plant", "sampled"):
@@ -172,13 +172,7 @@ def export_c(
     ...     print([file.name for file in files])
     ['limit.c', 'limit.h']
     """
-    target = expanded(folder)
-    if target.suffix.lower() in {".c", ".h", ".fmu"} and not target.is_dir():
-        raise ResultFileError(
-            f"{target} is the name of a file, but C is written into a folder, as <name>.c and <name>.h. Give a folder, such as "
-            f"{target.stem}."
-        )
-    _folder(target if target.exists() else target.parent)
+    target = c_folder(folder)
     program = program_of(exported, name=name, blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
     written = write_c(replace(program, name=program_name(program.name)))
     files = {f"{written.name}.c": written.source, f"{written.name}.h": written.header}
@@ -191,8 +185,32 @@ def export_c(
     return source, header
 
 
-def _file(path: str | PathLike[str]) -> Path:
-    """Return the FMU's path, in an existing folder."""
+def c_folder(folder: str | PathLike[str]) -> Path:
+    """Return the folder for C, which exists or can be made in one that exists.
+
+    Raises
+    ------
+    ResultFileError
+        If it cannot be made.
+    """
+    target = expanded(folder)
+    if target.suffix.lower() in {".c", ".h", ".fmu"} and not target.is_dir():
+        raise ResultFileError(
+            f"{target} is the name of a file, but C is written into a folder, as <name>.c and <name>.h. Give a folder, such as "
+            f"{target.stem}."
+        )
+    _folder(target if target.exists() else target.parent)
+    return target
+
+
+def fmu_file(path: str | PathLike[str]) -> Path:
+    """Return the FMU's path, in an existing folder.
+
+    Raises
+    ------
+    ResultFileError
+        If it has no such path.
+    """
     target = expanded(path)
     if target.suffix.lower() != ".fmu":
         example = "controller.fmu, say" if target.stem in ("", ".fmu") else f"{target.stem}.fmu"

@@ -14,6 +14,21 @@ PACK = 1e-3
 """Steps shorter than this, in seconds of the clock, are waited for in packs."""
 
 
+def check_pace(pace: Any) -> float:
+    """Return the simulated seconds for each second of the clock.
+
+    Raises
+    ------
+    ModelError
+        If it is not a positive number.
+    """
+    if not 0 < real(pace) < inf:
+        raise ModelError(
+            f"pace is {pace!r}; it must be a positive number of simulated seconds for each second, 1.0 for real time."
+        )
+    return float(pace)
+
+
 class Pacer:
     """Delays each step of a run until its time.
 
@@ -36,11 +51,7 @@ class Pacer:
     """
 
     def __init__(self, pace: Any, step: Fraction, k: int):
-        if not 0 < real(pace) < inf:
-            raise ModelError(
-                f"pace is {pace!r}; it must be a positive number of simulated seconds for each second, 1.0 for real time."
-            )
-        self.pace = float(pace)
+        self.pace = check_pace(pace)
         self._step, self._k = float(step) / self.pace, k
         self.pack = max(1, int(PACK / self._step))
         self.overruns, self.worst = 0, 0.0

@@ -15,6 +15,7 @@ from sklearn.metrics import roc_auc_score
 import bayesftc
 from bayesftc.bench import SECTIONS
 from bayesftc.cli.application import COMMANDS
+from bayesftc.cli.commands.loops import _compare as compare_module
 from bayesftc.cli.commands.loops import run as run_module
 from bayesftc.cosim import Result
 from bayesftc.cosim.judging.metrics import figures
@@ -600,10 +601,34 @@ def test_a_run_keeps_pace_with_the_clock_and_says_where_it_was_late(bayesftc_):
     assert numbers["tracking"] == same["tracking"]
     late = run_car(bayesftc_, "--duration", "1", "--pace", "1e6")  # nobody is as fast
     assert re.search(r"the run was\s+late (once|\d+\s+times),\s+by\s+at\s+most\s+[\d.e+]+\s+ms", late.output)
-    wrong = run_car(bayesftc_, "--pace", "0")
-    assert (wrong.exit_code, wrong.output) == (
-        9, "Error: pace is 0.0; it must be a positive number of simulated seconds for each second, 1.0 for real time.\n"
-    )  # fmt: skip
+
+
+def _no_loading(*_, **__):
+    pytest.fail("the scenario was read before the options were checked")
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "sentence"),
+    [
+        (("--pace", 0), 9, "pace is 0.0; it must be a positive number of simulated seconds for each second, 1.0 for real time."),
+        (("--duration", -3), 8, "The duration is -3.0 s; it must not be negative."),
+        (("--duration", "nan"), 8, "The duration nan is no finite number; give seconds, as 0.02 or '1/50'."),
+        (("--seed", -1), 9, "The seed is -1; it must be a whole number from 0 to 2**64 - 1."),
+        (("--out", "file/run"), 12, "Nothing can be written into file/run: file is a file, not a folder. Choose another name."),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("compare", [False, True])
+def test_options_are_checked_before_the_scenario_is_read(
+    bayesftc_, tmp_path, monkeypatch, options, code, sentence, compare
+):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(run_module, "load_scenario", _no_loading)
+    monkeypatch.setattr(compare_module, "load_scenario", _no_loading)
+    if compare and options[0] == "--pace":
+        pytest.skip("--compare has no --pace")
+    files = ("a.toml", "b.toml", "--compare") if compare else ("a.toml",)
+    done = bayesftc_("run", *files, *options)
+    assert (done.exit_code, done.output.replace(f"{tmp_path}{os.sep}", "")) == (code, f"Error: {sentence}\n")
 
 
 def two_scenarios(folder, change=lambda text: text):

@@ -1,6 +1,7 @@
 """``bayesftc export`` and ``bayesftc verify``, as a new user meets them."""
 
 import json
+import re
 import zipfile
 
 import pytest
@@ -139,3 +140,27 @@ def test_what_cannot_be_verified_is_a_sentence(bayesftc_, scenarios, tmp_path):
         assert done.exit_code == code, done.output
         assert says in " ".join(done.output.replace("│", " ").split())
         assert "Traceback" not in done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "sentence"),
+    [
+        (("--platform", "windows"), 5, "Binaries for the platform 'windows' are not supported"),
+        (("--out", "missing/car.fmu"), 12, "missing: it does not exist; create the folder, or choose another."),
+        (("--format", "c", "--out", "car.c"), 12, "car.c is the name of a file"),
+        (("--format", "c", "--fmi", "3.0"), 9, "--fmi cannot be used with --format c"),
+    ],
+)
+def test_options_are_checked_before_the_scenario_is_read(bayesftc_, options, code, sentence):
+    done = bayesftc_("export", "missing.toml", "--block", "controller", *options)
+    assert done.exit_code == code
+    assert sentence in done.output
+
+
+def test_without_a_name_the_blocks_are_listed(bayesftc_, scenarios):
+    done = bayesftc_("export", scenarios[0])
+    assert done.exit_code == 2
+    said = " ".join(done.output.replace("│", " ").split())
+    assert "name what to export, such as --block controller; " in said
+    assert re.search(r"has reference, sensors, .*controller and \w+\.", said)
+    assert "plant" not in said

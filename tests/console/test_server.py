@@ -1,5 +1,6 @@
 """The server: frames and commands, who may connect, bounds, and viewers that do not read."""
 
+import asyncio
 import csv
 import http.client
 import io
@@ -7,6 +8,8 @@ import itertools
 import json
 import re
 import socket
+import subprocess
+import sys
 import threading
 import time
 import tomllib
@@ -15,12 +18,15 @@ from contextlib import ExitStack, suppress
 import numpy as np
 import pandas
 import pytest
-from served import Viewer, connect_without_reading, get, served, until
+from served import PATIENCE, Viewer, connect_without_reading, get, served, until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from bayesftc.console.desk.desk import Desk, Served
+from bayesftc.console.desk.engine import Engine
 from bayesftc.console.desk.history import Rows
 from bayesftc.console.shown.broadcast import PAUSE
 from bayesftc.console.shown.frames import thinned
+from bayesftc.console.web import serving
 from bayesftc.console.web.access import SOON, Access, Once
 from bayesftc.console.web.server import BETWEEN, MOST_VIEWERS
 from bayesftc.console.web.serving import MOST_CONNECTIONS, SILENT
@@ -449,18 +455,36 @@ def test_wrong_command_lines_end_with_a_sentence(tmp_path):
         assert "with --host." in " ".join(answer.output.split())
 
 
-def test_a_wrong_scenario_is_shown(tmp_path):
+def test_a_wrong_scenario_ends_the_console_with_its_sentence(tmp_path):
     file = tmp_path / "wrong.toml"
     file.write_text("[simulation]\nduration = 1.0\n")
-    with served(str(file)) as (process, address), Viewer(address) as viewer:
-        said = process.stderr.readline()
-        assert said.startswith("Error: ")
-        assert "lacks the section [plant]" in said
-        message = viewer.receive()
-        while not message["failure"]:
-            message = viewer.receive()
-        assert "lacks the section [plant]" in message["failure"]
-        assert get(address, "/download/scenario.toml")[0] == 404
+    command = [sys.executable, "-m", "bayesftc", "serve", str(file), "--port", "0"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1] == (
+        f"Error: {file} lacks the section [plant]. A scenario needs [simulation], [plant], [reference], [controller]."
+    )
+
+
+def test_an_open_page_gets_the_sentence_before_the_console_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(serving, "LAST", 30.0)
+    engine = Engine(lambda events: Desk(Served(tmp_path / "wrong.toml", {}, "wrong"), events=events), None)
+    engine.start()
+    engine._thread.join(PATIENCE)
+    assert "lacks the section" in engine.failure
+    ended = []
+
+    async def watch():
+        task = asyncio.create_task(serving._end_after_failure(engine, lambda: ended.append(True)))
+        await asyncio.sleep(0.2)
+        assert not task.done()
+        task.cancel()
+
+    asyncio.run(watch())
+    assert not ended
+    monkeypatch.setattr(serving, "LAST", 0.0)
+    asyncio.run(serving._end_after_failure(engine, lambda: ended.append(True)))
+    assert ended
 
 
 def test_names_are_data(alone):

@@ -32,6 +32,26 @@ RecordFolder = Annotated[
 LiveDuration = Annotated[float | None, typer.Option(help="Seconds; by default until it is stopped.")]
 
 
+def check_numbers(*, duration: float | None = None, seed: int | None = None, pace: float | None = None) -> None:
+    """Refuse numbers that no scenario accepts, before one is read: that may take seconds, if its controller is designed.
+
+    Raises
+    ------
+    StepSizeError, ModelError
+        If a number is out of its range. Whether the duration is a whole number of steps is not checked.
+    """
+    from bayesftc.cosim.base.timebase import exact_duration
+    from bayesftc.cosim.random import check_seed
+    from bayesftc.cosim.run.pacing import check_pace
+
+    if duration is not None:
+        exact_duration(duration, "The duration")
+    if seed is not None:
+        check_seed(seed)
+    if pace is not None:
+        check_pace(pace)
+
+
 @contextmanager
 def by_options(**options: str) -> Iterator[None]:
     """Give errors of a Python function inside the names of options in place of those of arguments.

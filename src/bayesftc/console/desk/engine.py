@@ -44,6 +44,7 @@ class Engine:
         self.view: Any = None
         self.desk: Desk | None = None
         self.failure: str | None = None
+        self.error: Exception | None = None
         self.pace = 1.0
         self.running = False
         self.late = 0
@@ -115,7 +116,7 @@ class Engine:
         try:
             desk = self._make(self.events)
         except Exception as error:  # noqa: BLE001 - the page shows it
-            self.failure = str(error) or type(error).__name__
+            self.error, self.failure = error, str(error) or type(error).__name__
             self._refuse_all()
             return
         self.desk = desk

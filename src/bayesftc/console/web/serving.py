@@ -18,7 +18,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bayesftc.console.desk.desk import Desk, Served
 from bayesftc.console.desk.engine import Engine
-from bayesftc.console.desk.events import Events
 from bayesftc.console.desk.live import LiveRun
 from bayesftc.console.shown.broadcast import view_of
 from bayesftc.console.shown.live import view_of_live
@@ -31,6 +30,8 @@ from bayesftc.cosim.live.connections.credentials import is_loopback
 PATIENCE = 2
 """Seconds that open connections have to end."""
 
+LAST = 0.5
+"""Seconds in which open pages still get the sentence of a scenario that cannot run."""
 
 ANY = ("0.0.0.0", "::")
 """All addresses of this machine; none of them is the address of a page."""
@@ -93,12 +94,14 @@ def serve(served: Served, beside: Sequence[str], where: Where, say: Callable[[st
     Raises
     ------
     BayesFTCError
-        If the address cannot be used.
+        If the address cannot be used, or the scenario cannot run.
     """
     with _listening(where.host, where.port) as listener:
-        engine = Engine(partial(_desk_of, served, tuple(beside), say), view_of)
+        engine = Engine(lambda events: Desk(served, tuple(beside), events=events), view_of)
         server, access = _announced(engine, where, listener, say)
-        asyncio.run(_serve(server, listener, access.address_to_open if where.open_page else None))
+        asyncio.run(_serve(engine, server, listener, access.address_to_open if where.open_page else None))
+    if engine.error is not None:
+        raise engine.error
     say("The console has ended.")
 
 
@@ -137,14 +140,6 @@ def shown_beside(run: LiveRun, where: Where, say: Callable[[str], None]) -> Iter
             thread.join(PATIENCE + 3.0)
 
 
-def _desk_of(served: Served, beside: Sequence[str], say: Callable[[str], None], events: Events) -> Desk:
-    try:
-        return Desk(served, beside, events=events)
-    except BayesFTCError as error:  # the page shows it; a user who has not opened the page waits for nothing
-        say(f"Error: {error} End the console by Ctrl-C, and start it again.")
-        raise
-
-
 def _announced(
     engine: Engine | LiveRun, where: Where, listener: socket.socket, say: Callable[[str], None]
 ) -> tuple[Server, Access]:
@@ -175,7 +170,7 @@ def _uvicorn(server: Server) -> _Uvicorn:
     return _Uvicorn(config)
 
 
-async def _serve(server: Server, listener: socket.socket, page: Callable[[], str] | None) -> None:
+async def _serve(engine: Engine, server: Server, listener: socket.socket, page: Callable[[], str] | None) -> None:
     running = _uvicorn(server)
 
     def end() -> None:
@@ -187,7 +182,20 @@ async def _serve(server: Server, listener: socket.socket, page: Callable[[], str
         loop.add_signal_handler(number, end)
     if page is not None:
         loop.call_later(0.3, lambda: webbrowser.open(page()))
-    await running.serve(sockets=[listener])
+    watching = loop.create_task(_end_after_failure(engine, end))
+    try:
+        await running.serve(sockets=[listener])
+    finally:
+        watching.cancel()
+
+
+async def _end_after_failure(engine: Engine, end: Callable[[], None]) -> None:
+    """End the server of a scenario that cannot run: its page could do nothing but show the error."""
+    while engine.desk is None and engine.error is None:
+        await asyncio.sleep(0.1)
+    if engine.error is not None:
+        await asyncio.sleep(LAST)
+        end()
 
 
 @contextmanager

@@ -12,10 +12,12 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.options import AScenario, Quiet, Timing
+from bayesftc.cosim.diagram.diagram import is_external
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
 
 if TYPE_CHECKING:
+    from bayesftc.cosim.diagram.diagram import Diagram
     from bayesftc.cosim.fmi.fmu import FMU
 
 SHOWN = 14
@@ -28,11 +30,11 @@ Form = StrEnum("Form", ["fmu", "c"])
 def export(
     scenario: AScenario,
     block: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             "--block", "-b", help="A block of its loop, such as controller; several become one.", show_default=False
         ),
-    ],
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -55,16 +57,24 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Write blocks of a scenario as an FMU or as C, and print what was written."""
-    from bayesftc.cosim.export.exporting import export_c, export_fmu
+    from bayesftc.cosim.export.exporting import c_folder, export_c, export_fmu, fmu_file
+    from bayesftc.cosim.export.platforms import platforms_of
 
-    loop = load_scenario(scenario).loop()
-    chosen = list(dict.fromkeys(loop[name].name for name in block))
     if form is Form.c:
         given = [option for option, value in (("--fmi", fmi), ("--platform", platform), ("--timing", timing)) if value]
         if given:
             raise ModelError(
                 f"{' and '.join(given)} cannot be used with --format c, because C is written without FMI. Leave it out."
             )
+    if out is not None:
+        target = c_folder(out) if form is Form.c else fmu_file(out).parent
+        output.check_folder(target, (), silent=True)
+    platforms_of(platform or None)
+    loop = load_scenario(scenario).loop()
+    if not block:
+        raise typer.BadParameter(f"name what to export, such as --block controller; {scenario} has {_blocks_of(loop)}.")
+    chosen = list(dict.fromkeys(loop[name].name for name in block))
+    if form is Form.c:
         folder, name = out or Path(), _stem(scenario, chosen)
         if not quiet:
             output.note_replaced(folder / f"{name}.{end}" for end in "ch")
@@ -88,6 +98,12 @@ def export(
     if not quiet:
         _report(path)
         typer.echo(f"Try:  bayesftc verify {quote(str(path))} --against {quote(scenario)}")
+
+
+def _blocks_of(loop: Diagram) -> str:
+    """Return the names of the blocks that can be exported."""
+    *names, last = (node.name for node in loop.nodes if not is_external(node))
+    return f"{', '.join(names)} and {last}" if names else last
 
 
 def _stem(name: str, blocks: Sequence[str]) -> str:

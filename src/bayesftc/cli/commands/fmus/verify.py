@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.options import Duration, Json, Quiet, Seed, Timing
+from bayesftc.cli.options import Duration, Json, Quiet, Seed, Timing, check_numbers
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.errors import ModelError
 from bayesftc.scenario import load_scenario
@@ -54,6 +54,7 @@ def verify(
 
     if not (isfinite(tolerance) and tolerance >= 0.0):
         raise ModelError(f"--tolerance is {tolerance!r}. It must be finite and not negative.")
+    check_numbers(duration=duration, seed=seed)
     scenario = load_scenario(against)
     defaults = scenario.simulation
     with _remedies_of_options():

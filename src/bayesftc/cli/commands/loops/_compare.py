@@ -49,6 +49,8 @@ def compare_scenarios(
         raise ScenarioError(
             f"--compare has only one scenario, {files[0]}. Give at least two: bayesftc run a.toml b.toml --compare."
         )
+    if out is not None:
+        output.check_folder(out, (TABLE, output.FIGURE), silent=quiet or json)
     scenarios = {Path(file).stem: load_scenario(file) for file in files}
     if len(scenarios) < len(files):
         raise ScenarioError("Two of the files have the same name, which labels the table's rows. Rename one of them.")
@@ -60,8 +62,6 @@ def compare_scenarios(
                 f"The scenario {first!r} lasts {chosen} s and {name!r} lasts {other} s. Set the same duration in both, or use "
                 "--duration."
             )
-    if out is not None:
-        output.check_folder(out, (TABLE, output.FIGURE), silent=quiet or json)
     lasts = chosen if duration is None else duration
     notes = [note for scenario in scenarios.values() for note in unused(scenario, lasts)]
     if not json and not quiet:

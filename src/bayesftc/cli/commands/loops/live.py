@@ -17,7 +17,7 @@ from bayesftc.cli.live_report import (
     print_summary,
     run_between,
 )
-from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
+from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder, check_numbers
 from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort, page_beside
 from bayesftc.cosim.live.run import LiveSettings
 from bayesftc.monitoring.watching import ActuatorWatch, AlarmWatch
@@ -56,6 +56,7 @@ def live(
     """
     page = PageBeside(serve, drops, host, port, open_page)
     page.check("bayesftc live")
+    check_numbers(duration=duration, pace=pace)
     wires = load_wires(bridge)
     received = [name for wire in wires.wires.values() if wire.is_input for name in wire.names]
     loaded = live_controller(controller, received)

@@ -15,7 +15,7 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.commands.loops._compare import compare_scenarios
-from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed
+from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed, check_numbers
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
@@ -76,6 +76,7 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Run a scenario, print its figures and write its files; or compare several."""
+    check_numbers(duration=duration, seed=seed, pace=pace)
     if compare:
         if engine is not None or pace is not None or check_kalman:
             raise ModelError("--compare cannot be used with --engine, --pace and --check-kalman. Leave them out.")
@@ -88,6 +89,8 @@ def run(
         )
     (scenario,) = scenarios
     options: dict[str, Any] = {"seed": seed, "duration": duration, "engine": engine and engine.value, "pace": pace}
+    if out is not None:
+        output.check_folder(out, silent=quiet or json)
     loaded = load_scenario(scenario)
     with noted_elsewhere():
         loop = loaded.loop()
@@ -95,8 +98,6 @@ def run(
     if check_kalman:
         _refuse_kalman(loaded)
         options = {**options, "record": _with_kalmans(loaded, loop)}
-    if out is not None:
-        output.check_folder(out, silent=quiet or json)
     notes = unused(loaded, duration)
     if not json and not quiet:
         output.say_notes(notes)

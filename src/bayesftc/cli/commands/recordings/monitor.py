@@ -104,6 +104,8 @@ def monitor(
         raise typer.BadParameter("--overwrite replaces the model file that --fit writes: add --fit, or leave it out.")
     if not fit and (sensors or start is not None or stop is not None):
         raise typer.BadParameter("--from, --to and --sensor choose what to fit: add --fit.")
+    if out is not None:
+        output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE), silent=quiet or json)
     model = model or (out or Path()) / MODEL
     fitted = None
     if fit:
@@ -112,8 +114,6 @@ def monitor(
             print_fit(fitted, fitted_to, model)
     loaded = load_monitor(model)
     samples = loaded.read(recording)
-    if out is not None:
-        output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE), silent=quiet or json)
     mismatch = loaded.compare(samples)
     if mismatch is not None:
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
