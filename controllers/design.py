@@ -15,11 +15,18 @@ from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_vector
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
 from bayesftc.controllers.models.linear import LinearModel
-from bayesftc.controllers.models.linearization import INPUT_NOISE, linearize, refuse_unmoved, refuse_unmoving
+from bayesftc.controllers.models.linearization import (
+    INPUT_NOISE,
+    check_plant,
+    linearize,
+    refuse_unmoved,
+    refuse_unmoving,
+)
 from bayesftc.controllers.models.names import Names, elements_of, names_of
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.announcing import reported
+from bayesftc.cosim.blocks.linear_system import is_system, signal_names
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
@@ -142,6 +149,7 @@ def design(
                 raise ModelError(f"A LinearModel already determines {name}; leave {name}= out.")
         model, H, mean = plant, _goal_rows(plant, goal), np.zeros(plant.states - plant.disturbances)
     else:
+        check_plant(plant)
         if measured is None or actuated is None:
             raise ModelError(
                 f"design() needs measured= and actuated=, names of outputs{_known(plant, 'output')} and inputs"
@@ -294,5 +302,8 @@ def _initial(model: LinearModel) -> Floats:
 
 def _known(plant: Any, side: str) -> str:
     """Return the names of the inputs or outputs of a block or a system of python-control, for a message."""
-    names = getattr(plant, f"{side}_labels", None) or [port.name for port in getattr(plant, f"{side}s", ())]
+    if is_system(plant):
+        names = signal_names(plant)[side == "output"]
+    else:
+        names = tuple(port.name for port in getattr(plant, f"{side}s", ()))
     return f" ({', '.join(names[:8])}{', ...' if len(names) > 8 else ''})" if names else ""

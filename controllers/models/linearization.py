@@ -28,7 +28,7 @@ from bayesftc.controllers.models.names import (
 )
 from bayesftc.controllers.models.pulse_responses import realise
 from bayesftc.cosim.base.timebase import rational_step, show
-from bayesftc.cosim.blocks.linear_system import LinearSystem, held
+from bayesftc.cosim.blocks.linear_system import LinearSystem, held, is_system
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.errors import ModelError, StepSizeError, brief
 from bayesftc.cosim.fmi.fmu import FMU
@@ -184,7 +184,8 @@ def linearize(
         plant = FMU(plant)
     if isinstance(plant, FMU):
         return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
-    block = plant if isinstance(plant, StateSpace) else StateSpace(_checked(plant))
+    check_plant(plant)
+    block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
     if order is not None:
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
@@ -192,16 +193,19 @@ def linearize(
     return _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}).seen()
 
 
-def _checked(plant: Any) -> Any:
-    """Return a system of python-control; anything else is refused in the words of the plant, not of a block."""
-    import control
+def check_plant(plant: Any) -> None:
+    """Refuse a plant of another type, in the words of the plant, not of a block.
 
-    if not isinstance(plant, control.InputOutputSystem):
+    Raises
+    ------
+    ModelError
+        If it is none of which a linear model can be made.
+    """
+    if not (isinstance(plant, str | PathLike | FMU | StateSpace) or is_system(plant)):
         raise ModelError(
-            f"The plant is {brief(plant)}; a linear model can be made of an FMU (cosim.FMU(path)), a system of python-control or "
-            "its block cosim.StateSpace. For matrices give control.ss(A, B, C, D), or a LinearModel."
+            "The plant must be an FMU (cosim.FMU(path)), a system of python-control or its block cosim.StateSpace; for matrices "
+            f"give control.ss(A, B, C, D, dt), or a LinearModel. It is {brief(plant)}."
         )
-    return plant
 
 
 def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:

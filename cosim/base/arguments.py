@@ -1,11 +1,11 @@
-"""Errors about arguments that a class does not have."""
+"""Errors about arguments that a class or function does not have, or lacks."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable
-from functools import lru_cache
-from typing import Any, Self
+from collections.abc import Callable, Collection
+from functools import lru_cache, wraps
+from typing import Any, NamedTuple, Self, TypeVar
 
 from bayesftc.cosim.errors import did_you_mean
 
@@ -16,11 +16,13 @@ _WORDS = {
     "count": ("sensors",),
     "end": ("stop", "duration"),
     "from": ("start",),
+    "goal": ("reference",),
     "length": ("duration",),
     "n": ("count",),
     "onset": ("start",),
     "params": ("parameters",),
     "seconds": ("duration",),
+    "setpoint": ("reference",),
     "sigma": ("std",),
     "size": ("magnitude", "count"),
     "time": ("start",),
@@ -30,47 +32,86 @@ _WORDS = {
 """Words that users try, with the arguments that they may mean."""
 
 
-def check_arguments(cls: type, unnamed: int, named: Iterable[str]) -> None:
-    """Refuse arguments that the constructor of a class does not have.
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+
+class _Arguments(NamedTuple):
+    """The names of all arguments, of those without a default, and of those that may be given without a name."""
+
+    known: tuple[str, ...]
+    required: tuple[str, ...]
+    unnamed: tuple[str, ...]
+
+
+def check_arguments(called: Callable[..., Any], unnamed: int, named: Collection[str]) -> None:
+    """Refuse arguments that a function or the constructor of a class does not have, and a call without those that it needs.
 
     Raises
     ------
     TypeError
         With the names that were meant, or all.
     """
-    known, positional = _arguments(cls)
-    for name in named if known else ():
+    found = _arguments(called)
+    if found is None:
+        return
+    known, title = found.known, called.__name__
+    for name in named:
         if name not in known:
             meant = [repr(word) for word in _WORDS.get(name, ()) if word in known]
             hint = f"did you mean {' or '.join(meant)}?" if meant else did_you_mean(name, known)
-            raise TypeError(f"{cls.__name__} has no argument {name!r}; {hint}")
-    if known and unnamed > positional:
-        example = f"{cls.__name__}({', '.join(f'{name}=...' for name in known[:2])})"
-        most = f"at most {positional}" if positional else "none"
+            raise TypeError(f"{title} has no argument {name!r}; {hint}")
+    if unnamed > len(found.unnamed):
+        most = f"at most {len(found.unnamed)}" if found.unnamed else "none"
         raise TypeError(
-            f"{cls.__name__} has {unnamed} argument{'s' if unnamed > 1 else ''} without a name, but takes {most}; "
-            f"write {example}."
+            f"{title} has {unnamed} argument{'s' if unnamed > 1 else ''} without a name, but takes {most}; "
+            f"write {_call(title, found.required if len(found.required) > 1 else known[:2])}."
+        )
+    if lacking := [name for name in found.required if name not in (*found.unnamed[:unnamed], *named)]:
+        *others, last = map(repr, lacking)
+        names = f"{', '.join(others)} and {last}" if others else last
+        raise TypeError(
+            f"{title} lacks the argument{'s' if others else ''} {names}; write {_call(title, found.required)}."
         )
 
 
+def _call(title: str, names: Collection[str]) -> str:
+    return f"{title}({', '.join(f'{name}=...' for name in names)})"
+
+
 class NamedArguments:
-    """Base of classes that name the right argument in place of one that they do not have."""
+    """Base of classes that name the right argument in place of one that they do not have, and those that are missing."""
 
     def __new__(cls, *args: Any, **settings: Any) -> Self:
         """Make the object; refuse arguments that the class does not have, with the names of those that it has."""
-        if args or settings:
+        if args or settings:  # a copy is made without any
             check_arguments(cls, len(args), settings)
         return super().__new__(cls)
 
 
+def with_named_arguments(function: _F) -> _F:
+    """Let a function refuse arguments as classes do; see `NamedArguments`."""
+
+    @wraps(function)
+    def checked(*args: Any, **settings: Any) -> Any:
+        check_arguments(function, len(args), settings)
+        return function(*args, **settings)
+
+    return checked  # type: ignore[return-value]
+
+
 @lru_cache(maxsize=1024)
-def _arguments(cls: type) -> tuple[tuple[str, ...], int]:
-    """Return the names of all arguments, and how many may be given without a name; none if the constructor takes any."""
-    parameters = list(inspect.signature(cls.__init__).parameters.values())[1:]  # type: ignore[misc]
-    if any(each.kind in {each.VAR_KEYWORD, each.VAR_POSITIONAL} for each in parameters):
-        return (), 0
-    positional = sum(each.kind in {each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD} for each in parameters)
-    return tuple(each.name for each in parameters), positional
+def _arguments(called: Callable[..., Any]) -> _Arguments | None:
+    """Return the arguments of a function or of a class's constructor; None if it takes any."""
+    is_class = isinstance(called, type)
+    parameters = list(inspect.signature(called.__init__ if is_class else called).parameters.values())  # type: ignore[misc]
+    parameters = parameters[1:] if is_class else parameters
+    if not parameters or any(each.kind in {each.VAR_KEYWORD, each.VAR_POSITIONAL} for each in parameters):
+        return None
+    return _Arguments(
+        tuple(each.name for each in parameters),
+        tuple(each.name for each in parameters if each.default is each.empty),
+        tuple(each.name for each in parameters if each.kind in {each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD}),
+    )
 
 
-__all__ = ["NamedArguments", "check_arguments"]
+__all__ = ["NamedArguments", "check_arguments", "with_named_arguments"]

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import rational_step, show
@@ -47,6 +48,7 @@ Connection = tuple[Names, str]
 """The names of one or several sources, and of the input that they feed."""
 
 
+@with_named_arguments
 def closed_loop(
     plant: Any,
     controller: Block,

@@ -197,8 +197,8 @@ def _part(diagram: Diagram, blocks: Sequence[str] | str | None) -> Diagram:
     for node in nodes:
         if is_external(node):
             raise ModelError(
-                f"The block {node.name!r} is an FMU, which cannot be exported again. Export the blocks around it, and connect both "
-                "in the tool that runs them."
+                f"The block {node.name!r} is an FMU, which cannot be exported again. Export the blocks around it, and connect "
+                "both in the tool that runs them."
             )
     return part_of(diagram, requested)
 

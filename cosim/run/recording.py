@@ -17,11 +17,12 @@ from bayesftc.cosim.ports import Port, labels, without_brackets
 
 @dataclass(frozen=True)
 class Selection:
-    """Places in memory to record, and for each signal its first column and shape."""
+    """Places in memory to record, for each signal its first column and shape, and the names of all other signals."""
 
     places: np.ndarray[Any, np.dtype[np.int64]]
     columns: dict[str, tuple[int, tuple[int, ...]]]
     units: dict[str, str]
+    others: frozenset[str] = frozenset()
 
 
 def _named(name: str, signals: Mapping[str, tuple[Node, Port]]) -> list[str]:
@@ -71,4 +72,4 @@ def select_signals(schedule: Schedule, record: Iterable[str | PortRef] | None) -
         places += range(place.start, place.stop)
         if port.unit:
             units[name] = port.unit
-    return Selection(np.array(places, dtype=np.int64), columns, units)
+    return Selection(np.array(places, dtype=np.int64), columns, units, frozenset(signals.keys() - columns.keys()))

@@ -66,6 +66,8 @@ class Result(Mapping[str, Floats]):
         The roles of the signals in a closed loop, for `plot`; or the diagram, from which they are derived when needed.
     units : mapping of str to str, optional
         The unit of each signal that has one.
+    unrecorded : iterable of str, optional
+        Names of the other signals of the run, for messages.
     metadata : mapping, optional
         Properties of the run.
     stopped : str, optional
@@ -104,13 +106,14 @@ class Result(Mapping[str, Floats]):
         before: int = 0,
         parts: LoopRoles | Diagram | None = None,
         units: Mapping[str, str] | None = None,
+        unrecorded: Iterable[str] = (),
         metadata: Mapping[str, Any] | None = None,
         stopped: str | None = None,
     ):
         self._recording, self._columns = recording, dict(columns)
         self.step, self.decimation, self.before = step, decimation, before
         self.metadata, self.stopped = dict(metadata or {}), stopped
-        self._parts, self._units = parts, dict(units or {})
+        self._parts, self._units, self._unrecorded = parts, dict(units or {}), frozenset(unrecorded)
 
     @property
     def roles(self) -> LoopRoles | None:
@@ -173,14 +176,15 @@ class Result(Mapping[str, Floats]):
         if isinstance(name, list | tuple):
             return f"A result gives one signal at a time, not {name!r}; use result.to_pandas()[{list(name)!r}] for several."
         block, _, port = str(name).rpartition(".")
-        known = any(signal.startswith(f"{block}.") for signal in self._columns)
-        elsewhere = not known and any(
-            signal.endswith(f".{port}") for signal in self._columns
-        )  # under another block's name
-        message = f"The result has no signal {name!r}; {did_you_mean(port if elsewhere else name, self._columns)}"
-        if block and port and known:
-            message += f" To record an input of a block, name it: simulate(..., record=['*', {name!r}])."
-        return message
+        signals = [*self._columns, *self._unrecorded]
+        known = any(signal.startswith(f"{block}.") for signal in signals)
+        elsewhere = not known and any(signal.endswith(f".{port}") for signal in signals)  # under another block's name
+        if name in self._unrecorded:
+            return (
+                f"The signal {name!r} was not recorded. To record it, name it: simulate(..., record=['*', {name!r}])."
+            )
+        hint = did_you_mean(port if elsewhere else name, signals if known or elsewhere else self._columns)
+        return f"The result has no signal {name!r}; {hint}"
 
     # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.
     __eq__ = object.__eq__
@@ -344,6 +348,7 @@ class Result(Mapping[str, Floats]):
             "before": self.before,
             "columns": {name: [start, list(shape)] for name, (start, shape) in self._columns.items()},
             "units": self.units,
+            "unrecorded": sorted(self._unrecorded),
             "metadata": self.metadata,
             "stopped": self.stopped,
             "roles": self.roles and self.roles.to_dict(),
@@ -391,6 +396,7 @@ class Result(Mapping[str, Floats]):
                 before=header.get("before", 0),  # files of earlier versions contain whole runs,
                 parts=(roles := header.get("roles")) and LoopRoles.from_dict(roles),  # without roles
                 units=header["units"],
+                unrecorded=header.get("unrecorded", ()),
                 metadata=header["metadata"],
                 stopped=header["stopped"],
             )

@@ -235,6 +235,7 @@ class Session:
             before=run.before,
             parts=self._parts,
             units=self._selection.units,
+            unrecorded=self._selection.others,
             metadata=metadata,
             stopped=stopped,
         )

@@ -15,8 +15,7 @@ from sklearn.metrics import roc_auc_score
 import bayesftc
 from bayesftc.bench import SECTIONS
 from bayesftc.cli.application import COMMANDS
-from bayesftc.cli.commands.loops import _compare as compare_module
-from bayesftc.cli.commands.loops import run as run_module
+from bayesftc.cli.commands.loops import _compare as compare_module, run as run_module
 from bayesftc.cosim import Result
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals

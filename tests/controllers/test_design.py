@@ -396,6 +396,7 @@ def test_a_redundant_sensor_fails_and_the_servo_stays():
     assert min(far.values()) < 0.1 * max(far.values())
 
 
+TWO = control.ss(0.9 * np.eye(2), np.eye(2), np.eye(2), 0, 0.1)
 BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
 
 
@@ -403,7 +404,7 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
     ("settings", "error", "words"),
     [
         ({"measured": None, "plant": cosim.FMU(fmus.path("PositionServo"))}, ModelError, r"s \(angle, speed, current\) and inp"),
-        ({"actuated": None, "plant": control.tf([1], [1, 1])}, ModelError, r"outputs \(y\[0\]\) and inputs \(u\[0\]\) of"),
+        ({"actuated": None, "plant": control.tf([1], [1, 1])}, ModelError, r"outputs \(y\) and inputs \(u\) of"),
         ({"measured": "angel"}, UnknownNameError, "did you mean 'angle'"),
         ({"measured": "angel", "dt": "soon"}, UnknownNameError, "did you mean 'angle'"),
         ({"actuated": []}, ModelError, "actuated=.*at least one variable"),
@@ -419,7 +420,10 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
         ({"sensor_std": -0.01}, ModelError, "must not be negative"),
         ({"sensor_std": 0.0}, ModelError, r"sensor_std is \[0.0\]; a sensor without noise"),
         ({"precision": "fixed"}, ModelError, r"precision is 'fixed'; .* for a Kalman filter, FixedPrecision\(\)"),
-        ({"plant": (np.eye(2), np.eye(2))}, ModelError, r"The plant is .*control.ss\(A, B, C, D\), or a LinearModel"),
+        ({"plant": (np.eye(2), np.eye(2))}, ModelError, r"^The plant must be an FMU .*control.ss\(A, B, C, D, dt\), or a Line"),
+        ({"plant": (np.eye(2), np.eye(2)), "measured": None}, ModelError, "^The plant must be an FMU"),
+        ({"actuated": None, "plant": TWO}, ModelError, r"outputs \(y0, y1\) and inputs \(u0, u1\) of"),
+        ({"measured": "z", "actuated": "u[0]", "plant": TWO}, UnknownNameError, "known names: y0, y1"),
         ({"plant": BLIND, "measured": "y", "actuated": "u", "dt": 0.1}, ModelError, "y: no state of the model moves"),
         ({"noise": 0.1}, ModelError, r"a number for each input by name, as noise=\{'load'"),
         ({"at": 0.1}, ModelError, r"a number for each input by name, as at="),

@@ -15,6 +15,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
+from bayesftc._public import meant
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.scenario._place import Place
 
@@ -68,7 +69,8 @@ def choose(
     by_folded = {_folded(name): name for name in names}
     folded = _folded(str(kind))
     if folded not in by_folded:
-        near = [by_folded[match] for match in get_close_matches(folded, by_folded)]
+        near = [each for word in meant(str(kind)) if (each := word.rpartition(".")[2]) in names]
+        near = near or [by_folded[match] for match in get_close_matches(folded, by_folded)]
         hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"known kinds: {', '.join(names)}."
         raise (place / "kind").error(f"is {kind!r}, which is no valid kind here; {hint}")
     return names[by_folded[folded]], rest

@@ -1,6 +1,7 @@
 """Arguments that a block does not have are refused with a sentence that names the right ones."""
 
 import copy
+import inspect
 import pickle
 from dataclasses import dataclass
 
@@ -38,6 +39,28 @@ MODEL = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 0.01, 1.0, dt=0.1)
             lambda: cosim.Constant(1.0, "m", 3),
             "Constant has 3 arguments without a name, but takes at most 2; write Constant(value=..., unit=...).",
         ),
+        (lambda: cosim.Step(1.0), "Step lacks the argument 'after'; write Step(time=..., after=...)."),
+        (lambda: cosim.Step(after=1.0), "Step lacks the argument 'time'; write Step(time=..., after=...)."),
+        (lambda: cosim.Drift(start=1.0), "Drift lacks the argument 'slope'; write Drift(slope=...)."),
+        (
+            lambda: cosim.closed_loop(MODEL, None, control="u", measured="y"),
+            "closed_loop lacks the argument 'reference'; write closed_loop(plant=..., controller=..., control=..., "
+            "measured=..., reference=...).",
+        ),
+        (
+            lambda: cosim.closed_loop(control="u", measured="y", reference=0.0),
+            "closed_loop lacks the arguments 'plant' and 'controller'; write closed_loop(plant=..., controller=..., control=..., "
+            "measured=..., reference=...).",
+        ),
+        (
+            lambda: cosim.closed_loop(MODEL, None, "u", "y", 1.0),
+            "closed_loop has 5 arguments without a name, but takes at most 2; write closed_loop(plant=..., controller=..., "
+            "control=..., measured=..., reference=...).",
+        ),
+        (
+            lambda: cosim.closed_loop(MODEL, None, control="u", measured="y", goal=1.0),
+            "closed_loop has no argument 'goal'; did you mean 'reference'?",
+        ),
     ],
 )
 def test_a_wrong_argument_is_named_with_the_right_ones(make, sentence):
@@ -46,9 +69,14 @@ def test_a_wrong_argument_is_named_with_the_right_ones(make, sentence):
     assert str(caught.value) == sentence
 
 
-def test_missing_arguments_are_left_to_python():
+def test_a_call_without_arguments_is_left_to_python():  # because copies are made in this way
     with pytest.raises(TypeError, match="missing 1 required keyword-only argument: 'slope'"):
-        cosim.Drift(start=1.0)
+        cosim.Drift()
+
+
+def test_a_function_keeps_its_signature():
+    assert list(inspect.signature(cosim.closed_loop).parameters)[:3] == ["plant", "controller", "control"]
+    assert pickle.loads(pickle.dumps(cosim.closed_loop)) is cosim.closed_loop
 
 
 def test_blocks_with_constructors_of_their_own_are_made_and_copied():

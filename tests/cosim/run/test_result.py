@@ -70,9 +70,7 @@ def test_signals(result):
     assert result.stopped is None
     with pytest.raises(cosim.UnknownNameError, match=r"The result has no signal 'block.d'; did you mean"):
         result["block.d"]
-    with pytest.raises(
-        cosim.UnknownNameError, match=r"To record an input of a block, name it: .* record=\['\*', 'block.u'\]"
-    ):
+    with pytest.raises(cosim.UnknownNameError, match=r"no signal 'block.u'; did you mean [^=]*'block.a'\?$"):
         result["block.u"]
     with pytest.raises(cosim.UnknownNameError, match=r"no signal 'quad.c'; did you mean 'block.c'\?$"):
         result["quad.c"]
@@ -85,6 +83,30 @@ def test_signals(result):
     assert result.get("nothing") is None
     assert result == result
     assert result != pickle.loads(pickle.dumps(result))
+
+
+def test_a_signal_that_was_not_recorded_is_told_from_one_that_does_not_exist(tmp_path):
+    diagram = cosim.Diagram(0.1)
+    diagram.connect(diagram.add(cosim.Ramp(1.0), "ramp")["y"], diagram.add(cosim.Gain(2.0), "double")["u"])
+    run = diagram.build().simulate(1.0, engine="interpreted")
+    with pytest.raises(
+        cosim.UnknownNameError, match=r"^The signal 'double.u' was not recorded. .*\['\*', 'double.u'\]\)\.$"
+    ):
+        run["double.u"]
+    for wrong in ("double.uu", "dubble.u", "u"):
+        with pytest.raises(
+            cosim.UnknownNameError, match=rf"no signal '{wrong}'; did you mean '?[^=]*'double.u'[^=]*\?$"
+        ):
+            run[wrong]
+    with pytest.raises(
+        cosim.UnknownNameError, match=r"no signal 'double.mass'; did you mean [^=]*\?$|known names: [^=]*$"
+    ):
+        run["double.mass"]
+    part = diagram.simulate(1.0, engine="interpreted", record="ramp.y")
+    part.save(tmp_path / "run.npz")
+    for one in (part, pickle.loads(pickle.dumps(part)), Result.load(tmp_path / "run.npz")):
+        with pytest.raises(cosim.UnknownNameError, match=r"'double\.y' was not recorded"):
+            one["double.y"]
 
 
 def test_to_pandas(result):
