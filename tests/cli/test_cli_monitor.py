@@ -164,6 +164,20 @@ def drive(files, tmp_path):
     return str(tmp_path / "tank.csv")
 
 
+def test_the_columns_of_a_fit_are_explained_and_gaps_named(drive, tmp_path):
+    arguments = ["monitor", drive, "--fit", "--to", "29", "--model", str(tmp_path / "m.toml")]
+    whole = RUNNER.invoke(app, arguments)
+    for word in ("Noise:", "Lasting errors:", "Bias:", "Resolution:", "fine:", "Repeats:", "Missing:"):
+        assert word in whole.output
+    assert "Gaps" not in whole.output
+    table = pd.read_csv(drive)
+    table[(table.t < 9.95) | (table.t > 14.95)].to_csv(drive, index=False)
+    done = RUNNER.invoke(app, [*arguments, "--overwrite"])
+    assert done.exit_code == 0, done.output
+    sentence = "no sensor has a sample in 8 % of the steps, 5 s in all, the longest time from 9.9 to 15 s."
+    assert f"Gaps are not counted as missing: {sentence}" in done.output
+
+
 def test_a_model_is_fitted_and_written(drive, tmp_path):
     out = tmp_path / "results"
     done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--to", "29", "--out", str(out)])

@@ -96,6 +96,13 @@ def test_the_table_fits_the_terminal(width):
         assert words in text
 
 
+def test_long_names_are_not_broken(tmp_path):
+    name = "vehicle.body.suspension.damper.coefficient"
+    path = edited(SHIPPED["CruiseControl", "2.0"], tmp_path / "x.fmu", ('name="m"', f'name="{name}"'))
+    (line,) = (line for line in inspected(str(path), width=80).splitlines() if name in line)
+    assert line.split()[1:4] == ["parameter", "Real", "kg"]
+
+
 def test_local_variables_are_shown_on_demand(tmp_path):
     attributes = 'name="hidden" valueReference="99" causality="local" variability="constant"'
     local = f'<ScalarVariable {attributes}><Real start="1"/></ScalarVariable></ModelVariables>'

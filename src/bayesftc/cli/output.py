@@ -349,14 +349,15 @@ def empty_table(*columns: str) -> Table:
     return table
 
 
-def plain_table(*columns: str, right: Collection[str] = ()) -> Table:
-    """Return a table in the common style with these columns; those in `right` are aligned to the right."""
+def plain_table(*columns: str, right: Collection[str] = (), whole: Collection[str] = ()) -> Table:
+    """Return a table in the common style with these columns: in `right` aligned to the right, in `whole` not broken."""
     from rich import box
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in columns:
-        table.add_column(column, overflow="fold", justify="right" if column in right else "left")
+        justify = "right" if column in right else "left"
+        table.add_column(column, overflow="fold", justify=justify, no_wrap=column in whole)  # type: ignore[arg-type]
     return table
 
 

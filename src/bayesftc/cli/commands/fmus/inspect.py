@@ -29,6 +29,9 @@ KINDS = {
 STYLES = {"yes": "green", "no": "red", "partly": "yellow"}
 ORDER = ("input", "output", "parameter", "structuralParameter", "calculatedParameter", "local", "independent")
 
+LEAST = 30
+"""Least width of the columns after those that are never broken: start and description."""
+
 OTHER_COMMANDS = {
     ".csv": ("a table of samples", "bayesftc monitor {} --fit"),
     ".toml": ("a scenario, a campaign or a model of a monitor", "bayesftc run {}"),
@@ -101,13 +104,18 @@ def _print(path: Path, description: FMUDescription, works: list[Verdict], everyt
 def _print_variables(console: Console, description: FMUDescription, everything: bool) -> None:
     from rich.text import Text
 
-    table = output.plain_table("variable", "causality", "type", "unit", "start", "description", right={"start"})
+    columns = "variable", "causality", "type", "unit", "start", "description"
+    table = output.plain_table(*columns, right={"start"}, whole=columns[:4])
     shown = [v for v in description.variables if everything or v.causality in ORDER[:5]]
     ranked = sorted(shown, key=lambda v: ORDER.index(v.causality) if v.causality in ORDER else len(ORDER))
+    rows = []
     for v in ranked:
         kind = v.type + (f"[{', '.join(map(str, v.shape))}]" if v.shape else "")
-        cells = (v.name, v.causality, kind, v.unit or "", _short(v.start), v.description or "")
-        table.add_row(*(Text(cell) for cell in cells))
+        rows.append((v.name, v.causality, kind, v.unit or "", _short(v.start), v.description or ""))
+        table.add_row(*map(Text, rows[-1]))
+    needed = sum(2 + max(map(len, column)) for column in zip(columns[:4], *(row[:4] for row in rows), strict=True))
+    # Long names make the table wider than the terminal, so that the columns beside them keep some width.
+    console.width = max(console.width, needed + LEAST)
     console.print(table)
     hidden = len(description.variables) - len(shown)
     if hidden:

@@ -25,6 +25,8 @@ from bayesftc.monitoring import (
 from bayesftc.monitoring.fit.doubtful import doubtful_sensors, lasting_errors
 
 MODEL = "model.toml"
+LONG = 10
+"""Steps without a sample of any sensor beyond which they are a gap of the recording."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +108,34 @@ def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
     for each in fitted.errors:
         if each.common:
             say(f"{' and '.join(each.sensors or ())} have common errors of std {float(np.max(each.std)):.3g}.")
-    say("Noise: standard deviation from sample to sample. Bias: difference from the typical sensor.")
+    say(
+        "Noise: standard deviation from sample to sample. Lasting errors: standard deviation of errors that persist over many "
+        "samples. Bias: difference from the typical sensor."
+    )
+    say(
+        "Resolution: least difference of two samples; fine: too small to matter. Repeats: share of samples that equal the one "
+        "before. Missing: share of the steps without a sample, in a typical part of the recording."
+    )
+    if gaps := _gaps(recording):
+        say(gaps)
     say(f"Written to {model}\n")
+
+
+def _gaps(recording: Recording) -> str:
+    """Return a sentence about the gaps in which all sensors lack samples, which no typical part has; empty without them."""
+    sampled = np.flatnonzero(np.isfinite(recording.y).any(axis=1))
+    usual = max(LONG, *(3 * int(np.median(np.diff(np.flatnonzero(np.isfinite(y))))) for y in recording.y.T))
+    lengths, dt = np.diff(sampled) - 1, float(recording.dt)
+    gaps = lengths[lengths > usual]
+    if not len(gaps):
+        return ""
+    longest = int(np.argmax(lengths))
+    first, last = recording.time[sampled[longest]], recording.time[sampled[longest + 1]]
+    share = gaps.sum() / len(recording.y)
+    return (
+        f"Gaps are not counted as missing: no sensor has a sample in {100 * share:.0f} % of the steps, {gaps.sum() * dt:.4g} s "
+        f"in all, the longest time from {first:.10g} to {last:.10g} s."
+    )
 
 
 def _motion(fitted: FittedModel) -> str:
