@@ -97,10 +97,10 @@ class NotAllowed(cosim.Block):
         return cosim.Definition(sine_of_math)
 
 
-def two_campaigns():
+def two_campaigns(*settings):
     pytest.importorskip("zarr")
-    for seeds in (1, 2):
-        cosim.Campaign(loop(), duration=0.02, seeds=seeds, metrics=[cosim.Final("plant.v")]).run("store")
+    for each in settings:
+        cosim.Campaign(loop(), duration=0.02, metrics=[cosim.Final("plant.v")], **each).run("store")
 
 
 def servo():
@@ -174,7 +174,8 @@ PROVOKED = {
     "has other settings in the loop": lambda: cosim.compare(
         {"a": loop(), "b": loop(sensors=cosim.Sensors(2, 2.0))}, duration=1.0
     ),
-    "The campaign in": two_campaigns,
+    "The campaign in": lambda: two_campaigns({"seed": 0}, {"seed": 1}),
+    "A store keeps": lambda: two_campaigns({"seeds": 1}, {"seeds": 2}),
     "which cannot be exported again": lambda: cosim.export_fmu(loop(), "all.fmu"),
     "which is not installed": lambda: extra("a_package_of_no_extra", "A stored campaign"),
     "The recording ... cannot be read": lambda: cosim.Table.read("drive.csv", "speed"),

@@ -133,6 +133,13 @@ class CampaignStore(StoredCampaign):
         given = metadata_of(description, plan, signals, time, metrics, fmus, labels)
         stored = Metadata.read(path)
         unlike = differences(stored.identity(), given.identity())
+        counts = [{len(seeds) for seeds in each.plan.seeds} for each in (stored, given)]
+        if unlike and counts[0] != counts[1] and all(text.startswith("seeds") for text in unlike):
+            before, now = (" or ".join(map(str, sorted(count))) for count in counts)
+            raise StoreError(
+                f"The campaign in {path} has seeds={before}, not seeds={now}. A store keeps its number of runs. Choose another "
+                f"folder, or give seeds={before} to go on."
+            )
         if unlike:
             more = f" (and {len(unlike) - 3} more)" if len(unlike) > 3 else ""
             raise StoreError(

@@ -152,11 +152,22 @@ def test_wrong_stores_and_runs_are_said(bayesftc_, file, tmp_path):
     assert "the runs 0 to 11" in bayesftc_("replay", "tracking", 12).stderr
     assert "did you mean 'rmse'" in bayesftc_("report", "tracking", "--metric", "rmsse").stderr
     assert "no factor" in bayesftc_("report", "tracking", "--compare", "mass").stderr
-    file.write_text(FILE.replace("seeds = 3", "seeds = 4"))
+    file.write_text(FILE.replace("seeds = 3", "seeds = 3\nseed = 7"))
     other = bayesftc_("campaign", file)
     assert other.exit_code == 20
-    assert "is another one" in other.stderr
+    assert "is another one: seeds[0][0] is " in other.stderr
     assert bayesftc_("campaign", file, "--scheduler", "tcp://127.0.0.1:1", "--jobs", 2).exit_code == 9
+
+
+def test_more_seeds_need_another_store(bayesftc_, file, tmp_path):
+    assert bayesftc_("campaign", file).exit_code == 0
+    file.write_text(FILE.replace("seeds = 3", "seeds = 5"))
+    more = bayesftc_("campaign", file)
+    assert more.exit_code == 20
+    sentence = (
+        "has seeds=3, not seeds=5. A store keeps its number of runs. Choose another folder, or give seeds=3 to go on."
+    )
+    assert sentence in more.stderr
 
 
 def test_comments_and_limits_may_change_and_what_is_run_may_not(bayesftc_, file, tmp_path):
