@@ -232,6 +232,12 @@ def test_options_that_do_not_fit_are_refused(options, words):
     assert words in " ".join(done.output.replace("│", " ").split())
 
 
+def test_a_negative_duration_is_refused_before_files_are_read():
+    options = ["--live", "missing.toml", "--model", "missing.toml", "--duration", "-1"]
+    done = CliRunner().invoke(app, ["monitor", *options])
+    assert (done.exit_code, done.output) == (8, "Error: The duration is -1.0 s; it must not be negative.\n")
+
+
 def test_a_wire_to_a_sensor_that_is_not_there_is_refused(tmp_path):
     (tmp_path / "model.toml").write_text(MODEL)
     (tmp_path / "wires.toml").write_text(wire("a", 0) + wire("b", 0) + wire("left_c", 0))

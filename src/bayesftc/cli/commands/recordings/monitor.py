@@ -14,7 +14,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli.commands.recordings._faults import print_faults
 from bayesftc.cli.commands.recordings._monitor_fit import MODEL, Fit, fit_files, fit_notes, fitted_summary, print_fit
-from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder
+from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder, check_numbers
 from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.cosim.judging.metrics import without_nan
@@ -88,6 +88,7 @@ def monitor(
             )
         from bayesftc.cli.commands.recordings._monitor_live import LiveOptions, monitor_live
 
+        check_numbers(duration=duration)
         page = PageBeside(serve, drops, host, port, open_page)
         monitor_live(model, live, LiveOptions(duration, record, json, quiet, page))
         return
