@@ -10,6 +10,7 @@ from __future__ import annotations
 import builtins
 import gc
 import operator
+import re
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -143,6 +144,8 @@ def service_text(function: FunctionType, name: str) -> str:
     """Return a service function as `compile_raw` compiles it in LLVM's text format, with its entry named `name`."""
     compiled = cfunc(SIGNATURE, error_model="numpy")(function)
     text: str = compiled.inspect_llvm()
+    # The entry does nothing but call the function, which numba does not let it include. (LLVM refuses an empty group.)
+    text = re.sub(r"(?m)^(attributes .*)\bnoinline\b", r"\1nounwind", text)
     return text.replace(compiled.native_name, name)
 
 

@@ -16,9 +16,12 @@ from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.run.fused.lanes import Home, Lanes, text_of_lanes, wide_name
 from bayesftc.cosim.run.fused.text import Loop, text_of_loop
+from bayesftc.cosim.run.general.program import FUNCTION
 from bayesftc.cosim.stepping.machine.code import machine_code
 from bayesftc.cosim.stepping.machine.lanes import lowered_to_lanes
 from bayesftc.cosim.stepping.machine.lowering import lowered
+from bayesftc.cosim.stepping.machine.services import service_at
+from bayesftc.cosim.stepping.machine.shipped import shipped_text, sources_digest
 from bayesftc.cosim.stepping.machine.steps import environment, load_or_compile, name_of, sentences, text_of
 from bayesftc.cosim.stepping.source.tree import Sections
 
@@ -89,7 +92,7 @@ def fused_lanes(schedule: Schedule, tables: Tables, steps: float) -> int:
 
 def _found(text: str, steps: float, calls: int, compiled: Callable[[str], bytes]) -> int:
     """Return the address of a loop's code, which depends on `text` alone; 0 if compiling it does not pay."""
-    name = "loop_" + hashlib.sha256((environment() + text).encode()).hexdigest()[:24]
+    name = "loop_" + hashlib.sha256((environment() + sources_digest() + text).encode()).hexdigest()[:24]
     if name not in _addresses:
         is_kept = (cache_directory("compiled") / f"{name}.o").exists()
         if not is_kept and steps < COMPILED * calls:
@@ -100,9 +103,11 @@ def _found(text: str, steps: float, calls: int, compiled: Callable[[str], bytes]
 
 def _described(schedule: Schedule, tables: Tables) -> tuple[Loop, Steps]:
     rows, drawn, recorded, decimation, clock = tables
-    names, functions = [], {}
+    names, functions, services = [], {}, []
     calls = (*schedule.evaluate, *schedule.advance)
-    for call in calls:
+    for call, row in zip(calls, rows.tolist(), strict=True):
+        service = service_at(row[FUNCTION]) or ""
+        services.append(service if shipped_text(service) else "")
         kernel, sections = None if call.group else schedule.kernel(call), schedule.slots[call.node].sections
         names.append(name_of(kernel, sections) if kernel else "")
         if isinstance(kernel, FunctionType):
@@ -111,6 +116,7 @@ def _described(schedule: Schedule, tables: Tables) -> tuple[Loop, Steps]:
         rows=tuple(tuple(row) for row in rows.tolist()),
         gathers=tuple(call.gathers for call in calls),
         functions=tuple(names),
+        services=tuple(services),
         evaluations=len(schedule.evaluate),
         drawn=tuple(drawn.tolist()),
         recorded=tuple(recorded.tolist()),
@@ -125,7 +131,12 @@ def _compiled(loop: Loop, functions: Steps, name: str) -> bytes:
     for function, (kernel, sections) in functions.items():
         with suppress(KernelError), sentences(kernel):  # numba has compiled it then: it is called by its address
             parts[function] = lowered(*text_of(kernel, sections, function))
-    return machine_code(text_of_loop(loop, name, parts), parts)
+    return machine_code(text_of_loop(loop, name, parts), parts | _service_texts(loop))
+
+
+def _service_texts(loop: Loop) -> dict[str, str]:
+    """Return the texts of the service functions that a loop calls by name."""
+    return {service: shipped_text(service) or "" for service in loop.services if service}
 
 
 def _compiled_lanes(loop: Loop, lanes: Lanes, functions: Steps, name: str) -> bytes:
@@ -142,7 +153,7 @@ def _compiled_lanes(loop: Loop, lanes: Lanes, functions: Steps, name: str) -> by
         if not failed:
             wanted = {f if homes[node] is Home.SAME else wide_name(f) for f, node in zip(loop.functions, lanes.nodes)}
             parts = {part: text for part, text in parts.items() if part in wanted}
-            return machine_code(text_of_lanes(loop, lanes, name), parts)
+            return machine_code(text_of_lanes(loop, lanes, name), parts | _service_texts(loop))
         lanes = replace(lanes, by_address=lanes.by_address | failed)
 
 

@@ -29,11 +29,7 @@ FAILED = -1
 """What the function returns if any run fails. It does not tell which: these runs are then made one by one."""
 
 _HEAD = """define i64 @{name}(ptr noalias %wide, ptr noalias readonly %calls, ptr noalias readonly %buffer,
-    ptr noalias %recording, ptr noalias %memory, i64 %stride, i64 %first, i64 %begin, i64 %end) {{
-  %place.k = alloca i64
-  store i64 %begin, ptr %place.k
-  %is.first = icmp ne i64 %first, 0
-  br i1 %is.first, label %evaluate, label %step"""
+    ptr noalias %recording, ptr noalias %memory, i64 %stride, i64 %first, i64 %begin, i64 %end) {{"""
 
 
 class Home(Enum):

@@ -25,13 +25,10 @@ from bayesftc.cosim.run.general.program import (
 )
 
 STEP_FUNCTION = "i32 @{}(ptr, ptr, ptr, ptr, double, i64)"
+SERVICE = "i32 @{}(i64, i64, i64, i64, double, i64)"
 
 _HEAD = """define i64 @{name}(ptr noalias %memory, ptr noalias readonly %calls, ptr noalias readonly %buffer,
-    ptr noalias %recording, ptr noalias %failed, i64 %before, i64 %first, i64 %begin, i64 %end) {{
-  %place.k = alloca i64
-  store i64 %begin, ptr %place.k
-  %is.first = icmp ne i64 %first, 0
-  br i1 %is.first, label %evaluate, label %step"""
+    ptr noalias %recording, ptr noalias %failed, i64 %before, i64 %first, i64 %begin, i64 %end) {{"""
 
 
 @dataclass(frozen=True)
@@ -46,6 +43,8 @@ class Loop:
         For each call, the copies (target, source) before it.
     functions : tuple of str
         For each call, the name of its step function; empty for those that are called by the address in the table.
+    services : tuple of str
+        For each call, the name of the service function at that address, such as an FMU's, if its text is known; else empty.
     evaluations : int
         Number of calls that compute outputs; the others advance states.
     drawn, recorded : tuple of int
@@ -59,6 +58,7 @@ class Loop:
     rows: tuple[tuple[int, ...], ...]
     gathers: tuple[tuple[tuple[int, int], ...], ...]
     functions: tuple[str, ...]
+    services: tuple[str, ...]
     evaluations: int
     drawn: tuple[int, ...]
     recorded: tuple[int, ...]
@@ -84,23 +84,39 @@ class Text:
     def text(self, name: str) -> str:
         """Return the function `name`."""
         loop = self._loop
+        self._begin()
         self._label("evaluate")
         self._clock("e")
         self._draw()
         for c in range(loop.evaluations):
             self._call(c, "e")
         self._record()
-        self._lines.append("  br label %step")
+        self._branch(self._value("icmp eq i64 %k.e, %end"), "finish", "step")
+        self._label("finish")
+        self._lines.append("  ret i64 %end")
         self._label("step")
         self._clock("a")
-        self._branch(self._value("icmp eq i64 %k.a, %end"), "finish", "go")
-        self._label("finish")
-        self._lines.append("  ret i64 %k.a")
-        self._label("go")
         for c in range(loop.evaluations, len(loop.rows)):
             self._call(c, "a")
         self._lines += [f"  store i64 {self._value('add i64 %k.a, 1')}, ptr %place.k", "  br label %evaluate"]
-        return "\n".join([*self._declared(), self.head.format(name=name), *self._lines, *self._end(), "}", ""])
+        services = [f"declare {SERVICE.format(service)}" for service in sorted(set(loop.services) - {""})]
+        return "\n".join([*self._declared(), *services, self.head.format(name=name), *self._lines, *self._end(), "}", ""])
+
+    def _begin(self) -> None:
+        """Go to the first thing to do. What follows a step's evaluation is one block, into which LLVM can follow its numbers."""
+        self._lines += ["  %place.k = alloca i64", "  store i64 %begin, ptr %place.k"]
+        if self._loop.decimation != 1:
+            since = self._value(f"add i64 {self._value('sub i64 %begin, %first')}, {self._loop.decimation}")
+            row = self._value(f"sdiv i64 {since}, {self._loop.decimation}")
+            self._lines += [
+                "  %place.row = alloca i64",
+                f"  store i64 {row}, ptr %place.row",
+                "  %place.due = alloca i64",
+                f"  store i64 {self._value(f'mul i64 {row}, {self._loop.decimation}')}, ptr %place.due",
+            ]
+        self._branch(self._value("icmp ne i64 %first, 0"), "evaluate", "begun")
+        self._label("begun")
+        self._branch(self._value("icmp eq i64 %begin, %end"), "finish", "step")
 
     def _declared(self) -> list[str]:
         used = sorted({f for f in self._loop.functions if f in self._inlined})
@@ -148,16 +164,20 @@ class Text:
             self._copy(self._value(f"load double, ptr {number}"), "%memory", place)
 
     def _record(self) -> None:
-        loop, row = self._loop, "%k.e"
-        if loop.decimation != 1:
-            rest = self._value(f"srem i64 %k.e, {loop.decimation}")
-            self._branch(self._value(f"icmp eq i64 {rest}, 0"), "record", "recorded")
-            self._label("record")
-            row = self._value(f"sdiv i64 %k.e, {loop.decimation}")
+        """Record a row, and note when the next is due: the rest of a division at each step would take longer."""
+        decimation = self._loop.decimation
+        if decimation == 1:
+            self._record_row("%k.e")
+            return
+        due = self._value("load i64, ptr %place.due")
+        self._branch(self._value(f"icmp eq i64 %k.e, {due}"), "record", "recorded")
+        self._label("record")
+        row = self._value("load i64, ptr %place.row")
         self._record_row(row)
-        if loop.decimation != 1:
-            self._lines.append("  br label %recorded")
-            self._label("recorded")
+        for place, value, more in (("row", row, 1), ("due", due, decimation)):
+            self._lines.append(f"  store i64 {self._value(f'add i64 {value}, {more}')}, ptr %place.{place}")
+        self._lines.append("  br label %recorded")
+        self._label("recorded")
 
     def _record_row(self, row: str) -> None:
         first = self._value(f"mul i64 {self._value(f'sub i64 {row}, %before')}, {len(self._loop.recorded)}")
@@ -207,8 +227,11 @@ class Text:
     def _by_address(self, place: int, sections: list[str], call: tuple[int, str, str], label: str) -> None:
         """Call the function whose address is at this place of the table; `call` is its row, phase and count of steps."""
         c, phase, count = call
-        address = self._value(f"load i64, ptr {self._element('%calls', place, 'i64')}")
-        pointer = self._value(f"inttoptr i64 {address} to ptr")
+        if service := self._loop.services[c]:
+            pointer = f"@{service}"
+        else:
+            address = self._value(f"load i64, ptr {self._element('%calls', place, 'i64')}")
+            pointer = self._value(f"inttoptr i64 {address} to ptr")
         arguments = ", ".join(f"i64 {self._value(f'ptrtoint ptr {section} to i64')}" for section in sections)
         status = self._value(f"call i32 {pointer}({arguments}, double %t.{phase}, i64 {count})")
         fails = self._value(f"icmp ne i32 {status}, 0")

@@ -50,6 +50,12 @@ def service_address(name: str, find: Callable[[], FunctionType]) -> int:
         return _addresses[name]
 
 
+def service_at(address: int) -> str | None:
+    """Return the name in `shipped_text` of the service function at an address; None if none is there."""
+    names = (f"service_{name}" for name, known in _addresses.items() if known == address)
+    return next(names, None)
+
+
 def _found(name: str, find: Callable[[], FunctionType]) -> int:
     path = cache_directory("compiled") / f"{name}_{hashlib.sha256(_environment().encode()).hexdigest()[:24]}.o"
     content = read_own(path)
