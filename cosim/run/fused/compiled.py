@@ -20,8 +20,8 @@ from bayesftc.cosim.run.general.program import FUNCTION
 from bayesftc.cosim.stepping.machine.code import machine_code
 from bayesftc.cosim.stepping.machine.lanes import lowered_to_lanes
 from bayesftc.cosim.stepping.machine.lowering import lowered
-from bayesftc.cosim.stepping.machine.services import service_at
-from bayesftc.cosim.stepping.machine.shipped import shipped_text, sources_digest
+from bayesftc.cosim.stepping.machine.services import known_text, service_at
+from bayesftc.cosim.stepping.machine.shipped import sources_digest
 from bayesftc.cosim.stepping.machine.steps import environment, load_or_compile, name_of, sentences, text_of
 from bayesftc.cosim.stepping.source.tree import Sections
 
@@ -105,15 +105,14 @@ def _described(schedule: Schedule, tables: Tables) -> tuple[Loop, Steps]:
     rows, drawn, recorded, decimation, clock = tables
     names, functions, services = [], {}, []
     calls = (*schedule.evaluate, *schedule.advance)
-    for call, row in zip(calls, rows.tolist(), strict=True):
-        service = service_at(row[FUNCTION]) or ""
-        services.append(service if shipped_text(service) else "")
+    for call, address in zip(calls, rows[:, FUNCTION].tolist(), strict=True):
+        services.append(service_at(address))
         kernel, sections = None if call.group else schedule.kernel(call), schedule.slots[call.node].sections
         names.append(name_of(kernel, sections) if kernel else "")
         if isinstance(kernel, FunctionType):
             functions[names[-1]] = kernel, sections
     loop = Loop(
-        rows=tuple(tuple(row) for row in rows.tolist()),
+        rows=tuple((int(address != 0), *row) for address, *row in rows.tolist()),  # addresses differ between processes
         gathers=tuple(call.gathers for call in calls),
         functions=tuple(names),
         services=tuple(services),
@@ -136,7 +135,7 @@ def _compiled(loop: Loop, functions: Steps, name: str) -> bytes:
 
 def _service_texts(loop: Loop) -> dict[str, str]:
     """Return the texts of the service functions that a loop calls by name."""
-    return {service: shipped_text(service) or "" for service in loop.services if service}
+    return {service: known_text(service) for service in loop.services if service}
 
 
 def _compiled_lanes(loop: Loop, lanes: Lanes, functions: Steps, name: str) -> bytes:

@@ -100,7 +100,9 @@ class Text:
             self._call(c, "a")
         self._lines += [f"  store i64 {self._value('add i64 %k.a, 1')}, ptr %place.k", "  br label %evaluate"]
         services = [f"declare {SERVICE.format(service)}" for service in sorted(set(loop.services) - {""})]
-        return "\n".join([*self._declared(), *services, self.head.format(name=name), *self._lines, *self._end(), "}", ""])
+        return "\n".join(
+            [*self._declared(), *services, self.head.format(name=name), *self._lines, *self._end(), "}", ""]
+        )
 
     def _begin(self) -> None:
         """Go to the first thing to do. What follows a step's evaluation is one block, into which LLVM can follow its numbers."""

@@ -12,6 +12,7 @@ import platform
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from importlib import util
 from pathlib import Path
 from types import FunctionType
@@ -50,10 +51,21 @@ def service_address(name: str, find: Callable[[], FunctionType]) -> int:
         return _addresses[name]
 
 
-def service_at(address: int) -> str | None:
-    """Return the name in `shipped_text` of the service function at an address; None if none is there."""
-    names = (f"service_{name}" for name, known in _addresses.items() if known == address)
-    return next(names, None)
+def service_at(address: int) -> str:
+    """Return the name of the service function at an address, if its text can be included elsewhere; else nothing."""
+    with _lock:
+        names = [f"service_{name}" for name, known in _addresses.items() if known == address]
+    return next(filter(known_text, names), "")
+
+
+@cache
+def known_text(name: str) -> str:
+    """Return the text of a service function; nothing if the package has none, or one of a newer LLVM."""
+    text = shipped_text(name)
+    with suppress(RuntimeError):
+        if text and llvm.parse_assembly(text, llvm.create_context()):
+            return text
+    return ""
 
 
 def _found(name: str, find: Callable[[], FunctionType]) -> int:

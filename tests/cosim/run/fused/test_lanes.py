@@ -1,11 +1,17 @@
 """Runs in lock step: the bits of single runs, for every kind of call; and what happens if one fails."""
 
+import platform
+
+import numpy as np
 import pytest
 
 from bayesftc import cosim
 from bayesftc.bench.measures.full_loop import full_diagram
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.run.fused import compiled
+from bayesftc.cosim.run.general.program import FUNCTION
+from bayesftc.cosim.stepping.machine.services import service_at
+from bayesftc.cosim.stepping.machine.shipped import MACHINES
 
 
 def slow_and_fast():
@@ -71,3 +77,19 @@ def test_instances_that_share_something_are_found_out(way, lanes, lying, campaig
     diagram.connect(diagram.add(cosim.Gaussian(100.0), "force")["y"], car["force"])
     campaign_as_alone(diagram, 5, SEEDS)
     assert (len(lanes) == 1) is (way == "SHARES")
+
+
+def test_what_is_compiled_does_not_depend_on_addresses():
+    """Else each process would compile the loop anew."""
+    with full_diagram().start() as session:
+        schedule, (calls, *others) = session._schedule, session._engine._described()
+    moved = calls.copy()
+    moved[:, FUNCTION] += (calls[:, FUNCTION] != 0) & ~services_among(calls)  # nothing begins at an odd address
+    found = [compiled._described(schedule, (each, *others))[0] for each in (calls, moved)]
+    assert found[0] == found[1]
+    known = ["service_fmi2_get_plain", "service_fmi2_advance_plain"] if platform.machine() in MACHINES else []
+    assert [name for name in found[0].services if name] == known
+
+
+def services_among(calls):
+    return np.array([bool(service_at(address)) for address in calls[:, FUNCTION]])

@@ -16,7 +16,7 @@ import pytest
 
 from bayesftc.cosim.random import CHUNK, SPARE, draw_chunk, stream_key
 from bayesftc.cosim.stepping.compiler import compile_raw, service_text
-from bayesftc.cosim.stepping.machine import shipped
+from bayesftc.cosim.stepping.machine import services, shipped
 from bayesftc.cosim.stepping.machine.code import closed_code, load
 from bayesftc.cosim.types import ENTRY
 
@@ -30,7 +30,7 @@ from fractions import Fraction
 import numpy as np
 from bayesftc import cosim, fmus
 from bayesftc.cosim.stepping.kept import STATISTICS
-from bayesftc.cosim.stepping.machine import shipped
+from bayesftc.cosim.stepping.machine import services, shipped
 if EDITED:
     shipped.sources_digest = lambda: "of edited sources"
 car = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}).instantiate(Fraction(1, 50), "car")
@@ -128,3 +128,10 @@ def test_code_that_calls_a_function_of_a_library_is_not_kept():
     text = "declare void @outside()\ndefine i32 @entry() {{\n  {}\n  ret i32 0\n}}\n"
     assert closed_code(text.format("call void @outside()"), "entry") == b""
     assert closed_code(text.format(""), "entry")
+
+
+def test_text_of_a_newer_llvm_is_not_included_in_loops(monkeypatch):
+    services.known_text.cache_clear()
+    monkeypatch.setattr(services, "shipped_text", {"service_new": "define i32 @service_new() newer {"}.get)
+    assert services.known_text("service_new") == services.known_text("service_unknown") == ""
+    services.known_text.cache_clear()
