@@ -1,4 +1,7 @@
-"""The whole loop of `full_loop`, written by hand in C with the engine's random numbers, and the same without one of its parts."""
+"""The whole loop of `full_loop`, written by hand in C with the engine's random numbers.
+
+It is also made without one of its parts, and with the engine's own controller, exported as C.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ import numpy as np
 
 from bayesftc.bench._slave import Unpacked
 from bayesftc.bench._user_loop import COLUMNS, Setting
-from bayesftc.bench.measures.full_loop import NOISE
+from bayesftc.bench.measures.full_loop import NOISE, full_diagram
 from bayesftc.cosim.random import stream_key
 from bayesftc.cosim.types import Floats
 
@@ -25,8 +28,8 @@ PARTS = {
 }
 """Parts of a step, and the function of the loop without it."""
 
-_FAST = ("-O3", "-march=native")
-"""As numba compiles the engine: for the processor at hand."""
+_FAST = ("-O3", "-march=native", "-Wno-unused-function")
+"""As the engine is compiled: for the processor at hand."""
 
 _SEED = 1
 
@@ -86,9 +89,11 @@ def compiled(car: Unpacked, setting: Setting) -> Iterator[ByHand]:
     bayesftc.fmus._compiler.CompilerError
         If there is no compiler, or it fails.
     """
+    from bayesftc import cosim
     from bayesftc.fmus._compiler import compile_library
     from bayesftc.fmus._platforms import host
 
     library = car.folder / "whole_loop.so"
-    compile_library(Path(__file__).parent, [*_FAST, "whole_loop.c"], library, host(), ["m"])
+    cosim.export_c(full_diagram(setting), car.folder, blocks=["controller"])
+    compile_library(Path(__file__).parent, [*_FAST, f"-I{car.folder}", "whole_loop.c"], library, host(), ["m"])
     yield ByHand(ctypes.CDLL(str(library)), car, setting)

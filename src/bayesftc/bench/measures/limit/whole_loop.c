@@ -2,11 +2,15 @@
  * one of which freezes, a Kalman filter that learns both precisions, and a controller that follows a sine.
  *
  * The random numbers are those of the engine to the last place of log, and as there they are drawn for 64 steps at a time. Each
- * part can be left out, by a constant that the compiler knows: what is left out costs nothing. */
+ * part can be left out, by a constant that the compiler knows: what is left out costs nothing.
+ *
+ * This filter and controller are for one state and two sensors that always send. In a second loop the exported C of the engine's
+ * controller is in their place, which also bears missing and absurd samples, checks its model, and computes all outputs. */
 #include <math.h>
 #include <stdint.h>
 
 #include "../fmi_calls.h"
+#include "controller.c" /* exported */
 
 typedef struct {
     void *component;
@@ -23,7 +27,7 @@ typedef struct {
 } Setting;
 
 enum { CHUNK = 64, STREAMS = 3, COLUMNS = 8 };
-enum { RANDOM = 1, FMU = 2, CONTROL = 4, RECORD = 8 };
+enum { RANDOM = 1, FMU = 2, CONTROL = 4, RECORD = 8, EXPORTED = 16 };
 
 static void philox(uint64_t c0, uint64_t c1, uint64_t k0, uint64_t k1, uint64_t *words)
 {
@@ -114,7 +118,10 @@ static inline __attribute__((always_inline)) int loop(const Car *car, const Sett
     const double sd = sqrt(s->process_variance), pi = 3.141592653589793;
     double shape = prior, rate0 = prior * nominal, rate1 = rate0, x = s->start_speed, variance = 1.0;
     double v = s->start_speed, held = 0.0, force = 0.0, goal = 0.0, y0 = 0.0, y1 = 0.0, numbers[STREAMS][CHUNK] = {{0.0}};
+    controller own;
+    controller_outputs out;
 
+    controller_init(&own);
     for (long long k = 0;; ++k) {
         const int i = (int)(k % CHUNK);
 
@@ -124,7 +131,7 @@ static inline __attribute__((always_inline)) int loop(const Car *car, const Sett
         if ((parts & FMU) && car->get(car->component, &car->output, 1, &v) > WARNING) {
             return 1;
         }
-        if (parts & CONTROL) {
+        if (parts & (CONTROL | EXPORTED)) {
             y0 = v + s->sensor_std * numbers[1][i];
             y1 = v + s->sensor_std * numbers[2][i];
             if (k >= s->fault_start && k < s->fault_stop) {
@@ -132,6 +139,15 @@ static inline __attribute__((always_inline)) int loop(const Car *car, const Sett
             } else {
                 held = y0;
             }
+            goal = s->offset + s->amplitude * sin(2.0 * pi / s->period * ((double)k * s->step));
+        }
+        if (parts & EXPORTED) {
+            const controller_inputs in = {{y0, y1}, {goal}};
+
+            controller_step(&own, &in, &out);
+            force = out.u[0], x = out.x_hat[0];
+        }
+        if (parts & CONTROL) {
             shape = rho * shape + (1.0 - rho) * prior + 0.5;
             rate0 = rho * rate0 + (1.0 - rho) * prior * nominal + 0.5 * (y0 - x) * (y0 - x);
             rate1 = rho * rate1 + (1.0 - rho) * prior * nominal + 0.5 * (y1 - x) * (y1 - x);
@@ -139,14 +155,15 @@ static inline __attribute__((always_inline)) int loop(const Car *car, const Sett
 
             variance = 1.0 / (1.0 / variance + p0 + p1);
             x += variance * (p0 * (y0 - x) + p1 * (y1 - x));
-            goal = s->offset + s->amplitude * sin(2.0 * pi / s->period * ((double)k * s->step));
             force = (goal - s->a * x) / s->b;
         }
         if ((parts & RECORD) || k == steps) {
             double *row = recording;
 
-            row[0] = v, row[1] = y0, row[2] = y1, row[3] = force, row[4] = x, row[5] = shape / rate0, row[6] = shape / rate1;
-            row[7] = goal + ((parts & CONTROL) ? 0.0 : numbers[0][i] + numbers[1][i] + numbers[2][i]);
+            row[0] = v, row[1] = y0, row[2] = y1, row[3] = force, row[4] = x;
+            row[5] = (parts & EXPORTED) ? out.precision[0] : shape / rate0;
+            row[6] = (parts & EXPORTED) ? out.precision[1] : shape / rate1;
+            row[7] = goal + ((parts & (CONTROL | EXPORTED)) ? 0.0 : numbers[0][i] + numbers[1][i] + numbers[2][i]);
             recording += (parts & RECORD) ? COLUMNS : 0;
         }
         if (k == steps) {
@@ -170,6 +187,11 @@ static inline __attribute__((always_inline)) int loop(const Car *car, const Sett
 EXPORT int whole_loop(const Car *car, const Setting *setting, long long steps, double *recording)
 {
     return loop(car, setting, steps, RANDOM | FMU | CONTROL | RECORD, recording);
+}
+
+EXPORT int own_controller(const Car *car, const Setting *setting, long long steps, double *recording)
+{
+    return loop(car, setting, steps, RANDOM | FMU | EXPORTED | RECORD, recording);
 }
 
 EXPORT int without_recording(const Car *car, const Setting *setting, long long steps, double *recording)
