@@ -25,17 +25,23 @@ print(json.dumps([len(ready), hashlib.sha256(result.table.tobytes()).hexdigest()
 pytestmark = pytest.mark.skipif(platform.machine() not in shipped.MACHINES, reason="the text is for 64-bit x86")
 
 
-def test_a_shipped_step_has_the_bits_of_a_compiled_one(python, tmp_path):
-    used, bits = python(RUN.replace("SHIPPED", "True"), cache=tmp_path / "shipped")
+@pytest.fixture(scope="module")
+def bits(python, tmp_path_factory):
+    """The bits of a run with the shipped step."""
+    used, found = python(RUN.replace("SHIPPED", "True"), cache=tmp_path_factory.mktemp("shipped"))
     assert used == 1
-    assert python(RUN.replace("SHIPPED", "None"), cache=tmp_path / "compiled") == [0, bits]
+    return found
 
 
-def test_text_that_llvm_does_not_know_is_made_anew(python, tmp_path):
+@pytest.mark.slow
+def test_a_shipped_step_has_the_bits_of_a_compiled_one(python, tmp_path, bits):
+    assert python(RUN.replace("SHIPPED", "None"), cache=tmp_path) == [0, bits]
+
+
+def test_text_that_llvm_does_not_know_is_made_anew_with_the_same_bits(python, tmp_path, bits):
     """As with an LLVM that is older than that of the text."""
-    _, bits = python(RUN.replace("SHIPPED", "True"), cache=tmp_path / "shipped")
     strange = RUN.replace("SHIPPED", "'define strange' if given[0].__name__ == 'bayesian_controller' else None")
-    assert python(strange.replace(" and usual(*given)", ""), cache=tmp_path / "strange") == [1, bits]
+    assert python(strange.replace(" and usual(*given)", ""), cache=tmp_path) == [1, bits]
 
 
 @pytest.mark.parametrize(
