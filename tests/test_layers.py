@@ -21,6 +21,7 @@ def modules():
         return floors.modules()
     finally:
         gc.enable()
+        gc.freeze()
 
 
 @pytest.fixture(scope="module")
