@@ -37,10 +37,12 @@ LONG = {
         "tutorials/bring-your-own-fmu.md",
         "tutorials/campaign.md",
         "tutorials/design-to-firmware.md",
+        "reference/campaigns.md",
         "reference/design.md",
         "reference/export.md",
         "reference/statistics.md",
         "reports/detectability.md",
+        "reports/other-tools.md",
         "explanation/precision.md",
         "reports/reproduce.md",
     )

@@ -1,6 +1,7 @@
 """Which folders may import from which: ``tools/floors.py`` has the list and reads the imports, in whatever form and wherever."""
 
 import ast
+import gc
 import importlib.util
 from pathlib import Path
 
@@ -15,7 +16,12 @@ spec.loader.exec_module(floors)
 @pytest.fixture(scope="module")
 def modules():
     """Return the syntax trees of all modules: once, and not in each worker that collects these tests."""
-    return floors.modules()
+    gc.disable()  # which would look at the millions of nodes again and again
+    try:
+        return floors.modules()
+    finally:
+        gc.enable()
+        gc.freeze()
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +89,7 @@ def test_functions_take_few_arguments(modules):
     functions = [
         (f"{module}.{node.name}", len(node.args.posonlyargs) + len(node.args.args))
         for module, tree in modules.items()
-        for node in ast.walk(tree)
+        for node in floors.statements(tree)
         if isinstance(node, ast.FunctionDef)
     ]
     assert len(functions) > 3000
@@ -112,7 +118,7 @@ def later(node):
 
 def test_names_that_begin_with_an_underscore_stay_in_their_file(modules):
     for module, tree in modules.items():
-        for node in ast.walk(tree):
+        for node in floors.statements(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "bayesftc":
                 for alias in node.names:
                     whole = f"{node.module}.{alias.name}".removeprefix("bayesftc.")

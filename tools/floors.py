@@ -130,6 +130,14 @@ def modules() -> dict[str, ast.Module]:
     return trees
 
 
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield all statements below a node, which are a tenth of what `ast.walk` yields."""
+    for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for statement in getattr(node, part, ()):
+            yield statement
+            yield from statements(statement)
+
+
 def public(tree_of: dict[str, ast.Module]) -> dict[str, str]:
     """Return the module of each public name in a stub: ``cosim.FMU`` is in ``cosim.fmi.fmu``."""
     behind = {}
@@ -137,7 +145,7 @@ def public(tree_of: dict[str, ast.Module]) -> dict[str, str]:
         package = init.removesuffix(".__init__")
         for base in (ROOT, ROOT / "src" / "bayesftc"):
             stub = base / package.replace(".", "/") / "__init__.pyi"
-            for node in ast.walk(ast.parse(stub.read_text(encoding="utf-8"))) if stub.is_file() else ():
+            for node in statements(ast.parse(stub.read_text(encoding="utf-8"))) if stub.is_file() else ():
                 if isinstance(node, ast.ImportFrom):
                     behind |= {f"{package}.{a.name}": f"{package}.{node.module or a.name}" for a in node.names}
     return behind
@@ -145,7 +153,7 @@ def public(tree_of: dict[str, ast.Module]) -> dict[str, str]:
 
 def imports(name: str, tree: ast.Module, known: dict[str, ast.Module], behind: dict[str, str]) -> Iterator[str]:
     """Yield the modules of this package that a module imports, in any form and at any place."""
-    for node in ast.walk(tree):
+    for node in statements(tree):
         if isinstance(node, ast.ImportFrom) and node.level == 0 and (node.module or "").split(".")[0] == "bayesftc":
             wholes = [f"{node.module}.{alias.name}".removeprefix("bayesftc.") for alias in node.names]
         elif isinstance(node, ast.Import):

@@ -233,7 +233,11 @@ class SwitchingPrecision(PrecisionLearner):
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
-        return self.paced(float(model.step))._learner(model)
+        modes = (*self.modes, *self.actuator_modes, *self.process_modes)
+        times = [time for mode in modes for time in (mode.time_to_fault, mode.time_to_recovery)]
+        step = float(model.step)
+        paced = self if all(time_at(time, step) == time for time in times) else self.paced(step)
+        return paced._learner(model)
 
     def _learner(self, model: LinearModel) -> Learner:
         m, step = model.sensors, float(model.step)

@@ -256,6 +256,9 @@ class InterpretedEngine:
 
     def __init__(self, run: Run):
         self._run = run
+        self._finite = {
+            i for i, node in enumerate(run.schedule.nodes) if node.block.checks_finite
+        }  # read an FMU's file once
         self._evaluate = [self._bind(call) for call in run.schedule.evaluate]
         self._advance = [self._bind(call) for call in run.schedule.advance]
         self._draws = Draws(run)
@@ -300,7 +303,7 @@ class InterpretedEngine:
         schedule, memory = self._run.schedule, self._run.memory
         t = k * schedule.step.numerator / schedule.step.denominator
         for call, function in calls:
-            node, every = schedule.nodes[call.node], schedule.every(call)
+            every = schedule.every(call)
             if k % every:
                 continue
             for target, origin in call.gathers:
@@ -308,7 +311,7 @@ class InterpretedEngine:
             status = function(t, k // every)
             if status:
                 return _failure(schedule, call, k, status, function if isinstance(function, GroupRun) else None)
-            if node.block.checks_finite and call.kind in WRITES:
+            if call.node in self._finite and call.kind in WRITES:
                 start = schedule.outputs_start(call)
                 for i in range(start, start + schedule.depended_on(call.node)):
                     if not np.isfinite(memory[i]):

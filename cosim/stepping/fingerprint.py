@@ -178,28 +178,37 @@ def _check_code(function: FunctionType, code: CodeType, fields: Collection[str])
             f"Function {where(function)} has a default that is no number, so a step function cannot call it; use a number."
         )
 
-    def at(instruction: dis.Instruction) -> str:
-        return where(function, instruction.positions.lineno if instruction.positions else None)
-
-    for instruction in dis.get_instructions(code):
-        if instruction.opname in _FORBIDDEN:
-            raise KernelError(f"Step function {at(instruction)} {_FORBIDDEN[instruction.opname]}.")
-        if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("@"):
+    for line, attribute, called, error in _doubtful(code):
+        at = where(function, line)
+        if error:
+            raise KernelError(f"Step function {at} {error}")
+        if attribute not in ops.NAMES and (called or (attribute not in _ATTRIBUTES and attribute not in fields)):
             raise KernelError(
-                f"Step function {at(instruction)} uses '@', which allocates memory and sums in another order; write loops."
-            )
-        if instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("**"):
-            raise KernelError(
-                f"Step function {at(instruction)} uses '**', which rounds differently in compiled code. "
-                "Multiply, or use ops.square, ops.sqrt or ops.exp."
-            )
-        called = "METHOD" in instruction.opname or "NULL" in instruction.argrepr  # a method, or a function of a module
-        allowed = ops.NAMES if called else {*_ATTRIBUTES, *fields}
-        if instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"} and instruction.argval not in allowed:
-            raise KernelError(
-                f"Step function {at(instruction)} uses the attribute {instruction.argval!r}. A step function may use only shape, "
+                f"Step function {at} uses the attribute {attribute!r}. A step function may use only shape, "
                 "size, ndim and indexing of arrays, and fields of records."
             )
+
+
+@lru_cache(maxsize=4096)  # the functions of a learner are checked for each diagram that contains one
+def _doubtful(code: CodeType) -> tuple[tuple[int | None, str, bool, str], ...]:
+    """Return what in a function's code may break the contract: its line, an attribute, whether it is called, or an error."""
+    found = []
+    for instruction in dis.get_instructions(code):
+        error, attribute = "", ""
+        if instruction.opname in _FORBIDDEN:
+            error = f"{_FORBIDDEN[instruction.opname]}."
+        elif instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("@"):
+            error = "uses '@', which allocates memory and sums in another order; write loops."
+        elif instruction.opname == "BINARY_OP" and instruction.argrepr.startswith("**"):
+            error = "uses '**', which rounds differently in compiled code. Multiply, or use ops.square, ops.sqrt or ops.exp."
+        elif instruction.opname in {"LOAD_ATTR", "LOAD_METHOD"}:
+            attribute = str(instruction.argval)
+        if error or attribute:
+            # A method, or a function of a module.
+            called = "METHOD" in instruction.opname or "NULL" in instruction.argrepr
+            line = instruction.positions.lineno if instruction.positions else None
+            found.append((line, attribute, called, error))
+    return tuple(found)
 
 
 def _fields(function: FunctionType, seen: set[FunctionType]) -> set[str]:

@@ -11,9 +11,20 @@ from typer.testing import CliRunner
 from bayesftc.cli import app
 from bayesftc.cli.commands.recordings.monitor import monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
+from bayesftc.controllers.bayesian import recorded
+from bayesftc.controllers.learning import learn_modes
 from bayesftc.monitoring import Monitor, Monitored
 
 RUNNER = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def compiled(monkeypatch):
+    """Run compiled, as recordings of more than a thousand steps do: these of 600 steps would take four times as long."""
+    monkeypatch.setattr(recorded, "SHORT", 0)
+    monkeypatch.setattr(learn_modes, "SHORT", 0)
+
+
 MODEL = """
 dt = 0.1
 [model]

@@ -200,7 +200,7 @@ def same_as_downloaded(viewer, folder):
 
 
 def test_some_actions_then_the_server_is_ended(tmp_path):
-    perform(tmp_path, signal.SIGTERM, actions=10)
+    perform(tmp_path, signal.SIGTERM, actions=5)
 
 
 @pytest.mark.slow

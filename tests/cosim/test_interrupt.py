@@ -273,7 +273,7 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.parametrize("half", ["llvmlite.binding.ffi", "numba.core.types"])
+@pytest.mark.parametrize("half", ["llvmlite.binding.ffi", pytest.param("numba.core.types", marks=pytest.mark.slow)])
 def test_what_is_imported_at_the_first_run_is_imported_whole(half, tmp_path):
     """Ctrl-C in the middle of it is heard at its end, and the next run finds no half of a library."""
     environment = {**os.environ, "BAYESFTC_CACHE": str(tmp_path)}

@@ -52,12 +52,12 @@ def run(stepper, inputs):
     return {name: outputs[:, stepper.output_places(name)] for name in stepper.outputs}
 
 
-def recorded(monitor, y, u=()):
+def recorded(monitor, y, u=(), compiled=False):
     """Return what the monitor finds in a recording of the same samples."""
     t = DT * np.arange(len(y))
     signals = {name: Signal(t, column, resolution=0.0) for name, column in zip(monitor.sensors, y.T, strict=True)}
     given = {name: Signal(t, column) for name, column in zip(monitor.inputs, u, strict=True)}
-    return monitor.run(align(signals, given, DT), compiled=False)
+    return monitor.run(align(signals, given, DT), compiled=compiled)
 
 
 def watched(watch, signals, steps):
@@ -125,8 +125,8 @@ def test_an_input_acts_until_the_next_step_and_its_fault_is_an_alarm():
         {"flow": Input()},
         precision=SwitchingPrecision(actuator_modes=modes),
     )
-    stepper = MonitorStepper(monitor, compiled=False)
-    live, monitored = run(stepper, np.column_stack([y, flow])), recorded(monitor, y, [flow])
+    stepper = MonitorStepper(monitor, compiled=True)
+    live, monitored = run(stepper, np.column_stack([y, flow])), recorded(monitor, y, [flow], compiled=True)
     np.testing.assert_allclose(live["x_hat"][OPENING:], monitored.x_hat[OPENING:], rtol=1e-12)
     watch = ActuatorWatch(["flow"], modes, stepper.step)
     found = watched(watch, live, steps)

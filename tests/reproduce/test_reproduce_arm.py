@@ -23,7 +23,7 @@ from bayesftc.reproduce.shared.ensemble import Ensemble
 
 @pytest.fixture(scope="module")
 def report():
-    return reproduce.arm(seed=5, jobs=2, runs=6, beyond=False)
+    return reproduce.arm(seed=5, jobs=2, runs=4, beyond=False)
 
 
 def test_report_has_what_the_file_promises(report):
@@ -33,8 +33,8 @@ def test_report_has_what_the_file_promises(report):
         assert set(joints) == {"faulty", "healthy"}
         for cell in joints.values():
             assert cell["ci"][0] < cell["mean"] < cell["ci"][1]
-            assert cell["n"] == 6
-    for name, value in vars(Arm(runs=6)).items():
+            assert cell["n"] == 4
+    for name, value in vars(Arm(runs=4)).items():
         assert json.dumps(report["settings"][name]) == json.dumps(value)
         assert len(report["settings"]["why"][name]) > 5
     assert report["grid"] is None
@@ -56,8 +56,8 @@ def test_errors_are_those_of_the_paper_or_better(report):
 
 @pytest.mark.slow
 def test_same_bits_for_any_number_of_jobs_and_other_bits_for_another_seed(report):
-    assert reproduce.arm(seed=5, jobs=1, runs=6, beyond=False) == report
-    assert reproduce.arm(seed=6, jobs=2, runs=6, beyond=False)["mse"] != report["mse"]
+    assert reproduce.arm(seed=5, jobs=1, runs=4, beyond=False) == report
+    assert reproduce.arm(seed=6, jobs=2, runs=4, beyond=False)["mse"] != report["mse"]
 
 
 def test_intervals_are_students():

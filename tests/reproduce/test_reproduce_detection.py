@@ -21,7 +21,7 @@ from bayesftc.reproduce.shared.ensemble import Ensemble
 from bayesftc.reproduce.shared.streams import Streams
 
 SMALL = Detection(
-    steps=12_000,
+    steps=6_000,
     factor_streams=2,
     factor_tolerance=0.05,
     forgettings=(0.5, 0.95),
@@ -34,6 +34,8 @@ SMALL = Detection(
     alarm_streams=1,
     alarm_sizes=((10.0, 20.0),),
 )
+TEST = 4_800
+"""The first step of the part that is judged."""
 
 
 FEW = controllers.SwitchingPrecision(
@@ -100,12 +102,12 @@ def test_beta_is_chosen_by_the_training_parts_alone(report):
     """The AUC of every candidate on the training rows, by scikit-learn from single runs; the best is the one that is judged."""
     bench = _detection.Bench(SMALL, Car(), Ensemble(1))
     faults = _detection.Faults(**report["settings"]["faults"])
-    training, wanted = slice(200, 9_600 - 500), {}
+    training, wanted = slice(200, TEST - 500), {}
     for rho, shape in product(SMALL.forgettings, SMALL.prior_shapes):
         loop = bench.loop(faults, controllers.GammaPrecision(forgetting=rho, prior_shape=shape))
         areas = []
         for stream in report["streams"]:
-            result = loop.simulate(12_000 * 0.02, seed=stream["seed"])
+            result = loop.simulate(SMALL.steps * 0.02, seed=stream["seed"])
             faulty = np.column_stack([result["fault_0.active"], result["fault_1.active"]]) > 0.5
             areas.append(roc_auc_score(faulty[training].ravel(), result["controller.beta"][training].ravel()))
         wanted[rho, shape] = np.mean(areas)
@@ -119,7 +121,7 @@ def test_beta_is_chosen_by_the_training_parts_alone(report):
 def test_parts_leave_a_gap_longer_than_faults_and_memory_reach():
     training, test = _detection.Bench(SMALL, Car(), Ensemble(0)).parts()
     assert test.start - training.stop == SMALL.gap
-    assert test.start == 0.8 * SMALL.steps
+    assert test.start == TEST == 0.8 * SMALL.steps
     assert max(SMALL.forgettings) ** SMALL.gap < 1e-10
     assert SMALL.gap * Car().step > 20 * SMALL.mean_time_to_recovery
 
@@ -168,9 +170,9 @@ def test_filterpy_has_the_baselines_innovations_and_its_auc(report):
     assert of_first["filterpy"] == pytest.approx(of_first["ours"], abs=1e-9)
     assert 0.0 < of_first["largest_difference"] < 1e-9
     loop = Streams(SMALL, Car()).loop(_detection.Faults(**report["settings"]["faults"]), controllers.SERFDI(3.0))
-    result = loop.simulate(12_000 * 0.02, seed=first["seed"])
+    result = loop.simulate(SMALL.steps * 0.02, seed=first["seed"])
     faulty = np.column_stack([result["fault_0.active"], result["fault_1.active"]]) > 0.5
-    test = slice(9_600, None)
+    test = slice(TEST, None)
     expected = roc_auc_score(faulty[test].ravel(), np.abs(result["controller.innovation"])[test].ravel())
     assert of_first["filterpy"] == pytest.approx(expected, abs=1e-9)
 
@@ -185,7 +187,7 @@ def test_fault_free_streams_have_no_fault_and_set_the_thresholds(report):
     for rate in SMALL.false_alarm_rates:
         mine = report["alarms"]["fault_free"]["beta"][f"{rate:g} per hour"]
         assert mine["threshold"] == cosim.alarm_threshold(scores, step=0.02, per_hour=rate)
-        assert mine["fault_free_hours"] == pytest.approx(2 * 2 * (12_000 + 1 - SMALL.skipped) * 0.02 / 3_600)
+        assert mine["fault_free_hours"] == pytest.approx(2 * 2 * (SMALL.steps + 1 - SMALL.skipped) * 0.02 / 3_600)
     assert report["alarms"]["fault_free"]["SwitchingPrecision"]["probability .5"]["threshold"] == 0
 
 

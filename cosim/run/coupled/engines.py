@@ -136,6 +136,7 @@ class InterpretedGroup(GroupRun):
     def __init__(self, run: Run, group: Group):
         super().__init__(run, group)
         self._parts = [(part, step_function(run, part.node, part.kind, part.outputs)) for part in group.parts]
+        self._finite = {i for i in group.nodes if run.schedule.nodes[i].block.checks_finite}  # read an FMU's file once
         self._saved: list[list[Any]] = [[], []]
         self._error: FMUError | None = None
         self._compute = steps.build(_sweep, _save, _restore, _forget, _resize)
@@ -163,7 +164,7 @@ class InterpretedGroup(GroupRun):
             if status:
                 self.record[steps.PART], self.record[steps.STATUS] = c, status
                 return 1
-            if node.block.checks_finite and part.kind != "update":
+            if part.node in self._finite and part.kind != "update":
                 for i in range(part.outputs, part.outputs + schedule.depended_on(part.node)):
                     if not np.isfinite(memory[i]):
                         self.record[steps.PART], self.record[steps.STATUS] = c, NOT_FINITE + i

@@ -227,13 +227,13 @@ def test_it_settles_at_the_weighted_least_squares_solution():
         controller = UnbiasedActiveInference(
             [sensors], law, H, 5.0, rate, control=control, state_precision=Px, initial_mean=start, inner_steps=1,
         )  # fmt: skip
-        step = controller.online(compiled=False)
+        step = controller.online(compiled=True)
         for _ in range(1_500):  # the random walk's prior moves with the belief, so the sensors have the last word
             out = step(y=y, goal=[0.4])
         np.testing.assert_allclose(out.x_hat, linalg.lstsq(W @ C, W @ y)[0], rtol=1e-7)
         np.testing.assert_allclose(out.u, 1.5 * (0.4 - out.x_hat[0]), rtol=1e-7)
     many = replace(controller, control="law", control_rate=None, inner_steps=1500)
-    settled = many.online(compiled=False)(y=y, goal=[0.4])
+    settled = many.online(compiled=True)(y=y, goal=[0.4])
     stacked = linalg.lstsq(
         np.vstack([W @ C, linalg.cholesky(Px)]), np.concatenate([W @ y, linalg.cholesky(Px) @ start])
     )

@@ -15,7 +15,7 @@ from bayesftc.cosim.statistics._alarm_counts import count_alarms
 SCORES = st.sampled_from([0.0, 1.0, 2.0, 3.0, -np.inf, np.inf, np.nan])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(SCORES, st.booleans(), SCORES, st.booleans()), min_size=1, max_size=25))
 def test_counts_at_all_thresholds_are_those_of_judging_each(rows):
     score = np.array([(a, c) for a, _, c, _ in rows])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sklearn.metrics
 import xarray as xr
-from scipy.stats import norm
+from scipy.stats import norm, rankdata
 from sklearn.metrics import roc_auc_score
 
 from bayesftc.cosim.errors import ModelError
@@ -117,7 +117,9 @@ def test_the_interval_is_that_of_the_bootstrap_over_runs():
     drawn = []
     for _ in range(600):
         some = rng.integers(0, 80, 80)
-        drawn.append(roc_auc_score(faulty[some].ravel(), score[some].ravel()))
+        above, ranks = faulty[some].ravel(), rankdata(score[some])  # scikit-learn takes ten times as long
+        n = above.sum()
+        drawn.append((ranks[above].sum() - n * (n + 1) / 2) / (n * (~above).sum()))
     assert (found.low, found.high) == pytest.approx(tuple(np.quantile(drawn, [0.025, 0.975])), abs=0.008)
     assert found.high - found.low > 0.04
 

@@ -67,7 +67,7 @@ def total(fitted, name):
     return float(np.sqrt(fitted.sensors[name].std ** 2 + np.sum(np.square(lasting))))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     ratio=st.sampled_from([0.03, 0.1, 1.0, 10.0]),
     dt=st.sampled_from([0.001, 0.01, 0.1, 30.0]),

@@ -4,9 +4,12 @@ import platform
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from bayesftc.cosim.stepping.machine import shipped
+from bayesftc.cosim.stepping.machine import shipped, steps
+from bayesftc.cosim.stepping.machine.code import load
+from bayesftc.cosim.types import ENTRY
 
 TOOL = runpy.run_path(str(Path(__file__).parents[4] / "tools" / "engine_text.py"))
 
@@ -25,17 +28,31 @@ print(json.dumps([len(ready), hashlib.sha256(result.table.tobytes()).hexdigest()
 pytestmark = pytest.mark.skipif(platform.machine() not in shipped.MACHINES, reason="the text is for 64-bit x86")
 
 
-def test_a_shipped_step_has_the_bits_of_a_compiled_one(python, tmp_path):
-    used, bits = python(RUN.replace("SHIPPED", "True"), cache=tmp_path / "shipped")
+def test_a_shipped_step_has_the_bits_of_plain_python(python, tmp_path):
+    run = RUN.replace("SHIPPED", "True").replace("20.0, seed=3", "0.4, seed=3, engine=ENGINE")
+    used, bits = python(run.replace("ENGINE", "'compiled'"), cache=tmp_path)
     assert used == 1
-    assert python(RUN.replace("SHIPPED", "None"), cache=tmp_path / "compiled") == [0, bits]
+    assert python(run.replace("ENGINE", "'interpreted'"), cache=tmp_path) == [0, bits]
 
 
-def test_text_that_llvm_does_not_know_is_made_anew(python, tmp_path):
+@pytest.fixture(scope="module")
+def bits(python, tmp_path_factory):
+    """The bits of a run with the shipped step."""
+    used, found = python(RUN.replace("SHIPPED", "True"), cache=tmp_path_factory.mktemp("shipped"))
+    assert used == 1
+    return found
+
+
+@pytest.mark.slow
+def test_a_shipped_step_has_the_bits_of_a_compiled_one(python, tmp_path, bits):
+    assert python(RUN.replace("SHIPPED", "None"), cache=tmp_path) == [0, bits]
+
+
+@pytest.mark.slow
+def test_instead_of_text_that_llvm_does_not_know_it_is_compiled(python, tmp_path, bits):
     """As with an LLVM that is older than that of the text."""
-    _, bits = python(RUN.replace("SHIPPED", "True"), cache=tmp_path / "shipped")
     strange = RUN.replace("SHIPPED", "'define strange' if given[0].__name__ == 'bayesian_controller' else None")
-    assert python(strange.replace(" and usual(*given)", ""), cache=tmp_path / "strange") == [1, bits]
+    assert python(strange.replace(" and usual(*given)", ""), cache=tmp_path) == [1, bits]
 
 
 @pytest.mark.parametrize(
@@ -54,6 +71,17 @@ def test_they_are_not_used_after_an_edit_of_their_sources(monkeypatch):
 
 def gain(u, y):
     y[0] = 2.0 * u[0]
+
+
+def test_text_that_llvm_does_not_know_is_made_anew(monkeypatch):
+    """As with an LLVM that is older than that of the text."""
+    monkeypatch.setattr(steps, "shipped_step", lambda *given: "define strange")
+    sections = {"u": ("inputs", 0, (1,)), "y": ("outputs", 0, (1,))}
+    name = steps.name_of(gain, sections)
+    made = load(steps._compiled(gain, sections, name), name)
+    u, y = np.array([3.0]), np.zeros(1)
+    assert ENTRY(made)(0, 0, u.ctypes.data, y.ctypes.data, 0.0, 0) == 0
+    assert y[0] == 6.0
 
 
 def test_another_function_is_not_among_them():
