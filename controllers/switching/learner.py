@@ -233,7 +233,7 @@ class SwitchingPrecision(PrecisionLearner):
 
     def learner(self, model: LinearModel) -> Learner:
         """See `PrecisionLearner.learner`."""
-        modes = (*self.modes, *self.actuator_modes, *self.process_modes)
+        modes: tuple[Any, ...] = (*self.modes, *self.actuator_modes, *self.process_modes)
         times = [time for mode in modes for time in (mode.time_to_fault, mode.time_to_recovery)]
         step = float(model.step)
         paced = self if all(time_at(time, step) == time for time in times) else self.paced(step)
