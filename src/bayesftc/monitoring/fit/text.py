@@ -16,7 +16,9 @@ BARE = re.compile(r"[A-Za-z0-9_-]+")
 """A key that needs no quotes in TOML."""
 
 
-def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str, Place]) -> str:
+def as_model_file(
+    fitted: FittedModel, recording: Recording, places: Mapping[str, Place], stretch: slice = slice(None)
+) -> str:
     """Return the text of a model file, which `load_monitor` reads.
 
     Parameters
@@ -27,6 +29,8 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
         Its recording.
     places : mapping of str to Place
         File and columns of each sensor.
+    stretch : slice
+        The steps in which the sensors are healthy, as in `fit_model`.
 
     Returns
     -------
@@ -49,7 +53,7 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
     several = len({place.file for place in places.values()}) > 1
     time = next(iter(places.values())).time
     lines = [
-        f"# Fitted by bayesftc monitor --fit to {recording.time[0]:g} to {recording.time[-1]:g} s.",
+        f"# Fitted by bayesftc monitor --fit to {recording.time[0]:g} to {recording.time[-1]:g} s{_healthy(recording, stretch)}.",
         "",
         f"dt = {float(recording.dt):.10g}  # sample time in s",
         f"time = {_text(time)}  # the column of times",
@@ -83,6 +87,13 @@ def as_model_file(fitted: FittedModel, recording: Recording, places: Mapping[str
             *(["common = true"] if errors.common else []),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _healthy(recording: Recording, stretch: slice) -> str:
+    within = recording.time[stretch]
+    if len(within) == len(recording.time):
+        return ""
+    return f", with healthy sensors from {within[0]:g} to {within[-1]:g} s"
 
 
 def _plant(fitted: FittedModel) -> list[str]:

@@ -51,8 +51,9 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
     places, signals = redundant_signals(recording, part.sensors)
     output.check_folder(model.parent, (model.name,), silent=True)
     samples = recorded(signals)
-    fitted = fit_model(samples, stretch_of(samples, part.start, part.stop))
-    text = as_model_file(fitted, samples, places)
+    stretch = stretch_of(samples, part.start, part.stop)
+    fitted = fit_model(samples, stretch)
+    text = as_model_file(fitted, samples, places, stretch)
     if os.path.lexists(model) and not overwrite and not _has(model, text):
         raise ResultFileError(
             f"{model} exists already, with another content. Add --overwrite to replace it, name another file with --model, or "
@@ -86,13 +87,13 @@ def fit_notes(fitted: FittedModel) -> list[str]:
     """Return a note for each sensor that may have failed in the stretch of the fit."""
     return [
         f"The errors of {name} last, and are {ratio:.0f} times its noise and far above those of the other sensors. If {name} has "
-        "failed in this recording, the model expects the fault, and the alarm ends too early. Fit the model to a stretch without "
-        "faults: --from and --to, in seconds."
+        "failed in this recording, the model expects the fault: its alarm ends too early, or there is none. Name a stretch without "
+        "faults with --from and --to, in seconds, or fit a file that has only that stretch."
         for name, ratio in doubtful_sensors(fitted).items()
     ]
 
 
-def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
+def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path) -> None:
     """Print the fitted model."""
     console, say = output.sayer()
     say("Fitted model", "bold")
@@ -116,6 +117,12 @@ def print_fit(fitted: FittedModel, recording: Recording, model: Path) -> None:
         "Resolution: least difference of two samples; fine: too small to matter. Repeats: share of samples that equal the one "
         "before. Missing: share of the steps without a sample, in a typical part of the recording."
     )
+    if part.start is not None or part.stop is not None:
+        say(
+            "Biases are those of the stretch between --from and --to. Motion, noise up to twice as large, and biases that change "
+            "are those of the whole recording, because a calm stretch does not show them. To leave the rest out, fit a file "
+            "without it."
+        )
     if gaps := _gaps(recording):
         say(gaps)
     say(f"Written to {model}\n")

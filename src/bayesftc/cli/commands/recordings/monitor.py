@@ -45,8 +45,10 @@ def monitor(
             "--fit", help="First fit the model to the recording. All columns must be sensors of one quantity."
         ),
     ] = False,
-    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Fit from this time on.")] = None,
-    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Fit up to this time.")] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="S", help="All sensors are healthy from this time on, for --fit.")
+    ] = None,
+    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="And up to this time.")] = None,
     sensors: Annotated[
         list[str] | None, typer.Option("--sensor", help="Fit only this column; repeat the option for more columns.")
     ] = None,
@@ -110,9 +112,10 @@ def monitor(
     model = model or (out or Path()) / MODEL
     fitted = None
     if fit:
-        fitted, fitted_to = fit_files(recording, Fit(start, stop, tuple(sensors or ())), model, overwrite=overwrite)
+        part = Fit(start, stop, tuple(sensors or ()))
+        fitted, fitted_to = fit_files(recording, part, model, overwrite=overwrite)
         if not (json or quiet):
-            print_fit(fitted, fitted_to, model)
+            print_fit(fitted, fitted_to, part, model)
     loaded = load_monitor(model)
     samples = loaded.read(recording)
     mismatch = loaded.compare(samples)
