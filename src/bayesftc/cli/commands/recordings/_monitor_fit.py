@@ -87,8 +87,8 @@ def fit_notes(fitted: FittedModel) -> list[str]:
     """Return a note for each sensor that may have failed in the stretch of the fit."""
     return [
         f"The errors of {name} last, and are {ratio:.0f} times its noise and far above those of the other sensors. If {name} has "
-        "failed in this recording, the model expects the fault: its alarm ends too early, or there is none. Name a stretch without "
-        "faults with --from and --to, in seconds, or fit a file that has only that stretch."
+        "failed in this recording, the model expects the fault: its alarm ends too early, or there is none. Name a stretch "
+        "without faults with --from and --to, in seconds, or fit a file that has only that stretch."
         for name, ratio in doubtful_sensors(fitted).items()
     ]
 
