@@ -108,7 +108,7 @@ def test_another_campaign_is_refused(campaign, tmp_path, car):
     campaign().run(tmp_path / "store")
     with pytest.raises(StoreError, match=r"another one: description.duration is '3/5 s' in the store and '2/5 s' now"):
         campaign(duration=0.4).run(tmp_path / "store")
-    with pytest.raises(StoreError, match="another one: seeds"):
+    with pytest.raises(StoreError, match="has seeds=6, not seeds=7"):
         campaign(seeds=7).run(tmp_path / "store")
     with pytest.raises(StoreError, match=r"another one: description\.question"):
         campaign().run(tmp_path / "store", description={"question": "which?"})
