@@ -186,6 +186,10 @@ def test_files_that_are_replaced_are_noted(bayesftc_, tmp_path):
     assert "Note: out/result.npz, out/figures.json exist already, and will be replaced." in again.stderr
     assert (tmp_path / "out" / "figure.png").exists()
     assert run_car(bayesftc_, "--duration", "1", "--out", "out", "--quiet").stderr == ""
+    (tmp_path / "broken.toml").write_text('[plant]\nfmu = "CruiseControl"\n')
+    refused = bayesftc_("run", "broken.toml", "--out", "out")
+    assert refused.exit_code > 1
+    assert "exist" not in refused.stderr
 
 
 def test_check_kalman(bayesftc_):
