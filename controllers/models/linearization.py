@@ -195,7 +195,9 @@ def linearize(
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
         return replace(_of_nonlinear(block, inputs, outputs, dt, at or {}), states=states).seen()
-    return replace(_of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}), states=states).seen()
+    return replace(
+        _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}), states=states
+    ).seen()
 
 
 def _state_names(system: Any, states: int) -> tuple[str, ...]:

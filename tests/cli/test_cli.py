@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import bayesftc
 from bayesftc.bench import SECTIONS
 from bayesftc.cli.application import COMMANDS
 from bayesftc.cli.commands.loops import _compare as compare_module, run as run_module
+from bayesftc.cli.guard import guarded
 from bayesftc.cosim import Result
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
@@ -676,3 +678,10 @@ def test_wrong_comparisons_are_refused(bayesftc_, tmp_path):
         done = bayesftc_("run", *arguments)
         assert done.exit_code != 0
         assert sentence in " ".join(done.output.split())
+
+
+def test_a_warning_is_printed_once(capsys):
+    with guarded():
+        for angle in (1, 2, 2, 1):
+            warnings.warn(f"The plant reached {angle} rad.", UserWarning, stacklevel=1)
+    assert capsys.readouterr().err == "Warning: The plant reached 1 rad.\nWarning: The plant reached 2 rad.\n"
