@@ -190,7 +190,7 @@ def linearize(
         return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
     check_plant(plant)
     block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
-    states = _state_names(block.system if plant is block else plant, len(block.initial))
+    states = _state_names(block.system if plant is block else plant, len(np.array(block.initial)))
     if order is not None:
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
