@@ -70,6 +70,8 @@ class Linearization:
         Sample time in seconds.
     following : ndarray or None
         The state one step after x in a steady motion, where integrators (a position) change; None if it is x.
+    states : tuple of str
+        Names of the states; empty if they have none.
     """
 
     A: Floats
@@ -83,6 +85,7 @@ class Linearization:
     outputs: tuple[str, ...]
     step: Fraction
     following: Floats | None = None
+    states: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         # Algorithms of linear algebra fail on such numbers with errors that do not name the plant.
@@ -106,6 +109,7 @@ class Linearization:
             x=x,
             start=start,
             following=following,
+            states=_kept(self.states, quotient.rows),
         )
 
     def rows(self, names: Sequence[str]) -> list[int]:
@@ -132,7 +136,7 @@ class Linearization:
         names = SignalNames(
             tuple(self.inputs[j] for j in columns),
             tuple(self.outputs[i] for i in order),
-            tuple(f"x[{i}]" for i in range(len(self.A))),
+            self.states or tuple(f"x[{i}]" for i in range(len(self.A))),
         )
         covariances = self._noise(columns, noise), variances
         model = LinearModel(self.A, self.B[:, columns], self.C[order], *covariances, self.step, names=names)
@@ -186,11 +190,26 @@ def linearize(
         return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
     check_plant(plant)
     block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
+    states = _state_names(block.system if plant is block else plant, len(np.array(block.initial)))
     if order is not None:
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
-        return _of_nonlinear(block, inputs, outputs, dt, at or {}).seen()
-    return _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}).seen()
+        return replace(_of_nonlinear(block, inputs, outputs, dt, at or {}), states=states).seen()
+    return replace(
+        _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}), states=states
+    ).seen()
+
+
+def _state_names(system: Any, states: int) -> tuple[str, ...]:
+    """Return the names of a system's states; nothing if it does not have one for each."""
+    names = tuple(getattr(system, "state_labels", None) or ())
+    return names if len(names) == states == len(set(names)) else ()
+
+
+def _kept(names: tuple[str, ...], rows: Floats) -> tuple[str, ...]:
+    """Return the names of the states that the rows of a quotient select; nothing if a row mixes states."""
+    places = [int(np.argmax(row)) for row in rows]
+    return tuple(names[i] for i in places) if names and np.array_equal(rows, np.eye(len(names))[places]) else ()
 
 
 def check_plant(plant: Any) -> None:
@@ -336,12 +355,19 @@ def _of_fmu(
     if realisation.waited and not at:
         warnings.warn(
             f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(realisation.waited)} s without control, "
-            f"and the model is about the steady state that it reached, with the outputs {realisation.y.tolist()}. For another "
+            f"and the model is about the steady state that it reached, with {_point(measured, realisation.y)}. For another "
             "operating point give start values or inputs (at=...).",
             stacklevel=4,
         )
     point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
     return Linearization(realisation.A, realisation.B, realisation.C, *point, driven, measured, step)
+
+
+def _point(names: Sequence[str], values: Floats) -> str:
+    """Return the outputs at an operating point as text. What is negligible beside the largest one, or 1, is 0."""
+    size = max(1.0, float(np.abs(values).max(initial=0.0)))
+    shown = np.where(np.abs(values) < 1e-8 * size, 0.0, values)
+    return ", ".join(f"{name} = {value:.4g}" for name, value in zip(names, shown, strict=True))
 
 
 def _of_equations(

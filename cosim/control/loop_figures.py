@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels
 from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
+from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
     from bayesftc.cosim.control.margins import Margins
 
 
-GAINS = np.concatenate([[0.0], np.logspace(-3.0, 3.0, 4001)])
-"""Gains of the root locus, in units of the designed gain."""
+GAINS = np.concatenate([[0.0], np.logspace(-3.0, 3.0, 1001)])
+"""First gains of the root locus, in units of the designed gain."""
+DOTS, HALVINGS = 400, 12
+"""Number of dots across the figure, and most halvings of a distance between two gains for it."""
 
 
 def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) -> Figure:
@@ -60,7 +63,7 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
 
 
 def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figure:
-    """Return the root locus of a loop transfer function near the poles at gain 0 and at the designed gain.
+    """Return the root locus of a loop transfer function, from gain 0 to where it leaves the unit circle.
 
     Parameters
     ----------
@@ -74,24 +77,82 @@ def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figu
         An empty figure to draw on.
     """
     _, (axis,) = make_panels([0.7 * WIDTH], figure)
-    control.root_locus_plot(loop, gains=GAINS, ax=axis, color=BLUE, legend_loc=False)
-    for line in axis.lines:
-        if line.get_linestyle() != "None":  # dots, because lines would cut the corners where branches meet
-            line.set(linestyle="none", marker=".", markersize=2.0)
-    circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
-    (limit,) = axis.plot(circle.real, circle.imag, color="0.5", lw=0.8, ls="--")
-    (now,) = axis.plot(poles.real, poles.imag, "s", ms=6, mfc="none", color=SENSOR_COLOURS[0])
+    limit = limit_gain(loop)
     # With fast sampling the poles are near 1. The rest of the plane matters little.
-    shown = np.concatenate([poles, loop.poles(), [1.0]])
+    ends = np.zeros(0) if limit is None else roots(loop, np.array([limit]))[0]
+    shown = np.concatenate([poles, loop.poles(), ends[np.abs(ends) > 1.0 - 1e-6], [1.0]])
     low, high, top = shown.real.min(), shown.real.max(), np.abs(shown.imag).max()
     pad = 0.15 * max(high - low, 2.0 * top, 0.02)
     axis.set_xlim(low - pad, high + pad)
     axis.set_ylim(-top - pad, top + pad)
+    box = complex(low - pad, -top - pad), complex(high + pad, top + pad)
+    found = dense_roots(loop, box).ravel()
+    # Dots, because lines would cut the corners where branches meet.
+    axis.plot(found.real, found.imag, ls="none", marker=".", ms=2.0, color=BLUE)
+    start, zeros = loop.poles(), loop.zeros()
+    axis.plot(start.real, start.imag, "x", ms=6, color=BLUE)
+    axis.plot(zeros.real, zeros.imag, "o", ms=6, mfc="none", color=BLUE)
+    angles = np.linspace(0.0, 2.0 * np.pi, 3601)
+    (circle,) = axis.plot(np.cos(angles), np.sin(angles), color="0.5", lw=0.8, ls="--")
+    (now,) = axis.plot(poles.real, poles.imag, "s", ms=6, mfc="none", color=SENSOR_COLOURS[0])
     axis.set_xlabel("real part")
     axis.set_ylabel("imaginary part")
-    axis.set_title("")
+    reached = "" if limit is None else f", reached at gain {limit:.3g}"
     axis.legend(
-        [limit, now], ["limit of stability", "poles at the designed gain"], loc="upper left", fontsize=8, frameon=False
+        [circle, now],
+        [f"limit of stability{reached}", "poles at the designed gain (1.0)"],
+        loc="upper left",
+        fontsize=8,
+        frameon=False,
     )
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
+
+
+def roots(loop: Any, gains: Floats) -> Any:
+    """Return the poles of the closed loop for each gain, a row for each."""
+    a, b, c, d = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C, loop.D))
+    return np.linalg.eigvals(a - (gains / (1.0 + gains * d[0, 0]))[:, None, None] * (b @ c))
+
+
+def limit_gain(loop: Any) -> float | None:
+    """Return the lowest gain above the designed one, 1, at which a stable closed loop loses its stability; None if none does."""
+    gains = np.concatenate([[1.0], GAINS[GAINS > 1.0]])
+    outside = np.abs(roots(loop, gains)).max(axis=1) >= 1.0
+    if outside[0] or not outside.any():
+        return None
+    above = int(outside.argmax())
+    low, high = gains[above - 1], gains[above]
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        if np.abs(roots(loop, np.array([middle]))).max() >= 1.0:
+            high = middle
+        else:
+            low = middle
+    return float(high)
+
+
+def dense_roots(loop: Any, box: tuple[complex, complex]) -> Any:
+    """Return the poles for so many gains that those in a box of the plane have small distances from gain to gain.
+
+    Parameters
+    ----------
+    loop : control.StateSpace
+        The loop transfer function.
+    box : tuple of complex
+        The lower left and the upper right corner.
+    """
+    low, high = box
+    least = max(high.real - low.real, high.imag - low.imag) / DOTS
+    gains, found = GAINS, roots(loop, GAINS)
+    for _ in range(HALVINGS):
+        inside = (low.real < found.real) & (found.real < high.real) & (low.imag < found.imag) & (found.imag < high.imag)
+        apart = np.abs(found[:-1, :, None] - found[1:, None, :])
+        far = ((apart.min(axis=2) > least) & inside[:-1]).any(axis=1)
+        far |= ((apart.min(axis=1) > least) & inside[1:]).any(axis=1)
+        if not far.any():
+            break
+        between = (gains[:-1][far] + gains[1:][far]) / 2
+        places = np.flatnonzero(far) + 1
+        gains, found = np.insert(gains, places, between), np.insert(found, places, roots(loop, between), axis=0)
+    return found

@@ -15,7 +15,7 @@ import numpy as np
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.errors import SimulationError
+from bayesftc.cosim.errors import ModelError, SimulationError, brief
 from bayesftc.cosim.export.deviations import Deviation, deviation
 from bayesftc.cosim.export.stand_in import PLACED, Place, StandIn
 from bayesftc.cosim.fmi.fmu import FMU
@@ -191,7 +191,7 @@ def verify_fmu(
     UnknownNameError
         If there is no such block, or the FMU has inputs that the blocks do not have.
     ModelError
-        If it is not clear which blocks the FMU replaces.
+        If it is not clear which blocks the FMU replaces, or `diagram` is no diagram.
     StepSizeError
         If the FMU has another step size.
     SimulationError
@@ -213,6 +213,11 @@ def verify_fmu(
     <BLANKLINE>
     limit.fmu does what limit does: the same numbers at all 101 steps.
     """
+    if not isinstance(diagram, Diagram):
+        raise ModelError(
+            f"verify_fmu() needs the diagram whose blocks the FMU replaces, such as the loop of closed_loop(). It is "
+            f"{brief(diagram)}. Name a block with blocks=."
+        )
     fmu = FMU(path, timing=timing, isolate=isolate)
     stand_in = StandIn(fmu, diagram, blocks)
     settings: dict[str, Any] = {"duration": duration, "seed": seed}

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import bayesftc
 from bayesftc.bench import SECTIONS
 from bayesftc.cli.application import COMMANDS
 from bayesftc.cli.commands.loops import _compare as compare_module, run as run_module
+from bayesftc.cli.guard import guarded
 from bayesftc.cosim import Result
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
@@ -186,6 +188,10 @@ def test_files_that_are_replaced_are_noted(bayesftc_, tmp_path):
     assert "Note: out/result.npz, out/figures.json exist already, and will be replaced." in again.stderr
     assert (tmp_path / "out" / "figure.png").exists()
     assert run_car(bayesftc_, "--duration", "1", "--out", "out", "--quiet").stderr == ""
+    (tmp_path / "broken.toml").write_text('[plant]\nfmu = "CruiseControl"\n')
+    refused = bayesftc_("run", "broken.toml", "--out", "out")
+    assert refused.exit_code > 1
+    assert "exist" not in refused.stderr
 
 
 def test_check_kalman(bayesftc_):
@@ -672,3 +678,10 @@ def test_wrong_comparisons_are_refused(bayesftc_, tmp_path):
         done = bayesftc_("run", *arguments)
         assert done.exit_code != 0
         assert sentence in " ".join(done.output.split())
+
+
+def test_a_warning_is_printed_once(capsys):
+    with guarded():
+        for angle in (1, 2, 2, 1):
+            warnings.warn(f"The plant reached {angle} rad.", UserWarning, stacklevel=1)
+    assert capsys.readouterr().err == "Warning: The plant reached 1 rad.\nWarning: The plant reached 2 rad.\n"

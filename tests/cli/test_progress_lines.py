@@ -30,3 +30,8 @@ def test_runs_that_are_not_shown_print_nothing(capsys):
     with output.runs_progress("Comparing", shown=False) as move:
         move(1, 2, 0)
     assert capsys.readouterr().err == ""
+
+
+def test_a_first_line_is_printed_at_once(capsys):
+    with output.progress_lines("tracking", "12 runs", period=10.0):
+        assert capsys.readouterr().err == "tracking: 12 runs\n"

@@ -10,7 +10,7 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import typer
@@ -27,7 +27,7 @@ def guarded(debug: bool = False) -> Iterator[None]:
 
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _show_warning  # type: ignore[assignment]
+            warnings.showwarning = _warnings_shown_once()  # type: ignore[assignment]
             try:
                 yield
             except Exception:
@@ -62,6 +62,14 @@ def _say(sentence: str) -> None:
     typer.echo(sentence, err=True)
 
 
-def _show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
-    if issubclass(category, UserWarning):
-        sys.stderr.write(f"Warning: {message}\n")
+def _warnings_shown_once() -> Callable[..., None]:
+    """Return a function that prints each warning for users once: several loops of a command may have the same plant."""
+    printed: set[str] = set()
+
+    def show(message: Warning | str, category: type[Warning], *_: object) -> None:
+        text = f"Warning: {message}\n"
+        if issubclass(category, UserWarning) and text not in printed:
+            printed.add(text)
+            sys.stderr.write(text)
+
+    return show

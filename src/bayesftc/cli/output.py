@@ -202,12 +202,15 @@ def progress_bar(
 
 
 @contextmanager
-def progress_lines(name: str, *, period: float = PERIOD) -> Iterator[Callable[..., None]]:
+def progress_lines(name: str, first: str = "", *, period: float = PERIOD) -> Iterator[Callable[..., None]]:
     """Print the progress on stderr every few seconds, and give the function that updates it.
 
     The function is called as ``move(done, of, **fields)``. The lines replace the bar where stderr is no terminal, as in the log
-    of a cluster.
+    of a cluster. A `first` line, if given, is printed at once.
     """
+    if first:
+        sys.stderr.write(f"{name}: {first}\n")
+        sys.stderr.flush()
     state: dict[str, Any] = {}
     ended = threading.Event()
     begun = time.monotonic()

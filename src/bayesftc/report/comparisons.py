@@ -85,14 +85,14 @@ def sentences(contents: Contents) -> list[str]:
     if not beside[0].certain:
         return [head + _undecided(beside[0]), *_cells(contents, beside[0])]
     sure = [each for each in beside if each.certain]
-    by = ", ".join(f"{each.difference.value:.3g} ± {each.half:.2g} below {text_of(each.first)}" for each in sure)
-    return [f"{head}: {by}.", *_cells(contents, beside[0])]
+    by = [f"by {each.difference.value:.3g} ± {each.half:.2g} with {text_of(each.first)}" for each in sure]
+    return [f"{head}. It is higher {', and '.join(by)}.", *_cells(contents, beside[0])]
 
 
 def _undecided(each: Pair) -> str:
     value, half = each.difference.value, each.half
     if half != half:
-        return f". {text_of(each.first)} is {value:.3g} above it, but with one seed this may be noise."
+        return f". {text_of(each.first)} has {value:.3g} more, but with one seed this may be noise."
     return (
         f", but the difference to {text_of(each.first)} is not certain: its 95 % interval is {value - half:.3g} to "
         f"{value + half:.3g}."

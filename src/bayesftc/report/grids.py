@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.report.levels import estimate
-from bayesftc.report.svg import INK, error_bars, figure, legend, words
+from bayesftc.report.svg import INK, error_bars, figure, legend, widen, words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -110,6 +110,7 @@ def _panels(contents: Contents, metric: str, names: list[str]) -> tuple[Figure, 
             bars = True
         axis.set_xlabel(words(name))
         axis.set_ylabel(words(metric, 30) if i % columns == 0 else "")
+        widen(axis)
     for axis in axes[len(names) :]:
         axis.set_visible(False)
     legend(axes[0])

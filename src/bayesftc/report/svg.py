@@ -21,6 +21,8 @@ LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1,
 MARKERS = ("o", "^", "s", "D", "v", "P")
 WIDTH = 8.6
 """Width of all figures in inches."""
+LEAST_SPAN = 1e-4
+"""Least span of an axis, relative to its values."""
 
 
 class Style(NamedTuple):
@@ -64,12 +66,22 @@ def tidy(axis: Axes) -> None:
     axis.grid(True, color=GRID, lw=0.6)
     axis.set_axisbelow(True)
     axis.tick_params(labelsize=8, colors=INK)
+    axis.ticklabel_format(useOffset=False)
     for side, spine in axis.spines.items():
         spine.set_visible(side in {"left", "bottom"})
         spine.set_color(INK)
     for text in (axis.xaxis.label, axis.yaxis.label, axis.title):
         text.set_color(INK)
         text.set_fontsize(9)
+
+
+def widen(axis: Axes) -> None:
+    """Let a vertical axis span a ten thousandth of its values or more: smaller steps would have labels of many digits."""
+    low, high = axis.get_ylim()
+    least = LEAST_SPAN * max(abs(low), abs(high))
+    if high - low < least:
+        middle = (low + high) / 2
+        axis.set_ylim(middle - least / 2, middle + least / 2)
 
 
 def error_bars(axis: Axes, x: Any, y: Any, half: Any, style: Style, label: str | None) -> None:

@@ -108,8 +108,9 @@ def set_line(content: Any, path: str, value: Any) -> None:
                 at[step] = value  # type: ignore[index]
                 return
             if step not in at:
+                names = {*at, *(() if i else _lines_of_blocks(content))}
                 raise ScenarioError(
-                    f"The factor {path!r}: the scenario has no {step!r}{so_far}; {did_you_mean(step, at)}"
+                    f"The factor {path!r}: the scenario has no {step!r}{so_far}; {did_you_mean(step, names)}"
                 )
         elif isinstance(at, list) and isinstance(step, int) and step < len(at):
             if last:

@@ -16,11 +16,11 @@ from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.campaign.designs.design import Design, Grid, Points
 from bayesftc.cosim.campaign.designs.samples import LatinHypercube, SaltelliDesign, SobolSequence
 from bayesftc.cosim.campaign.runs.metrics import METRICS, Metric
-from bayesftc.cosim.errors import BayesFTCError, ScenarioError
+from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._paths import line_of, set_line
-from bayesftc.scenario._place import Place
-from bayesftc.scenario._scenario import scenario_of
+from bayesftc.scenario._place import Place, UnknownKeyError
+from bayesftc.scenario._scenario import Scenario, scenario_of
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
 
 if TYPE_CHECKING:
@@ -79,7 +79,36 @@ class ScenarioLoop:
     def __call__(self, **factors: Any) -> Diagram:
         """Return the diagram with these factors: paths of lines, or names as in `bayesftc.cosim.varied`."""
         with noted_elsewhere():
-            return scenario_of(self.changed(factors), Path(self.path)).loop()
+            return self._scenario(factors).loop()
+
+    def _scenario(self, factors: Mapping[str, Any]) -> Scenario:
+        try:
+            return scenario_of(self.changed(factors), Path(self.path))
+        except ScenarioError:
+            for name, value in factors.items():
+                self._check(name, value)
+            raise
+
+    def _check(self, name: str, value: Any) -> None:
+        """Refuse a factor for which the scenario is not valid, by its own name.
+
+        Raises
+        ------
+        ScenarioError
+            With the name of the factor.
+        """
+        content = self.changed({name: value})
+        try:
+            scenario_of(content, Path(self.path))
+        except UnknownKeyError as error:
+            before, dot, last = name.rpartition(".")
+            if last != error.key:
+                raise
+            raise ScenarioError(
+                f"The factor {name!r} refers to the unknown key {last!r}; {did_you_mean(last, error.known, before + dot)}"
+            ) from error
+        except ScenarioError as error:
+            raise ScenarioError(f"The factor {name!r} has a value that the scenario rejects. {error}") from error
 
     def changed(self, factors: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of the scenario file with these factors.
@@ -146,11 +175,14 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
     runs: Runs = build(Runs, content, root)
     simulation = scenario_of(loop.content, Path(loop.path)).simulation
     settings = {name: getattr(runs, name) for name in _names(Runs) if name != "duration"}
-    with root.named():
-        campaign = Campaign(
-            loop, duration=_duration(runs.duration, simulation.duration), grid=design, metrics=metrics, **settings
-        )
-    _check_values(loop, campaign.job.plan.points)
+    try:
+        with root.named():
+            campaign = Campaign(
+                loop, duration=_duration(runs.duration, simulation.duration), grid=design, metrics=metrics, **settings
+            )
+        _check_values(loop, campaign.job.plan.points)
+    except ScenarioError as error:
+        raise ScenarioError(f"{root}: {error}") from error
     return campaign
 
 

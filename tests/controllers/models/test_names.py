@@ -140,3 +140,30 @@ def test_default_labels_of_python_control_name_signals(inputs, plain):
 
 def test_brackets_are_elements_where_there_is_a_vector():
     assert controllers.models.names.places_of(["u[1]"], ["u1", "u[0]", "u[1]"], "input") == [2]
+
+
+def test_a_design_keeps_the_names_of_the_plants_states():
+    settings = {"measured": "v", "actuated": "force", "dt": 0.1}
+    given = controllers.design(SYSTEM, disturbance=0.1, **settings)
+    assert given.model.names.states == ("speed", "motor")
+    assert given.model.state_names == ("speed", "motor", "disturbance[0]")
+
+    def dynamics(t, x, u, params):
+        return np.array([x[1], u[0] - x[1]])
+
+    nonlinear = control.nlsys(
+        dynamics, lambda t, x, u, params: x, inputs=["force"], outputs=["p", "v"], states=["position", "speed"]
+    )
+    assert controllers.design(nonlinear, goal="p", **{**settings, "measured": ["p", "v"]}).model.names.states == (
+        "position",
+        "speed",
+    )
+    # The outputs do not see the position, so that the model does not have it.
+    assert controllers.design(nonlinear, **settings).model.names.states == ("speed",)
+
+
+def test_states_without_names_are_numbered():
+    assert controllers.design(control.tf([1], [1, 1, 1]), measured="y", actuated="u", dt=0.1).model.names.states == (
+        "x[0]",
+        "x[1]",
+    )

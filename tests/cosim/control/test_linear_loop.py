@@ -232,6 +232,16 @@ def test_figures_show_loop_and_margins():
     assert f"gain margin {margins.gain:.3g}" in bode.axes[0].get_title()
     (axis,) = locus.axes
     (now,) = [line for line in axis.lines if line.get_marker() == "s"]
+    (branches,) = [line for line in axis.lines if line.get_marker() == "."]
+    places = branches.get_xdata() + 1j * branches.get_ydata()
+    (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
+    seen = places[(left < places.real) & (places.real < right) & (bottom < places.imag) & (places.imag < top)]
+    assert np.abs(seen).max() > 1.0  # the branches are drawn to the limit of stability, and without gaps
+    upper = seen[(seen.imag > 0.1) & (np.abs(seen) < 1.0)]
+    apart = np.abs(upper[:, None] - upper) + 9.0 * np.eye(len(upper))
+    assert apart.min(axis=1).max() < (right - left) / 100.0
+    texts = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert texts == [f"limit of stability, reached at gain {margins.gain:.3g}", "poles at the designed gain (1.0)"]
     np.testing.assert_allclose(now.get_xydata(), np.column_stack([loop.poles().real, loop.poles().imag]))
 
 

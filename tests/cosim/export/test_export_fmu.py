@@ -438,3 +438,8 @@ def test_outputs_that_change_a_state_are_computed_once_a_step(tmp_path, c_compil
     diagram.add(cosim.FMU(cosim.export_fmu(Ticker(), tmp_path / "ticker.fmu", dt=0.1)), "fmu")
     run = diagram.simulate(0.4, engine="interpreted")
     np.testing.assert_array_equal(run["fmu.y"], [1.0, 2.0, 3.0, 4.0, 5.0])
+
+
+def test_a_block_in_place_of_the_diagram_is_refused(tmp_path):
+    with pytest.raises(cosim.ModelError, match=r"verify_fmu\(\) needs the diagram .* It is Saturation"):
+        cosim.verify_fmu(tmp_path / "x.fmu", cosim.Saturation(-1.0, 1.0), duration=4.0)

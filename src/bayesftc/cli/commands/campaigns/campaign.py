@@ -71,7 +71,8 @@ def campaign(
     folder = Path(file.stem) if out is None else out
     began, before = time.perf_counter(), _runs_in(folder)
     again = ["bayesftc", "campaign", str(file)] + (["-o", str(out)] if out else [])
-    with _kept(folder, again), _progress(file.stem, shown=not quiet and not json) as progress:
+    first = _beginning(loaded.job.plan.runs, before, folder)
+    with _kept(folder, again), _progress(file.stem, first, shown=not quiet and not json) as progress:
         result = loaded.run(
             folder, executor=chosen, progress=progress, retry_failed=retry_failed, description=described(file, loaded)
         )
@@ -210,11 +211,16 @@ def _interval(cell: Mapping[str, float] | None) -> str:
     return f"{cell['mean']:.4g} ± {half:.2g}" if half == half else f"{cell['mean']:.4g}"
 
 
+def _beginning(runs: int, before: int, store: Path) -> str:
+    """Return the first line of the progress: how many runs there are, and how many of them the store has already."""
+    return f"{runs} run{'s' * (runs != 1)}" + (f", {before} of them in {store} already" if before else "")
+
+
 @contextmanager
-def _progress(name: str, *, shown: bool) -> Iterator[Progress | None]:
+def _progress(name: str, first: str, *, shown: bool) -> Iterator[Progress | None]:
     """Give a function that shows the progress on stderr, as a bar or, without a terminal, as lines; None if not shown."""
     if shown and not sys.stderr.isatty():
-        with output.progress_lines(name) as move:
+        with output.progress_lines(name, first) as move:
             yield _mover(move)
         return
     columns = "count", "{task.fields[rate]}", "remaining", "{task.fields[failed]}"

@@ -50,7 +50,7 @@ def compare_scenarios(
             f"--compare has only one scenario, {files[0]}. Give at least two: bayesftc run a.toml b.toml --compare."
         )
     if out is not None:
-        output.check_folder(out, (TABLE, output.FIGURE), silent=quiet or json)
+        output.check_folder(out, (TABLE, output.FIGURE), silent=True)
     scenarios = {Path(file).stem: load_scenario(file) for file in files}
     if len(scenarios) < len(files):
         raise ScenarioError("Two of the files have the same name, which labels the table's rows. Rename one of them.")
@@ -68,6 +68,8 @@ def compare_scenarios(
         output.say_notes(notes)
     with noted_elsewhere(), output.runs_progress("Comparing", shown=not quiet and not json) as progress:
         loops = {name: scenario.loop() for name, scenario in scenarios.items()}
+        if out is not None and not json and not quiet:  # the scenarios are checked
+            output.note_replaced(out / name for name in (TABLE, output.FIGURE))
         comparison = cosim.compare(
             loops,
             duration=lasts,

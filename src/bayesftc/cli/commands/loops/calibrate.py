@@ -51,13 +51,15 @@ def calibrate(
     hazards, path = controllers.Hazards(time_to_fault, time_to_recovery), scenario
     magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
     if out is not None:
-        output.check_folder(out, (DIAGRAM, NUMBERS), silent=json)
+        output.check_folder(out, (DIAGRAM, NUMBERS), silent=True)
     loaded = load_scenario(path)
     controller = loaded.controller
     if not isinstance(controller, controllers.BayesianController):
         raise ModelError(
             f"{path} has a {type(controller).__name__}. bayesftc calibrate needs a scenario with a BayesianController."
         )
+    if out is not None and not json:  # the scenario is checked
+        output.note_replaced(out / name for name in (DIAGRAM, NUMBERS))
     settings = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name != "model"}
     learner = controller.precision
     has_probability = not isinstance(learner, RateLearner) and learner.why_no_probability is None

@@ -90,7 +90,7 @@ def run(
     (scenario,) = scenarios
     options: dict[str, Any] = {"seed": seed, "duration": duration, "engine": engine and engine.value, "pace": pace}
     if out is not None:
-        output.check_folder(out, silent=quiet or json)
+        output.check_folder(out, silent=True)
     loaded = load_scenario(scenario)
     with noted_elsewhere():
         loop = loaded.loop()
@@ -101,6 +101,8 @@ def run(
     notes = unused(loaded, duration)
     if not json and not quiet:
         output.say_notes(notes)
+        if out is not None:  # the scenario is checked
+            output.note_replaced(out / name for name in (output.RESULT, output.FIGURE, output.NUMBERS))
     try:
         with _progress(shown=sys.stderr.isatty() and not quiet and not json) as progress, noted_elsewhere():
             result = loaded.simulate(loop, progress=progress, **options)
