@@ -26,12 +26,14 @@ from bayesftc.controllers.models.names import Names, elements_of, names_of
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.announcing import reported
+from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.blocks.linear_system import is_system, signal_names
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
 
 
+@with_named_arguments
 def design(
     plant: Any,
     *,

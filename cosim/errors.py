@@ -20,6 +20,8 @@ class ScenarioError(BayesFTCError):
     """A scenario file that cannot be read, or whose content is wrong or incomplete."""
 
     exit_code = 3
+    unknown: tuple[str, tuple[str, ...]] | None = None
+    """An unknown key, and those that its table can have; None for other errors."""
 
 
 class FMUError(BayesFTCError):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from fractions import Fraction
@@ -21,6 +20,7 @@ from bayesftc.controllers.estimation.belief import ESTIMATION, advance, estimati
 from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, Limits, decide, limit
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.stepping.records import named_alike
@@ -397,13 +397,12 @@ class BayesianController(BayesianBlock):
             poles = poles[np.argsort(-np.abs(poles))]
             shown = ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-12 else f"{p.real:.3g}{p.imag:+.3g}j" for p in poles)
             state = "unstable" if size > 1.0 + 1e-9 else "on the edge of stability"
-            warnings.warn(
+            warn_user(
                 f"The closed loop is {state}: its poles are {shown}, the largest of magnitude {size:.3g}. There are three "
                 "possible causes. If the goal for the next step alone is short-sighted, increase goal_covariance, decrease "
                 "control_covariance, or set goals only for what the control reaches in one step. If the control hardly acts, "
                 "increase control_covariance. If no sensor sees an unstable mode of the model, add a sensor.",
                 UnstableLoopWarning,
-                stacklevel=4,
             )
 
     def _relevant_poles(self) -> NDArray[np.complex128]:

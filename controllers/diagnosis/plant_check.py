@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from bayesftc.controllers.bayesian.block import extended_mean
 from bayesftc.controllers.diagnosis.explanations import holding
 from bayesftc.controllers.models.checks import as_vector
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import BayesFTCError
@@ -181,7 +181,7 @@ def compare_with_plant(
             response[used] - baseline[used], expected * size, name, outputs, delayed=model.delays is not None
         )
     for mismatch in differences:
-        warnings.warn(mismatch.sentence(float(model.step)), ModelMismatchWarning, stacklevel=2)
+        warn_user(mismatch.sentence(float(model.step)), ModelMismatchWarning)
     return tuple(differences)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bayesftc.controllers.models.pulse_responses import BENDS, PoorFitWarning
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
@@ -60,11 +61,10 @@ def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
             "The equations cannot be evaluated near the operating point, or jump there; give another one (at=...)."
         )
     if kink:
-        warnings.warn(
+        warn_user(
             "The equations have a kink at the operating point, where no linear model fits both sides; give another point "
             "(at=...).",
             PoorFitWarning,
-            stacklevel=6,
         )
     return whole
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -28,6 +27,7 @@ from bayesftc.controllers.models.names import (
 )
 from bayesftc.controllers.models.pulse_responses import realise
 from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held, is_system
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.errors import ModelError, StepSizeError, brief
@@ -353,11 +353,10 @@ def _of_fmu(
         return _of_equations(fmu, u, columns, rows, driven, measured, step, _free(columns, into, at))
     realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
     if realisation.waited and not at:
-        warnings.warn(
+        warn_user(
             f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(realisation.waited)} s without control, "
             f"and the model is about the steady state that it reached, with {_point(measured, realisation.y)}. For another "
-            "operating point give start values or inputs (at=...).",
-            stacklevel=4,
+            "operating point give start values or inputs (at=...)."
         )
     point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
     return Linearization(realisation.A, realisation.B, realisation.C, *point, driven, measured, step)

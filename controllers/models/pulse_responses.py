@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -11,6 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmi.fmu import FMU
@@ -254,19 +254,16 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
         )
         if best is None:
             raise ModelError(f"{lost}. Give an operating point outside it (at=...).")
-        warnings.warn(
-            f"{lost}; the model is that of the larger pulses, and may be inaccurate.", PoorFitWarning, stacklevel=8
-        )
+        warn_user(f"{lost}; the model is that of the larger pulses, and may be inaccurate.", PoorFitWarning)
     if best is None:
         raise ModelError(
             "The plant fails in every experiment from its steady state; give other inputs (at=...) or start values."
         )
     if bend > BENDS:
-        warnings.warn(
+        warn_user(
             f"The plant's responses to pulses of {plant.names[j]!r} up and down differ by {100 * bend:.0f} %, however small: the "
             "operating point is at a limit or a kink, where no linear model fits both sides. Give another point (at=...).",
             PoorFitWarning,
-            stacklevel=8,
         )
     return best
 
@@ -313,11 +310,10 @@ def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floa
     C = earlier[: len(rows)] @ reached.T @ scale * rows[:, None]
     miss = _misfit(A, B / columns, C / rows[:, None], scaled)
     if miss > AGREES:
-        warnings.warn(
+        warn_user(
             f"The linear model of order {count} misses the plant's pulse responses by {100 * miss:.2g} % of their size. Give a "
             "higher order=, or another operating point if the plant is not smooth here.",
             PoorFitWarning,
-            stacklevel=6,
         )
     return A, B, C, np.asarray(values, dtype=np.float64), miss
 

@@ -89,11 +89,12 @@ class NamedArguments:
 
 
 def with_named_arguments(function: _F) -> _F:
-    """Let a function refuse arguments as classes do; see `NamedArguments`."""
+    """Let a function or a method refuse arguments as classes do; see `NamedArguments`."""
+    bound = int(next(iter(inspect.signature(function).parameters), "") == "self")
 
     @wraps(function)
     def checked(*args: Any, **settings: Any) -> Any:
-        check_arguments(function, len(args), settings)
+        check_arguments(function, len(args) - bound, settings)
         return function(*args, **settings)
 
     return checked  # type: ignore[return-value]
@@ -104,7 +105,7 @@ def _arguments(called: Callable[..., Any]) -> _Arguments | None:
     """Return the arguments of a function or of a class's constructor; None if it takes any."""
     is_class = isinstance(called, type)
     parameters = list(inspect.signature(called.__init__ if is_class else called).parameters.values())  # type: ignore[misc]
-    parameters = parameters[1:] if is_class else parameters
+    parameters = parameters[is_class or (bool(parameters) and parameters[0].name == "self") :]
     if not parameters or any(each.kind in {each.VAR_KEYWORD, each.VAR_POSITIONAL} for each in parameters):
         return None
     return _Arguments(

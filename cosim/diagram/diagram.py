@@ -7,6 +7,7 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal
 
+from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.timebase import rational_step, whole_number, whole_steps
 from bayesftc.cosim.base.units import difference
 from bayesftc.cosim.block import Block, ExternalBlock
@@ -343,6 +344,7 @@ class Diagram(LoopMethods):
         assert self._schedule is not None
         return self._schedule
 
+    @with_named_arguments
     def simulate(
         self,
         duration: float | str | Fraction,

@@ -439,3 +439,18 @@ def test_wrong_settings_are_said_in_a_sentence(settings, error, words):
         return
     with pytest.raises(error, match=words):
         design(plant, **make)
+
+
+def test_a_wrong_argument_gets_similar_names_and_warnings_the_line_of_the_user():
+    with pytest.raises(TypeError, match="design has no argument 'goals'; did you mean 'goal'"):
+        controllers.design(fmus.path("PositionServo"), measured="angle", actuated="voltage", goals="angle")
+    falls = cosim.FMU(fmus.path("CartPendulum"), parameters={"angle_0": 0.1, "b": 0.02})
+    with pytest.warns(UserWarning, match="is not steady at its start") as warned:
+        controllers.design(falls, measured=["position", "angle"], goal="position", actuated="force")
+    assert {each.filename for each in warned} == {__file__}
+    diagram = cosim.Diagram(dt=0.1)
+    diagram.add(cosim.Constant(1.0))
+    with pytest.raises(TypeError, match="simulate has no argument 'seeds'; did you mean 'seed'"):
+        diagram.simulate(1.0, seeds=3)
+    with pytest.raises(TypeError, match=r"simulate lacks the argument 'duration'; write simulate\(duration=...\)"):
+        diagram.simulate()

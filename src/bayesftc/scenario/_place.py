@@ -17,14 +17,6 @@ KINDS_OF_FILES = {
 """A key that each file of a kind has, and the command that reads the file."""
 
 
-class UnknownKeyError(ScenarioError):
-    """The error about a key that a table cannot have, with the keys that it can have."""
-
-    def __init__(self, message: str, key: str = "", known: Iterable[str] = ()) -> None:
-        super().__init__(message)
-        self.key, self.known = key, tuple(known)
-
-
 @dataclass(frozen=True)
 class Place:
     """A file and the path of keys in it: ``faults[0].start``."""
@@ -49,8 +41,9 @@ class Place:
         for key in keys:
             if key not in known:
                 hint = "" if self.key else _hint(self.file, keys, known)
-                message = f"{self} has the unknown {what} {key!r}; {did_you_mean(key, known)}{hint}"
-                raise UnknownKeyError(message, key, known)
+                error = self.error(f"has the unknown {what} {key!r}; {did_you_mean(key, known)}{hint}")
+                error.unknown = key, tuple(known)
+                raise error
 
     @contextmanager
     def named(self) -> Iterator[None]:

@@ -19,7 +19,7 @@ from bayesftc.cosim.campaign.runs.metrics import METRICS, Metric
 from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._paths import line_of, set_line
-from bayesftc.scenario._place import Place, UnknownKeyError
+from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import Scenario, scenario_of
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
 
@@ -100,14 +100,11 @@ class ScenarioLoop:
         content = self.changed({name: value})
         try:
             scenario_of(content, Path(self.path))
-        except UnknownKeyError as error:
-            before, dot, last = name.rpartition(".")
-            if last != error.key:
-                raise
-            raise ScenarioError(
-                f"The factor {name!r} refers to the unknown key {last!r}; {did_you_mean(last, error.known, before + dot)}"
-            ) from error
         except ScenarioError as error:
+            before, dot, last = name.rpartition(".")
+            if error.unknown and error.unknown[0] == last:
+                hint = did_you_mean(last, error.unknown[1], before + dot)
+                raise ScenarioError(f"The factor {name!r} refers to the unknown key {last!r}; {hint}") from error
             raise ScenarioError(f"The factor {name!r} has a value that the scenario rejects. {error}") from error
 
     def changed(self, factors: Mapping[str, Any]) -> dict[str, Any]:
