@@ -21,7 +21,6 @@ from bayesftc.cosim.stepping.machine.code import machine_code
 from bayesftc.cosim.stepping.machine.lanes import lowered_to_lanes
 from bayesftc.cosim.stepping.machine.lowering import lowered
 from bayesftc.cosim.stepping.machine.services import known_text, service_at
-from bayesftc.cosim.stepping.machine.shipped import sources_digest
 from bayesftc.cosim.stepping.machine.steps import environment, load_or_compile, name_of, sentences, text_of
 from bayesftc.cosim.stepping.source.tree import Sections
 
@@ -37,6 +36,10 @@ Tables = tuple[Whole, Whole, Whole, int, tuple[int, int]]
 
 Steps = Mapping[str, tuple[FunctionType, Sections]]
 """The step functions of a loop by name, and the places of their arguments."""
+
+INCLUDED, IN_LANES = 60_000, 20_000
+"""Lengths of the text of a service function up to which it is included in a loop, and in one for several runs, where each has its
+own copy. The step of an FMU whose ports are plain numbers is shorter; compiling a long one would take seconds."""
 
 LANES = 8
 """Runs that are made in lock step, each in its lane of the processor's vector registers."""
@@ -58,9 +61,9 @@ def fused(schedule: Schedule, tables: Tables, steps: float) -> int:
     """
     if steps < LOADED:
         return 0
-    loop, functions = _described(schedule, tables)
+    loop, functions = _described(schedule, tables, INCLUDED)
     text = text_of_loop(loop, "loop", set(functions))
-    return _found(text, steps, len(loop.rows), lambda name: _compiled(loop, functions, name))
+    return _found(loop, text, steps, lambda name: _compiled(loop, functions, name))
 
 
 def fused_lanes(schedule: Schedule, tables: Tables, steps: float) -> int:
@@ -70,7 +73,7 @@ def fused_lanes(schedule: Schedule, tables: Tables, steps: float) -> int:
     """
     if steps < LOADED * LANES or schedule.groups:  # a group's tables have the address of one run's memory
         return 0
-    loop, functions = _described(schedule, tables)
+    loop, functions = _described(schedule, tables, IN_LANES)
     calls = (*schedule.evaluate, *schedule.advance)
     begins = [slots.start["state"] for slots in schedule.slots]
     last = schedule.slots[-1].start["outputs"] + sum(port.size for port in schedule.nodes[-1].outputs)
@@ -85,28 +88,30 @@ def fused_lanes(schedule: Schedule, tables: Tables, steps: float) -> int:
         size=len(schedule.initial),
         by_address=frozenset(by_address),
     )
-    return _found(
-        repr((loop, lanes)), steps, len(loop.rows), lambda name: _compiled_lanes(loop, lanes, functions, name)
-    )
+    text = text_of_lanes(loop, lanes, "loop")
+    return _found(loop, text, steps, lambda name: _compiled_lanes(loop, lanes, functions, name))
 
 
-def _found(text: str, steps: float, calls: int, compiled: Callable[[str], bytes]) -> int:
-    """Return the address of a loop's code, which depends on `text` alone; 0 if compiling it does not pay."""
-    name = "loop_" + hashlib.sha256((environment() + sources_digest() + text).encode()).hexdigest()[:24]
+def _found(loop: Loop, text: str, steps: float, compiled: Callable[[str], bytes]) -> int:
+    """Return the address of a loop's code, which depends on this `text` and what it includes; 0 if compiling does not pay."""
+    parts = [environment(), text, *(known_text(service) for service in loop.services)]
+    name = "loop_" + hashlib.sha256("|".join(parts).encode()).hexdigest()[:24]
     if name not in _addresses:
         is_kept = (cache_directory("compiled") / f"{name}.o").exists()
-        if not is_kept and steps < COMPILED * calls:
+        if not is_kept and steps < COMPILED * len(loop.rows):
             return 0
         _addresses[name] = load_or_compile(name, lambda: compiled(name))
     return _addresses[name]
 
 
-def _described(schedule: Schedule, tables: Tables) -> tuple[Loop, Steps]:
+def _described(schedule: Schedule, tables: Tables, longest: int) -> tuple[Loop, Steps]:
+    """Return the loop and its step functions; service functions with a text up to this length are included in its code."""
     rows, drawn, recorded, decimation, clock = tables
     names, functions, services = [], {}, []
     calls = (*schedule.evaluate, *schedule.advance)
     for call, address in zip(calls, rows[:, FUNCTION].tolist(), strict=True):
-        services.append(service_at(address))
+        service = service_at(address)
+        services.append(service if len(known_text(service)) <= longest else "")
         kernel, sections = None if call.group else schedule.kernel(call), schedule.slots[call.node].sections
         names.append(name_of(kernel, sections) if kernel else "")
         if isinstance(kernel, FunctionType):

@@ -84,28 +84,18 @@ class ScenarioLoop:
     def _scenario(self, factors: Mapping[str, Any]) -> Scenario:
         try:
             return scenario_of(self.changed(factors), Path(self.path))
-        except ScenarioError:
-            for name, value in factors.items():
-                self._check(name, value)
+        except ScenarioError as error:
+            for name in factors:
+                if self._is_valid({other: value for other, value in factors.items() if other != name}):
+                    raise ScenarioError(_refusal(name, error)) from error
             raise
 
-    def _check(self, name: str, value: Any) -> None:
-        """Refuse a factor for which the scenario is not valid, by its own name.
-
-        Raises
-        ------
-        ScenarioError
-            With the name of the factor.
-        """
-        content = self.changed({name: value})
+    def _is_valid(self, factors: Mapping[str, Any]) -> bool:
         try:
-            scenario_of(content, Path(self.path))
-        except ScenarioError as error:
-            before, dot, last = name.rpartition(".")
-            if error.unknown and error.unknown[0] == last:
-                hint = did_you_mean(last, error.unknown[1], before + dot)
-                raise ScenarioError(f"The factor {name!r} refers to the unknown key {last!r}; {hint}") from error
-            raise ScenarioError(f"The factor {name!r} has a value that the scenario rejects. {error}") from error
+            scenario_of(self.changed(factors), Path(self.path))
+        except BayesFTCError:
+            return False
+        return True
 
     def changed(self, factors: Mapping[str, Any]) -> dict[str, Any]:
         """Return the content of the scenario file with these factors.
@@ -124,6 +114,14 @@ class ScenarioLoop:
         for line in sorted(lines, key=_depth):  # a table before its parts, in any order of the factors
             set_line(content, line, deepcopy(lines[line]))
         return content
+
+
+def _refusal(factor: str, error: ScenarioError) -> str:
+    """Return the message for a factor without which the scenario would be valid."""
+    before, dot, last = factor.rpartition(".")
+    if error.unknown and error.unknown[0] == last:
+        return f"The factor {factor!r} refers to the unknown key {last!r}; {did_you_mean(last, error.unknown[1], before + dot)}"
+    return f"The factor {factor!r} has a value that the scenario rejects. {error}"
 
 
 def load_campaign(path: str | os.PathLike[str]) -> Campaign:

@@ -8,7 +8,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.bench.measures.full_loop import full_diagram
 from bayesftc.cosim.ports import Port
-from bayesftc.cosim.run.fused import compiled
+from bayesftc.cosim.run.fused import compiled, lanes as lanes_text
 from bayesftc.cosim.run.general.program import FUNCTION
 from bayesftc.cosim.stepping.machine.services import service_at
 from bayesftc.cosim.stepping.machine.shipped import MACHINES
@@ -85,7 +85,7 @@ def test_what_is_compiled_does_not_depend_on_addresses():
         schedule, (calls, *others) = session._schedule, session._engine._described()
     moved = calls.copy()
     moved[:, FUNCTION] += (calls[:, FUNCTION] != 0) & ~services_among(calls)  # nothing begins at an odd address
-    found = [compiled._described(schedule, (each, *others))[0] for each in (calls, moved)]
+    found = [compiled._described(schedule, (each, *others), compiled.INCLUDED)[0] for each in (calls, moved)]
     assert found[0] == found[1]
     known = ["service_fmi2_get_plain", "service_fmi2_advance_plain"] if platform.machine() in MACHINES else []
     assert [name for name in found[0].services if name] == known
@@ -93,3 +93,14 @@ def test_what_is_compiled_does_not_depend_on_addresses():
 
 def services_among(calls):
     return np.array([bool(service_at(address)) for address in calls[:, FUNCTION]])
+
+
+def test_the_name_of_a_loop_on_the_disk_depends_on_how_its_text_is_made(monkeypatch, tmp_path):
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path))
+    names = []
+    monkeypatch.setattr(compiled, "load_or_compile", lambda name, compile: names.append(name))
+    with full_diagram().start(record=["plant.v"]) as session:
+        for _ in range(3):
+            session._engine.in_lock_step(np.inf)
+            monkeypatch.setattr(lanes_text._LanesText, "_record_row", lambda self, row: None)
+    assert len(set(names)) == 2

@@ -115,13 +115,13 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     )
     say(
         "Resolution: least difference of two samples; fine: too small to matter. Repeats: share of samples that equal the one "
-        "before. Missing: share of the steps without a sample, in a typical part of the recording."
+        "before. Missing: share of the steps without a sample, in a typical part of the fitted steps."
     )
     if part.start is not None or part.stop is not None:
         say(
-            "Biases are those of the stretch between --from and --to. Motion, noise up to twice as large, and biases that change "
-            "are those of the whole recording, because a calm stretch does not show them. To leave the rest out, fit a file "
-            "without it."
+            "Biases, repeats and missing are those of the stretch between --from and --to. Motion, noise up to twice as large, "
+            "and biases that change are those of the whole recording, because a calm stretch does not show them. To leave the "
+            "rest out, fit a file without it."
         )
     if gaps := _gaps(recording):
         say(gaps)

@@ -24,7 +24,7 @@ from bayesftc.monitoring.csv import Tables
 if TYPE_CHECKING:
     from bayesftc.controllers import ModelFinding
 
-PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
+FILES = PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
 
 
 def monitor(
@@ -108,7 +108,7 @@ def monitor(
     if not fit and (sensors or start is not None or stop is not None):
         raise typer.BadParameter("--from, --to and --sensor choose what to fit: add --fit.")
     if out is not None:
-        output.check_folder(out, (PROBABILITIES, FAULTS, FIGURE), silent=quiet or json)
+        output.check_folder(out, FILES, silent=True)
     model = model or (out or Path()) / MODEL
     fitted = None
     if fit:
@@ -118,6 +118,8 @@ def monitor(
             print_fit(fitted, fitted_to, part, model)
     loaded = load_monitor(model)
     samples = loaded.read(recording)
+    if out is not None and not (quiet or json):
+        output.note_replaced(out / name for name in FILES)
     mismatch = loaded.compare(samples)
     if mismatch is not None:
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
