@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
+from scipy.optimize import brentq
 
 from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels
 from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
@@ -122,14 +123,7 @@ def limit_gain(loop: Any) -> float | None:
     if outside[0] or not outside.any():
         return None
     above = int(outside.argmax())
-    low, high = gains[above - 1], gains[above]
-    for _ in range(40):
-        middle = np.sqrt(low * high)
-        if np.abs(roots(loop, np.array([middle]))).max() >= 1.0:
-            high = middle
-        else:
-            low = middle
-    return float(high)
+    return float(brentq(lambda gain: np.abs(roots(loop, np.array([gain]))).max() - 1.0, gains[above - 1], gains[above]))
 
 
 def dense_roots(loop: Any, box: tuple[complex, complex]) -> Any:

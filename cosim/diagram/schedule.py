@@ -81,6 +81,8 @@ class Schedule:
         Blocks that are computed together: algebraic loops, and FMUs that are coupled tightly.
     connected : frozenset of (int, str)
         The connected outputs: node and name.
+    finite : frozenset of int
+        The nodes whose outputs must be finite.
     remembered : ndarray of int
         The places in memory that belong to the state of a run: all but scratch and outputs that are only recorded.
     """
@@ -103,6 +105,9 @@ class Schedule:
         self._seen_ahead = self._pairs_ahead(diagram)
         self.ahead, self.initial = self._lay_out_ahead(values)
         self.draws = self._check_inputs(diagram)
+        self.finite = frozenset(
+            i for i, node in enumerate(self.nodes) if node.block.checks_finite
+        )  # reads an FMU's file
         self.connected = frozenset(self._connected(diagram))
         self.free = tuple(
             (node, port)

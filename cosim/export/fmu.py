@@ -109,7 +109,7 @@ def model_of(program: Program, file: CFile, requested: Timing | None, descriptio
         timing=timing,
         libraries=("m",),
         blocks=program.blocks,
-        finite=any(node.block.checks_finite for node in program.schedule.nodes),
+        finite=bool(program.schedule.finite),
     )
 
 

@@ -135,9 +135,8 @@ class CompiledEngine:
         rows: list[list[int]] = []
         gathers: list[tuple[int, int]] = []
         for call in (*schedule.evaluate, *schedule.advance):
-            node, slots = schedule.nodes[call.node], schedule.slots[call.node]
-            start = slots.start
-            checked = node.block.checks_finite and call.kind in WRITES
+            start = schedule.slots[call.node].start
+            checked = call.node in schedule.finite and call.kind in WRITES
             begin = schedule.outputs_start(call)
             outputs = begin, begin + schedule.depended_on(call.node)
             table = start["parameters"]
@@ -256,9 +255,6 @@ class InterpretedEngine:
 
     def __init__(self, run: Run):
         self._run = run
-        self._finite = {
-            i for i, node in enumerate(run.schedule.nodes) if node.block.checks_finite
-        }  # read an FMU's file once
         self._evaluate = [self._bind(call) for call in run.schedule.evaluate]
         self._advance = [self._bind(call) for call in run.schedule.advance]
         self._draws = Draws(run)
@@ -311,7 +307,7 @@ class InterpretedEngine:
             status = function(t, k // every)
             if status:
                 return _failure(schedule, call, k, status, function if isinstance(function, GroupRun) else None)
-            if call.node in self._finite and call.kind in WRITES:
+            if call.node in schedule.finite and call.kind in WRITES:
                 start = schedule.outputs_start(call)
                 for i in range(start, start + schedule.depended_on(call.node)):
                     if not np.isfinite(memory[i]):

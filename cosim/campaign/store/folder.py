@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time as clock
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from pathlib import Path
@@ -133,21 +133,8 @@ class CampaignStore(StoredCampaign):
         given = metadata_of(description, plan, signals, time, metrics, fmus, labels)
         stored = Metadata.read(path)
         unlike = differences(stored.identity(), given.identity())
-        counts = [{len(seeds) for seeds in each.plan.seeds} for each in (stored, given)]
-        first = [each.plan.seeds[0] for each in sorted((stored, given), key=lambda each: len(each.plan.seeds[0]))]
-        is_longer = list(first[0]) == list(first[1][: len(first[0])])
-        if unlike and counts[0] != counts[1] and is_longer and all(text.startswith("seeds") for text in unlike):
-            before, now = (" or ".join(map(str, sorted(count))) for count in counts)
-            raise StoreError(
-                f"The campaign in {path} has seeds={before}, not seeds={now}. A store keeps its number of runs. Choose another "
-                f"folder, or give seeds={before} to go on."
-            )
         if unlike:
-            more = f" (and {len(unlike) - 3} more)" if len(unlike) > 3 else ""
-            raise StoreError(
-                f"The campaign in {path} is another one: {'; '.join(unlike[:3])}{more}. Choose another folder, or use the "
-                "settings of the stored campaign."
-            )
+            raise StoreError(f"The campaign in {path} {_another(unlike, stored.plan, given.plan)}")
         store = cls(path, locked(path))
         try:
             with written_to(path):
@@ -382,6 +369,19 @@ class CampaignStore(StoredCampaign):
         valid = set(outcome.status) <= {OK, FAILED} and set(outcome.metrics) == set(of.metrics)
         if shapes != expected or lengths != {n} or not valid or outcome.piece.end > self.plan.runs:
             raise StoreError(f"The outcome of {outcome.piece} does not fit the campaign in {self.path}.")
+
+
+def _another(unlike: Sequence[str], stored: Plan, given: Plan) -> str:
+    """Return how a campaign differs from the stored one, and what to do."""
+    (old, *_), (new, *_) = stored.seeds or ((),), given.seeds or ((),)
+    before, now, begin_alike = len(old), len(new), all(a == b for a, b in zip(old, new, strict=False))
+    if before != now and begin_alike and all(text.startswith("seeds") for text in unlike):
+        return (
+            f"has seeds={before}, not seeds={now}. A store keeps its number of runs. Choose another folder, or give "
+            f"seeds={before} to go on."
+        )
+    more = f" (and {len(unlike) - 3} more)" if len(unlike) > 3 else ""
+    return f"is another one: {'; '.join(unlike[:3])}{more}. Choose another folder, or use the settings of the stored campaign."
 
 
 def _overlap(a: Piece, b: Piece) -> range:

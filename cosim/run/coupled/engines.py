@@ -136,7 +136,6 @@ class InterpretedGroup(GroupRun):
     def __init__(self, run: Run, group: Group):
         super().__init__(run, group)
         self._parts = [(part, step_function(run, part.node, part.kind, part.outputs)) for part in group.parts]
-        self._finite = {i for i in group.nodes if run.schedule.nodes[i].block.checks_finite}  # read an FMU's file once
         self._saved: list[list[Any]] = [[], []]
         self._error: FMUError | None = None
         self._compute = steps.build(_sweep, _save, _restore, _forget, _resize)
@@ -164,7 +163,7 @@ class InterpretedGroup(GroupRun):
             if status:
                 self.record[steps.PART], self.record[steps.STATUS] = c, status
                 return 1
-            if part.node in self._finite and part.kind != "update":
+            if part.node in schedule.finite and part.kind != "update":
                 for i in range(part.outputs, part.outputs + schedule.depended_on(part.node)):
                     if not np.isfinite(memory[i]):
                         self.record[steps.PART], self.record[steps.STATUS] = c, NOT_FINITE + i
@@ -243,7 +242,7 @@ class CompiledGroup(GroupRun):
         for part in group.parts:
             node, start = schedule.nodes[part.node], schedule.slots[part.node].start
             outputs = part.outputs, part.outputs + schedule.depended_on(part.node)
-            checked = node.block.checks_finite and part.kind != "update"
+            checked = part.node in schedule.finite and part.kind != "update"
             rows.append(
                 [address_of(run, part.node, part.kind), node.every if group.every == 1 else 1,
                  *(start[s] for s in ("state", "parameters", "inputs")), part.outputs, len(gathers),

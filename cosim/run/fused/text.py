@@ -110,12 +110,7 @@ class Text:
         if self._loop.decimation != 1:
             since = self._value(f"add i64 {self._value('sub i64 %begin, %first')}, {self._loop.decimation}")
             row = self._value(f"sdiv i64 {since}, {self._loop.decimation}")
-            self._lines += [
-                "  %place.row = alloca i64",
-                f"  store i64 {row}, ptr %place.row",
-                "  %place.due = alloca i64",
-                f"  store i64 {self._value(f'mul i64 {row}, {self._loop.decimation}')}, ptr %place.due",
-            ]
+            self._lines += ["  %place.row = alloca i64", f"  store i64 {row}, ptr %place.row"]
         self._branch(self._value("icmp ne i64 %first, 0"), "evaluate", "begun")
         self._label("begun")
         self._branch(self._value("icmp eq i64 %begin, %end"), "finish", "step")
@@ -166,19 +161,17 @@ class Text:
             self._copy(self._value(f"load double, ptr {number}"), "%memory", place)
 
     def _record(self) -> None:
-        """Record a row, and note when the next is due: the rest of a division at each step would take longer."""
+        """Record a row when it is due, and count rows: the rest of a division at each step would take longer."""
         decimation = self._loop.decimation
         if decimation == 1:
             self._record_row("%k.e")
             return
-        due = self._value("load i64, ptr %place.due")
+        row = self._value("load i64, ptr %place.row")
+        due = self._value(f"mul i64 {row}, {decimation}")
         self._branch(self._value(f"icmp eq i64 %k.e, {due}"), "record", "recorded")
         self._label("record")
-        row = self._value("load i64, ptr %place.row")
         self._record_row(row)
-        for place, value, more in (("row", row, 1), ("due", due, decimation)):
-            self._lines.append(f"  store i64 {self._value(f'add i64 {value}, {more}')}, ptr %place.{place}")
-        self._lines.append("  br label %recorded")
+        self._lines += [f"  store i64 {self._value(f'add i64 {row}, 1')}, ptr %place.row", "  br label %recorded"]
         self._label("recorded")
 
     def _record_row(self, row: str) -> None:
