@@ -30,7 +30,7 @@ _SIGNALS = {
     "precision_weight": "Weight of each sample; 1 is the model's nominal weight",
     "mode_probability": "Probability of each mode of each sensor, healthy first",
     "fault_kind": "Most probable mode of each sensor by its number, 0 for healthy",
-    "fault_size": "Size of that mode's fault; NaN where it has none",
+    "fault_size": "Size of that mode's fault: an offset in the sensor's unit, other deviations in multiples of its noise; or NaN",
     "fault_onset": "Seconds from the first sample to the fault's onset; NaN for a healthy sensor",
     "log_density": "Log density of these samples given the earlier ones",
     "actuator_mode_probability": "Probability of each mode of each actuator, healthy first",

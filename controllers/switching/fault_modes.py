@@ -101,6 +101,8 @@ class FaultMode:
     """Whether only another healthy sensor can distinguish it from the state's motion (in the joint form)."""
     is_fault: ClassVar[bool] = True
     """Whether this mode counts as a fault of the sensor."""
+    size_in_noise: ClassVar[bool] = False
+    """Whether its size is a multiple of the standard deviation of the sensor's noise, and not in the sensor's unit."""
     own_hypothesis: ClassVar[bool] = False
     """Whether the joint form has a hypothesis for each sensor in this mode, which infers the state without that sensor."""
     joint_only: ClassVar[bool] = False
@@ -379,6 +381,7 @@ class Noisier(FaultMode):
     shape: float = 1.0
     forgetting: float = 0.98
 
+    size_in_noise: ClassVar[bool] = True
     evidence: ClassVar[Callable[..., float]] = kernels.scatters
 
     def __post_init__(self) -> None:
@@ -402,9 +405,9 @@ class Unmodelled(FaultMode):
     """The sensor has failed in a way without a mode of its own; the course of its samples is learned.
 
     Its innovations are a linear regression on a constant, on the last innovation and on the prediction, with noise of any scale.
-    This fits a sensor that is frozen with a dither, filtered, late, swapped, oscillating or of another gain. A share of its
-    samples repeats exactly, as with clipping. In the joint form each sensor has such a hypothesis, which infers the state without
-    that sensor. The fault's size is the root mean square of the innovations, in nominal standard deviations.
+    This fits a sensor that jumps to a constant, is frozen with a dither, filtered, late, swapped, oscillating or of another gain.
+    A share of its samples repeats exactly, as with clipping. In the joint form each sensor has such a hypothesis, which infers
+    the state without that sensor. The fault's size is the root mean square of the innovations, in nominal standard deviations.
 
     Parameters
     ----------
@@ -449,6 +452,7 @@ class Unmodelled(FaultMode):
     repeats_strength: float = 5.0
 
     own_hypothesis: ClassVar[bool] = True
+    size_in_noise: ClassVar[bool] = True
     evidence: ClassVar[Callable[..., float]] = kernels.regresses
 
     def __post_init__(self) -> None:

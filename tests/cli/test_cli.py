@@ -262,6 +262,33 @@ def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
     assert "filterpy's belief has overflowed" in check["verdict"]
 
 
+@pytest.mark.parametrize(
+    ("changes", "said", "unsaid"),
+    [
+        (
+            {"\nstd = 1.0": "\nstd = 3.0"},
+            "but the model expects 1 m/s: the square root of its sensor_covariance.",
+            "look at",
+        ),
+        (
+            {"process_covariance = 0.001": "process_covariance = 1e-5"},
+            "look at the model first",
+            "but the model expects",
+        ),
+        ({}, "", "is blamed for"),
+    ],
+)
+def test_healthy_sensors_that_are_blamed_come_with_a_hint(bayesftc_, tmp_path, changes, said, unsaid):
+    text = shipped_scenarios()["cruise_control"].read_text()
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new, 1)
+    (tmp_path / "car.toml").write_text(text)
+    notes = " ".join(json.loads(bayesftc_("run", "car.toml", "--json").stdout)["notes"])
+    assert said in notes
+    assert unsaid not in notes
+
+
 def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
     joint = 'initial_mean = 20.0\nbelief = "joint"\ncontrol_covariance = 1e4\ngoal_covariance = 1e-3'
     (tmp_path / "car.toml").write_text(CAR.replace("initial_mean = 20.0", joint))

@@ -9,11 +9,13 @@ import pytest
 from typer.testing import CliRunner
 
 from bayesftc.cli import app
+from bayesftc.cli.commands.recordings._faults import print_faults
 from bayesftc.cli.commands.recordings.monitor import monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.learning import learn_modes
-from bayesftc.monitoring import Monitor, Monitored
+from bayesftc.controllers.switching.fault_modes import FAULT_MODES
+from bayesftc.monitoring import FaultEvent, Monitor, Monitored
 
 RUNNER = CliRunner()
 
@@ -113,6 +115,18 @@ def test_faults_of_an_actuator_are_shown_beside_the_sensors(tmp_path):
     }
     assert set(written.actuator_pump_kind[written.actuator_pump > 0.9]) == {"InputOffset"}
     assert written.actuator_pump[(t < 19) | (t > 37)].max() < 0.5
+
+
+def test_the_size_of_a_fault_has_its_unit_or_counts_noise(capsys):
+    """A dead thermometer jumps to a constant: its size is that of the innovations, and no temperature."""
+    modes = {mode.__name__: mode for mode in FAULT_MODES}
+    events = [FaultEvent("a", 1.0, 2.0, 1.0, kind, 1.0, 2.5) for kind in modes]
+    print_faults(events, {"a": "degC"})
+    rows = {row.split()[1]: row for row in capsys.readouterr().out.splitlines() if row.strip().startswith("a ")}
+    for kind, mode in modes.items():
+        assert rows[kind].rstrip().endswith("x 2.5" if mode.size_in_noise else "2.5 degC")
+    assert modes["Unmodelled"].size_in_noise
+    assert not modes["Offset"].size_in_noise
 
 
 def test_json_and_quiet(files):

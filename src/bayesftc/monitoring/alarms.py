@@ -76,8 +76,8 @@ class FaultEvent:
         Estimated start of the fault, in seconds of the recording, never after the start of the alarm. The learner estimates only
         the onset of the last kind, and the kind may have changed during the alarm.
     size : float or None
-        Size of the fault at the end of the alarm: an offset in the sensor's unit; for a noisier sensor, its noise as a multiple
-        of the nominal noise.
+        Size of the fault at the end of the alarm: an offset in the sensor's unit; for `Noisier` and `Unmodelled`, the innovations
+        as a multiple of the nominal noise.
 
     Examples
     --------

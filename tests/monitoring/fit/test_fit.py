@@ -409,6 +409,43 @@ def test_times_that_are_no_seconds_are_named(text, words, tmp_path, monkeypatch)
         redundant_signals(["data.csv"])
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "refused"),
+    [
+        ("T_1 [degC]", "T_2 [degF]", True),
+        ("T_1 (degC)", "T_2 (kPa)", True),
+        ("T_1_degC", "T_2_degF", True),
+        ("x [mm]", "y_cm", True),
+        ("T_1 [degC]", "T_2 (degC)", False),
+        ("T_1 [degC]", "T_2", False),
+        ("rate [rpm]", "rate (front)", False),
+        ("T_a", "T_b", False),
+        ("v_min", "v_max", False),
+        ("p_top", "p_bar", False),  # a bar, but no word beside it is a unit
+        ("T_in", "T_bar", False),  # an inch and a bar: words that happen to be units
+    ],
+)
+def test_columns_with_different_units_are_not_one_quantity(first, second, refused, tmp_path):
+    rng = np.random.default_rng(0)
+    level = 20.0 + np.cumsum(0.05 * rng.standard_normal(200))
+    rows = (f"{0.1 * k},{x},{x + 0.1}" for k, x in enumerate(level))
+    (tmp_path / "run.csv").write_text("\n".join([f"t,{first},{second}", *rows]))
+    if refused:
+        with pytest.raises(RecordingError, match=r"different units.*--sensor"):
+            redundant_signals([tmp_path / "run.csv"])
+        places, signals = redundant_signals([tmp_path / "run.csv"], [first])
+        assert list(signals) == [first]
+        return
+    places, signals = redundant_signals([tmp_path / "run.csv"])
+    samples = recorded(signals)
+    (tmp_path / "model.toml").write_text(as_model_file(fit_model(samples), samples, places))
+    units = tuple(sensor.unit for sensor in load_monitor(tmp_path / "model.toml").sensors.values())
+    assert units == tuple(signal.unit for signal in signals.values())
+    assert units == tuple(
+        name[-5:-1] if name[-5:-1] == "degC" else "rpm" if "rpm" in name else "" for name in (first, second)
+    )
+
+
 def test_a_fit_that_takes_another_quantity_for_a_sensor_gives_a_model_that_can_be_read(tmp_path):
     """Three encoders, of which one freezes, and the voltage: a lasting error of one of them came out as zero."""
     rng, t = np.random.default_rng(0), 0.01 * np.arange(3000)

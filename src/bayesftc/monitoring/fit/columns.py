@@ -15,6 +15,7 @@ from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.settings import FIT
+from bayesftc.monitoring.fit.units import check_one_unit, column_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
 
 
@@ -65,7 +66,7 @@ def redundant_signals(
     Raises
     ------
     RecordingError
-        If a file is no table, has no times, or lacks one of the named columns.
+        If a file is no table, has no times, or lacks one of the named columns, or if the units at the end of two names differ.
 
     Examples
     --------
@@ -95,7 +96,7 @@ def redundant_signals(
             times = tables.times(file, time)
             samples = tables.column(file, column, "a sensor")
             try:
-                signals[name] = Signal(times, samples)
+                signals[name] = Signal(times, samples, unit=column_unit(column))
             except RecordingError as error:
                 raise RecordingError(f"{file}, the column {column!r}: {error}") from None
     missing = [name for name in names if name not in columns]
@@ -103,6 +104,7 @@ def redundant_signals(
         raise RecordingError(f"There is no column {missing[0]!r} with numbers; {did_you_mean(missing[0], columns)}")
     if not signals:
         raise RecordingError("There is no column besides the times. Give a file with two or more sensors.")
+    check_one_unit(places[name].column for name in signals)
     return places, signals
 
 

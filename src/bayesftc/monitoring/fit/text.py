@@ -50,6 +50,7 @@ def as_model_file(
     >>> text.splitlines()[2], text.splitlines()[6]
     ('dt = 0.1  # sample time in s', 'kind = "RandomWalk"  # a level that changes at random')
     """
+    units = dict(zip(recording.sensors, recording.units, strict=True))
     several = len({place.file for place in places.values()}) > 1
     time = next(iter(places.values())).time
     lines = [
@@ -70,6 +71,8 @@ def as_model_file(
             lines.append(f"column = {_text(place.column)}")
         if place.time != time:
             lines.append(f"time = {_text(place.time)}")
+        if units[name]:
+            lines.append(f"unit = {_text(units[name])}")
         lines += [
             f"std = {_number(sensor.std)}  # of the white noise",
             f"bias = {_number(sensor.bias)}  # constant difference from the typical sensor",

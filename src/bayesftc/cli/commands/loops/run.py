@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.running import Progress
     from bayesftc.cosim.types import Floats
 
+MANY_FALSE_ALARMS = 0.05
+"""Share of a sensor's fault-free time in alarm from which a run ends with a hint."""
+SCATTER = 1.3
+"""Noise of a sensor relative to the model's from which it explains false alarms."""
 COMPARED = 20_000
 """Samples over which a run with our SER baseline is compared with filterpy's: less than a second."""
 UNKNOWN = "The comparison with filterpy has no result, because one of its numbers is not finite."
@@ -114,6 +118,7 @@ def run(
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
     numbers["model"] = _diagnosed(loaded, loop, result)
+    numbers["notes"] += _blamed(numbers, signals, loaded.controller)
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
     elif _is_ser(loaded):
@@ -214,6 +219,41 @@ def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, A
         return None
     finding = diagnose(result, scenario.controller, y=samples)
     return None if finding is None else without_nan(asdict(finding))
+
+
+def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block) -> list[str]:
+    """Return a hint if a healthy sensor is blamed often, and nothing else says what is wrong in the model."""
+    rates = {s["sensor"]: s["false_alarm_rate"] for s in numbers["sensors"] if s["false_alarm_rate"] is not None}
+    worst = max(rates, key=rates.__getitem__, default=None)
+    if worst is None or rates[worst] < MANY_FALSE_ALARMS or numbers["model"]:
+        return []
+    blamed = f"Sensor {worst} is blamed for {rates[worst]:.0%} of its fault-free time."
+    if found := _scatter(signals, worst, controller):
+        return [f"{blamed} {found}"]
+    return [
+        f"{blamed} If that is too much, look at the model first: gain, time constants and delay of the plant, an input that it "
+        "lacks, or process noise that is larger than process_covariance. A longer run without faults can show which of them is "
+        "wrong."
+    ]
+
+
+def _scatter(signals: LoopSignals, sensor: int, controller: Block) -> str:
+    """Return a sentence if a sensor's healthy samples are further from the true values than its model expects; else nothing."""
+    of = signals.sensors[sensor]
+    truth = next((q.truth for q in signals.quantities if sensor in q.sensors), None)
+    covariance = getattr(getattr(controller, "model", None), "sensor_covariance", None)
+    if of.samples is None or of.faulty is None or truth is None or covariance is None:
+        return ""
+    errors = (of.samples - truth)[~of.faulty]
+    errors = errors[np.isfinite(errors)]
+    expected = float(np.sqrt(np.asarray(covariance)[sensor, sensor]))
+    if not len(errors) or (std := float(np.sqrt(np.mean(errors * errors)))) < SCATTER * expected:
+        return ""
+    unit = f" {of.unit}" if of.unit else ""
+    return (
+        f"Its healthy samples differ from the true values by {std:.3g}{unit} (root mean square), but the model expects "
+        f"{expected:.3g}{unit}: the square root of its sensor_covariance."
+    )
 
 
 def _in_time(pace: Mapping[str, float]) -> str:

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bayesftc.cli import output
+from bayesftc.controllers.switching.fault_modes import FAULT_MODES
 from bayesftc.monitoring import ActuatorEvent, FaultEvent
+
+IN_NOISE = tuple(mode.__name__ for mode in FAULT_MODES if mode.size_in_noise)
+"""Modes whose sizes are multiples of the sensor's noise."""
 
 
 def print_faults(events: Sequence[FaultEvent | ActuatorEvent], units: Mapping[str, str]) -> None:
@@ -25,7 +29,7 @@ def print_faults(events: Sequence[FaultEvent | ActuatorEvent], units: Mapping[st
             table.add_row(f"actuator {event.actuator}", kind, output.DASH, span, _size(event, unit))
     say("\nFaults", "bold")
     console.print(table)
-    say("Size: at the end of the alarm. For a noisier sensor: its noise as a multiple of the expected noise.")
+    say("Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
     if any(isinstance(event, ActuatorEvent) for event in events):
         say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")
 
@@ -33,4 +37,4 @@ def print_faults(events: Sequence[FaultEvent | ActuatorEvent], units: Mapping[st
 def _size(event: FaultEvent | ActuatorEvent, unit: str) -> str:
     if event.size is None:
         return output.DASH
-    return f"x {event.size:.3g}" if event.kind == "Noisier" else f"{event.size:.3g} {unit}".rstrip()
+    return f"x {event.size:.3g}" if event.kind in IN_NOISE else f"{event.size:.3g} {unit}".rstrip()

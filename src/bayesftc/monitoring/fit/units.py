@@ -1,0 +1,48 @@
+"""Units at the end of names of columns, as in ``T_1 [degC]``: sensors of one quantity must have one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from itertools import combinations
+
+from bayesftc.cosim.base.units import gain, parse
+from bayesftc.cosim.errors import RecordingError
+
+_BRACKET = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*\Z")
+_LAST_WORD = re.compile(r"_([A-Za-z]{2,})\Z")
+"""Two letters or more: names like ``T_a`` and ``T_b`` count sensors."""
+
+
+def column_unit(name: str) -> str:
+    """Return the unit in brackets at the end of a column's name; empty if there is none that is known."""
+    bracket = _BRACKET.search(name)
+    return bracket[1] if bracket and parse(bracket[1]) is not None else ""
+
+
+def check_one_unit(names: Iterable[str]) -> None:
+    """Refuse columns of different units.
+
+    A last word such as ``T_1_degF`` counts only beside a unit of the same dimension, since many words happen to be units.
+
+    Raises
+    ------
+    RecordingError
+        If two columns differ in their units.
+    """
+    for first, second in combinations(names, 2):
+        units = [column_unit(name) for name in (first, second)]
+        certain = all(units)
+        if not certain:
+            words = (_LAST_WORD.search(name) for name in (first, second))
+            units = [unit or (word[1] if word else "") for unit, word in zip(units, words, strict=True)]
+        one, other = map(parse, units)
+        if one is None or other is None:
+            continue
+        factors = gain(one, other)
+        if factors == (1.0, 0.0) or (isinstance(factors, str) and not certain):
+            continue
+        raise RecordingError(
+            f"The columns {first!r} and {second!r} have different units. All columns must be sensors of one quantity in one "
+            "unit. Convert one of them, or name the sensors of one quantity with --sensor."
+        )
