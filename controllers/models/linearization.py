@@ -190,7 +190,7 @@ def linearize(
         return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
     check_plant(plant)
     block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
-    states = _state_names(block.system if plant is block else plant, len(np.array(block.initial)))
+    states = _state_names(block.system, len(np.array(block.initial)))
     if order is not None:
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
@@ -202,7 +202,7 @@ def linearize(
 
 def _state_names(system: Any, states: int) -> tuple[str, ...]:
     """Return the names of a system's states; nothing if it does not have one for each."""
-    names = tuple(getattr(system, "state_labels", None) or ())
+    names = tuple(system.state_names if isinstance(system, LinearSystem) else system.state_labels or ())
     return names if len(names) == states == len(set(names)) else ()
 
 

@@ -30,6 +30,8 @@ class LinearSystem:
         states, which does not depend on time.
     input_names, output_names : tuple of str
         Names of the signals.
+    state_names : tuple of str
+        Names of the states; empty if they have none.
     """
 
     A: Rows
@@ -39,6 +41,7 @@ class LinearSystem:
     dt: float | None
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
+    state_names: tuple[str, ...] = ()
 
     def matrices(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return A, B, C and D as arrays."""
@@ -93,7 +96,8 @@ def normalised(system: Any) -> Any:
     if not all(np.isfinite(matrix).all() for matrix in (a, b, c, d)):
         raise ModelError("The system has matrices with NaN or infinite elements; all must be finite.")
     dt = dt if dt is None or dt is True else float(dt)
-    return LinearSystem(as_rows(a), as_rows(b), as_rows(c), as_rows(d), dt, *names)
+    states = tuple(system.state_labels) if converted is system else ()
+    return LinearSystem(as_rows(a), as_rows(b), as_rows(c), as_rows(d), dt, *names, states)
 
 
 def _entry_by_entry(system: Any) -> Any:

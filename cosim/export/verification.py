@@ -107,7 +107,12 @@ class Verification:
             if worst.relative > 1e-9
             else " Such differences are usual for FMUs of other tools, whose exp, log and sin are those of a C library."
         )
-        return f"{self.path.name} does NOT do {what}: {_difference(worst)}.{usual}"
+        # The first output of a controller is its control, which matters most; a covariance may differ by a larger factor.
+        different = [each for each in self._all if each.relative > tolerance]
+        headline = next((each for each in self.beside if each in different and isfinite(each.relative)), worst)
+        others = len({each.signal for each in different}) - 1
+        more = f", and {others} more signal{' differs' if others == 1 else 's differ'}" if others else ""
+        return f"{self.path.name} does NOT do {what}: {_difference(headline)}{more}.{usual}"
 
     @property
     def _all(self) -> tuple[Deviation, ...]:
@@ -135,10 +140,8 @@ class Verification:
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])]).rstrip() for r in rows]
-        worst = self.worst_in_loop
-        if worst is not None:
-            at = "" if worst.time is None else f", of {worst.signal} at t = {worst.time:g} s"
-            lines.append(f"In the loop, in their place: {_number(worst.largest, '.3g')} at most{at}.")
+        if self.in_loop:
+            lines.append(f"In the loop, in their place: {_in_loop(self.in_loop)}.")
         return "\n".join([*lines, "", *self.notes, self.verdict(tolerance)])
 
 
@@ -262,7 +265,20 @@ def _difference(worst: Deviation) -> str:
     if not isfinite(worst.relative):
         return f"{worst.signal} is always 0 in the diagram, but differs from it by {worst.largest:.2g} with the FMU"
     times = " times" if worst.relative > 1.0 else " of"
-    return f"it differs by {worst.relative:.2g}{times} the largest value of {worst.signal}"
+    return f"{worst.signal} differs by {worst.relative:.2g}{times} its largest value"
+
+
+def _in_loop(deviations: Sequence[Deviation]) -> str:
+    """Return the largest difference that is a number, and the first signal that is none in one run."""
+    finite = [each for each in deviations if isfinite(each.largest)]
+    parts = []
+    if finite:
+        worst = max(finite, key=_relative)
+        at = "" if worst.time is None else f", of {worst.signal} at t = {worst.time:g} s"
+        parts.append(f"{worst.largest:.3g} at most{at}")
+    if len(finite) < len(deviations):
+        parts.append(_difference(next(each for each in deviations if each not in finite)))
+    return "; ".join(parts)
 
 
 def _number(value: float, form: str) -> str:

@@ -147,6 +147,8 @@ def test_a_design_keeps_the_names_of_the_plants_states():
     given = controllers.design(SYSTEM, disturbance=0.1, **settings)
     assert given.model.names.states == ("speed", "motor")
     assert given.model.state_names == ("speed", "motor", "disturbance[0]")
+    as_block = controllers.design(cosim.StateSpace(SYSTEM), disturbance=0.1, **settings)
+    assert as_block.model.state_names == given.model.state_names
 
     def dynamics(t, x, u, params):
         return np.array([x[1], u[0] - x[1]])

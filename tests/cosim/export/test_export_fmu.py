@@ -304,7 +304,7 @@ def test_the_compared_numbers_are_the_true_ones():
     [
         (0.0, 0.5, "s is always 0 in the diagram, but differs from it by 0.5 with the FMU."),
         (1.0, np.nan, "at t = 0.1 s, s is NaN or infinite in one run, and has another value in the other."),
-        (1.0, 3.0, "it differs by 2 times the largest value of s."),
+        (1.0, 3.0, "s differs by 2 times its largest value."),
     ],
 )
 def test_the_verdict_has_no_infinite_ratio(was, now, sentence):
@@ -312,6 +312,20 @@ def test_the_verdict_has_no_infinite_ratio(was, now, sentence):
     found = cosim.Verification(Path("law.fmu"), ("law",), 2, Fraction(1, 10), 0, (each,), (each,))
     assert found.verdict() == f"law.fmu does NOT do what law does: {sentence}"
     assert not re.search(r"\binf\b", repr(found))
+
+
+def test_the_verdict_names_the_control_first():
+    """The first output that differs by a number, although another differs by a larger factor or is no number."""
+    time, one = np.array([0.0, 0.1]), np.ones((2, 1))
+    u, P, size, kept = (
+        deviation(name, time, one, one * factor)
+        for name, factor in (("u", 1.5), ("P", 9.0), ("size", np.nan), ("kept", 1.0))
+    )
+    found = cosim.Verification(Path("law.fmu"), ("law",), 2, Fraction(1, 10), 0, (kept, u, P, size), (u, P, size))
+    assert found.verdict() == (
+        "law.fmu does NOT do what law does: u differs by 0.5 of its largest value, and 2 more signals differ."
+    )
+    assert "In the loop, in their place: 8 at most, of P at t = 0 s; at t = 0 s, size is NaN or infinite" in repr(found)
 
 
 def test_what_cannot_be_compared_is_a_sentence(car, tmp_path):
