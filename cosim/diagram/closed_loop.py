@@ -189,6 +189,12 @@ def closed_loop(
     for name, monitor in (monitors or {}).items():
         _watch(diagram, controller_node, diagram.add(monitor, name, controller_node.every), controller_inputs)
     for name, source in (noise or {}).items():
+        if name in inputs:
+            raise ConnectionError(
+                f"noise names {name!r}, which has a control already. To add a disturbance to the control, put a sum before the "
+                "plant: closed_loop(blocks={'disturbance': cosim.Gaussian(std=0.1), 'total': cosim.Sum()}, "
+                f"connections=[(['plant.{name}', 'disturbance.y'], 'total.u'), ('total.y', 'plant.{name}')])."
+            )
         _check_source(f"noise[{name!r}]", source)
         _feed(diagram, diagram.add(source, noise_block(name))["y"], node[name], remaining.pop(name, ()), name)
     for name, chain in remaining.items():

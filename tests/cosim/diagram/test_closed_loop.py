@@ -146,6 +146,18 @@ def test_a_plant_with_a_sample_time_of_its_own(run_both):
     assert loop(dt=0.02).nodes[-1].every == 1
 
 
+def test_a_disturbance_is_added_to_the_control_as_the_error_says():
+    """The remedy in the message is run as it stands; the plant gets the sum of both."""
+    with pytest.raises(cosim.ConnectionError, match="put a sum before the plant") as found:
+        loop(noise={"force": cosim.Gaussian(1.0)})
+    remedy = re.search(r"closed_loop(\(.*\))\.$", str(found.value))[1]
+    mended = eval(f"loop{remedy}", {"loop": loop, "cosim": cosim})
+    run = mended.simulate(1, seed=1, record=["controller.u", "disturbance.y", "total.y"])
+    assert run["disturbance.y"].std() > 0.05
+    assert np.array_equal(run["total.y"], run["controller.u"].ravel() + run["disturbance.y"])
+    assert mended.source_of(mended["plant"], mended["plant"].port("force"), 0)[0].node.name == "total"
+
+
 @pytest.mark.parametrize(
     "reference", [2, 2.0, np.float32(2.0), np.int64(2), [2.0], (2,), np.array([2.0]), cosim.Constant(2.0)]
 )
@@ -181,7 +193,11 @@ def test_references(reference):
             cosim.ConnectionError,
             r"The controller has 1 controls, but control= names 2 inputs",
         ),
-        ({"noise": {"force": cosim.Gaussian(1.0)}}, cosim.ConnectionError, r"plant\.force already has a source"),
+        (
+            {"noise": {"force": cosim.Gaussian(1.0)}},
+            cosim.ConnectionError,
+            r"a control already.*put a sum before the plant",
+        ),
         (
             {"sensors": cosim.Sensors(count=2)},
             cosim.ConnectionError,
