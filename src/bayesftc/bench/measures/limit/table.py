@@ -7,9 +7,10 @@ their sum need not be the whole.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from math import inf
+from statistics import median
 
 import numpy as np
 
@@ -74,12 +75,7 @@ def measure(quick: bool = False) -> Section:
             rounds,
         )
     unit = "ns/step"
-    parts = [
-        Figure(
-            part, f"of that: {part}", unit, [all_ - rest for all_, rest in zip(times["c"], times[part], strict=True)]
-        )
-        for part in PARTS
-    ]
+    parts = [_part(part, times["c"], times[part]) for part in PARTS]
     return Section(
         "limit",
         "The whole loop beside the same written by hand in C",
@@ -123,3 +119,12 @@ def _fused(*, always: bool) -> Iterator[None]:
         yield
     finally:
         compiled_loop.LOADED, compiled_loop.COMPILED = before
+
+
+def _part(part: str, whole: Sequence[float], without: Sequence[float]) -> Figure:
+    """Return the time of a part of the loop: what the whole loop needs more than the loop without it."""
+    more = [all_ - rest for all_, rest in zip(whole, without, strict=True)]
+    key, label, unit = part, f"of that: {part}", "ns/step"
+    if median(more) > 0.0:
+        return Figure(key, label, unit, more)
+    return Figure(key, label, unit, (), reason="less than the scatter of the times")
