@@ -36,6 +36,9 @@ from bayesftc.cosim.types import Floats
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram.diagram import Diagram
 
+FEW = 16_000
+"""Numbers of a signal that a metric takes at a time: to get new memory for larger results takes longer than to compute them."""
+
 
 @dataclass(frozen=True)
 class Runs:
@@ -184,14 +187,17 @@ class _OfSignal(Metric):
         slack = 1e-6 * (runs.time[1] if len(runs.time) > 1 else 0.0)  # a start of 3 * 0.1 s means the step at 0.3 s
         first, last = np.searchsorted(runs.time, np.array([_or(self.start, -np.inf), _or(self.stop, np.inf)]) - slack)
         keep = slice(max(first - self.shift, 0), max(last + (self.stop is None) - self.shift, 0))
-        values = values[:, self.shift :]
-        if self.reference is not None:
-            other = runs.columns(self.reference)[:, :rows] if isinstance(self.reference, str) else self.reference
-            values = values - other
-        values = values[:, keep].reshape(len(values), -1)
-        if not values.shape[1]:
-            return {self.columns(runs.diagram)[0]: np.full(len(values), np.nan)}
-        return {self.columns(runs.diagram)[0]: self._reduced(values)}
+        values, other = values[:, self.shift :][:, keep], self.reference
+        if isinstance(other, str):
+            other = runs.columns(other)[:, :rows][:, keep]
+        name, numbers = self.columns(runs.diagram)[0], np.full(len(values), np.nan)
+        few = max(1, FEW // max(values[0].size, 1)) if len(values) else 1
+        for piece in (slice(first, first + few) for first in range(0, len(values) if values.size else 0, few)):
+            some = values[piece]
+            if other is not None:
+                some = some - (other[piece] if isinstance(other, np.ndarray) else other)
+            numbers[piece] = self._reduced(some.reshape(len(some), -1))
+        return {name: numbers}
 
     def _reduced(self, values: Floats) -> Floats:
         raise NotImplementedError
