@@ -187,7 +187,8 @@ class _OfSignal(Metric):
         slack = 1e-6 * (runs.time[1] if len(runs.time) > 1 else 0.0)  # a start of 3 * 0.1 s means the step at 0.3 s
         first, last = np.searchsorted(runs.time, np.array([_or(self.start, -np.inf), _or(self.stop, np.inf)]) - slack)
         keep = slice(max(first - self.shift, 0), max(last + (self.stop is None) - self.shift, 0))
-        values, other = values[:, self.shift :][:, keep], self.reference
+        values = values[:, self.shift :][:, keep]
+        other: Any = self.reference
         if isinstance(other, str):
             other = runs.columns(other)[:, :rows][:, keep]
         name, numbers = self.columns(runs.diagram)[0], np.full(len(values), np.nan)
