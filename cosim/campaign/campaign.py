@@ -23,6 +23,7 @@ from bayesftc.cosim.campaign.runs.metrics import Metric, as_metrics
 from bayesftc.cosim.campaign.working import Progress, in_memory, in_store, noting_what_is_kept
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.run.fused.compiled import LANES
 from bayesftc.cosim.run.interrupts import import_engine
 
 if TYPE_CHECKING:
@@ -245,10 +246,11 @@ class Campaign:
 
 
 def _piece(job: Job) -> int:
-    """Return the number of runs in a piece."""
+    """Return the number of runs in a piece; a multiple of `LANES`, as runs that are left over are made one by one."""
     numbers = sum(int(np.prod(s.shape)) for s in job.signals.values()) * len(job.time)
     steps = whole_steps(job.duration, job.step, "The duration")
-    return max(1, min(STEPS // max(steps, 1), BYTES // max(8 * numbers, 1), -(-job.plan.runs // PIECES)))
+    most = max(1, min(STEPS // max(steps, 1), BYTES // max(8 * numbers, 1), -(-job.plan.runs // PIECES)))
+    return most - most % LANES if most > LANES else most
 
 
 __all__ = ["Campaign"]
