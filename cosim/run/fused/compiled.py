@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from math import prod
 from types import FunctionType
 from typing import Any
 
@@ -23,6 +24,7 @@ from bayesftc.cosim.stepping.machine.lowering import lowered
 from bayesftc.cosim.stepping.machine.services import known_text, service_at
 from bayesftc.cosim.stepping.machine.steps import environment, load_or_compile, name_of, sentences, text_of
 from bayesftc.cosim.stepping.source.tree import Sections
+from bayesftc.cosim.types import argument_names
 
 LOADED: float = 50_000
 """Steps from which on a loop that is on the disk pays: loading takes about a millisecond, and a step gains 13 to 40 ns."""
@@ -87,9 +89,33 @@ def fused_lanes(schedule: Schedule, tables: Tables, steps: float) -> int:
         begins=(*begins, last),
         size=len(schedule.initial),
         by_address=frozenset(by_address),
+        sections=tuple(_sections(schedule)),
+        lasting=frozenset(_lasting(schedule, loop)),
     )
     text = text_of_lanes(loop, lanes, "loop")
     return _found(loop, text, steps, lambda name: _compiled_lanes(loop, lanes, functions, name))
+
+
+def _sections(schedule: Schedule) -> Iterator[tuple[int, int]]:
+    """Return first place and end of each node's inputs and outputs."""
+    for node, slots in zip(schedule.nodes, schedule.slots, strict=True):
+        for section, ports in (("inputs", node.inputs), ("outputs", node.outputs)):
+            begin = slots.start[section]
+            yield begin, begin + sum(port.size for port in ports)
+
+
+def _lasting(schedule: Schedule, loop: Loop) -> Iterator[int]:
+    """Return places from which a later step may read: all inputs, and outputs that anything but their own computation reads."""
+    yield from loop.recorded
+    yield from (source for gathers in loop.gathers for _, source in gathers)
+    for slots in schedule.slots:
+        yield from range(slots.start["inputs"], slots.start["outputs"])
+    for call in schedule.advance:
+        kernel, slots = schedule.kernel(call), schedule.slots[call.node]
+        for name in argument_names(kernel) if kernel else ():
+            section, _, shape = slots.sections.get(name, ("", 0, ()))
+            if section == "outputs":
+                yield from range(slots.offset(name), slots.offset(name) + prod(shape))
 
 
 def _found(loop: Loop, text: str, steps: float, compiled: Callable[[str], bytes]) -> int:

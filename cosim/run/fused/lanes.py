@@ -8,7 +8,7 @@ in all runs and computed once. FMUs, and all else that is called by address, are
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -56,6 +56,10 @@ class Lanes:
         Number of places in memory.
     by_address : frozenset of int
         Nodes of which a step function is called by address.
+    sections : tuple of (int, int)
+        First place and end of each node's inputs and outputs.
+    lasting : frozenset of int
+        Places in these sections from which a later step may read.
     """
 
     count: int
@@ -63,6 +67,8 @@ class Lanes:
     begins: tuple[int, ...]
     size: int
     by_address: frozenset[int]
+    sections: tuple[tuple[int, int], ...]
+    lasting: frozenset[int]
 
     def homes(self, loop: Loop) -> list[Home]:
         """Return the home of each node."""
@@ -99,6 +105,14 @@ class _LanesText(Text):
         super().__init__(loop, ())
         self._lanes, self._homes = lanes, [*lanes.homes(loop), Home.OWN]
         self._count, self._vector = lanes.count, f"<{lanes.count} x double>"
+        # Inputs and outputs are in arrays of this function alone: LLVM then leaves out what nobody reads. States are not: they
+        # would need more registers than there are.
+        self._local = [
+            (begin, end)
+            for begin, end in lanes.sections
+            if begin < end and self._homes[lanes.node_of(begin)] is Home.WIDE
+        ]
+        self._begins = [begin for begin, _ in self._local]
 
     def _declared(self) -> list[str]:
         used = set()
@@ -110,9 +124,34 @@ class _LanesText(Text):
     def _home(self, place: int) -> Home:
         return self._homes[self._lanes.node_of(place)]
 
+    # Arrays of this function alone
+
+    def _begin(self) -> None:
+        for i, (begin, end) in enumerate(self._local):
+            self._lines.append(f"  %local.{i} = alloca [{end - begin} x {self._vector}], align 64")
+        self._move(self._shared_element, self._wide_element)
+        super()._begin()
+
+    def _finish(self) -> None:
+        self._move(self._wide_element, self._shared_element)
+
+    def _move(self, source: Callable[[int], str], target: Callable[[int], str]) -> None:
+        """Copy what lasts between the caller's array and those of this function."""
+        for begin, end in self._local:
+            for place in range(begin, end):
+                if place in self._lanes.lasting:
+                    number = self._value(f"load {self._vector}, ptr {source(place)}")
+                    self._lines.append(f"  store {self._vector} {number}, ptr {target(place)}")
+
     # Numbers
 
     def _wide_element(self, place: int) -> str:
+        i = bisect_right(self._begins, place) - 1
+        if i >= 0 and place < self._local[i][1]:
+            return self._element(f"%local.{i}", place - self._begins[i], self._vector)
+        return self._shared_element(place)
+
+    def _shared_element(self, place: int) -> str:
         return self._element("%wide", place, self._vector)
 
     def _own_element(self, place: int, lane: int) -> str:

@@ -93,6 +93,7 @@ class Text:
         self._record()
         self._branch(self._value("icmp eq i64 %k.e, %end"), "finish", "step")
         self._label("finish")
+        self._finish()
         self._lines.append("  ret i64 %end")
         self._label("step")
         self._clock("a")
@@ -114,6 +115,9 @@ class Text:
         self._branch(self._value("icmp ne i64 %first, 0"), "evaluate", "begun")
         self._label("begun")
         self._branch(self._value("icmp eq i64 %begin, %end"), "finish", "step")
+
+    def _finish(self) -> None:
+        """Write down what the next steps need."""
 
     def _declared(self) -> list[str]:
         used = sorted({f for f in self._loop.functions if f in self._inlined})

@@ -8,6 +8,7 @@ import pytest
 from bayesftc import cosim
 from bayesftc.bench.measures.full_loop import full_diagram
 from bayesftc.cosim.ports import Port
+from bayesftc.cosim.random import CHUNK
 from bayesftc.cosim.run.fused import compiled, lanes as lanes_text
 from bayesftc.cosim.run.general.program import FUNCTION
 from bayesftc.cosim.stepping.machine.services import service_at
@@ -55,6 +56,45 @@ def test_a_run_that_fails_is_told_as_elsewhere(every, lanes, make_block, campaig
     assert 0 < reasons.sum() < len(table)
     assert 0 in lanes
     assert max(lanes) > 0
+
+
+def test_outputs_last_as_long_as_somebody_reads_them(lanes, make_block, campaign_as_alone):
+    """Beyond a chunk of random numbers: one that is rarely written, one that only its own update reads, one that nobody reads."""
+
+    def hold(u, y, unread, k):
+        if k % (CHUNK + 7) == 3:
+            y[0] = u[0]
+        unread[0] = 2.0 * u[0]
+
+    def show(total, shown, doubled):
+        shown[0] = total[0]
+        doubled[0] = 2.0 * total[0]
+
+    def count(u, doubled, total):
+        total[0] = 0.1 * doubled[0] + u[0]
+
+    diagram = cosim.Diagram("1/50")
+    noise = diagram.add(cosim.Gaussian(1.0), "noise")
+    held = diagram.add(make_block(inputs=[Port("u")], outputs=[Port("y"), Port("unread")], output=hold), "held")
+    counted = diagram.add(
+        make_block(
+            inputs=[Port("u", feedthrough=False)],
+            outputs=[Port("shown"), Port("doubled")],
+            output=show,
+            update=count,
+            state={"total": 1.0},
+        ),
+        "counted",
+    )
+    both, kept = diagram.add(cosim.Sum("++"), "both"), diagram.add(cosim.Integrator(), "kept")
+    diagram.connect(noise["y"], held["u"])
+    diagram.connect(noise["y"], counted["u"])
+    diagram.connect([held["y"], held["y"]], both["u"])
+    diagram.connect(both["y"], kept["u"])
+    steps = 2 * CHUNK + 60
+    campaign_as_alone(diagram, steps * diagram.step, SEEDS, record=["kept.y", "counted.shown"])
+    campaign_as_alone(diagram, steps * diagram.step, SEEDS, record=["kept.y", "noise.y"], decimation=9)
+    assert sum(lanes) >= 2 * compiled.LANES
 
 
 def test_what_cannot_be_put_into_lanes_is_called_run_by_run(lanes, make_block, campaign_as_alone):
