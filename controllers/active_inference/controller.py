@@ -26,7 +26,7 @@ from bayesftc.controllers.models.checks import Matrix, as_covariance, as_vector,
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.modality import Modality
 from bayesftc.controllers.models.trial import try_out
-from bayesftc.controllers.precision.base import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner
+from bayesftc.controllers.precision.base import ERROR_CAP, FixedPrecision, Learner, PrecisionLearner, made_once
 from bayesftc.controllers.precision.held import hold_precision
 from bayesftc.controllers.signals import port, summary_of
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
@@ -319,6 +319,7 @@ class UnbiasedActiveInference(Block):
         Px: Floats = np.asarray(self.state_precision)
         return Px if self.inner_steps > 1 else Px @ (np.eye(len(Px)) - self._prediction()[0])
 
+    @made_once
     def _learner(self) -> Learner:
         learner = self.precision.apart("UnbiasedActiveInference").without_covariance()
         return learner.learner(self._learned_model())

@@ -14,7 +14,7 @@ from bayesftc.controllers.estimation.belief import ESTIMATION, estimation, look_
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_numbers, as_vector, frozen
 from bayesftc.controllers.models.delays import extended_covariance
 from bayesftc.controllers.models.linear import LinearModel
-from bayesftc.controllers.precision.base import PrecisionLearner
+from bayesftc.controllers.precision.base import Learner, PrecisionLearner, made_once
 from bayesftc.controllers.precision.held import hold_precision
 from bayesftc.controllers.signals import port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
@@ -98,7 +98,11 @@ class StateEstimator(Block):
         covariance = as_covariance(name, extended_covariance(self.model, name, start), n, singular=True)
         object.__setattr__(self, "initial_covariance", known_constant(self.model, covariance))
         invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # raises for wrong values
-        self.precision.learner(self.model)  # raises now, not in the loop, for settings that do not fit the model
+        self._learner()  # raises now, not in the loop, for settings that do not fit the model
+
+    @made_once
+    def _learner(self) -> Learner:
+        return self.precision.learner(self.model)
 
     def _extended(self, mean: object) -> object:
         values = np.atleast_1d(as_numbers("The initial_mean", mean, "it must be a number or a list of numbers"))
@@ -121,7 +125,7 @@ class StateEstimator(Block):
     @property
     def corrects_offsets(self) -> bool:
         """Whether samples minus an inferred offset still inform the state, as in the joint form of `SwitchingPrecision`."""
-        return self.precision.learner(self.model).infer is not None
+        return self._learner().infer is not None
 
     @property
     def default_name(self) -> str:
@@ -144,11 +148,11 @@ class StateEstimator(Block):
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Outputs ``x_hat, P, R, innovation, precision, beta, fault_probability, model_suspect``, and those of the learner."""
-        return *self._common_outputs, *self.precision.learner(self.model).ports
+        return *self._common_outputs, *self._learner().ports
 
     def held(self, outputs: Mapping[str, Floats]) -> Block:
         """See `Block.held`."""
-        block: Block = hold_precision(self, self.precision.learner(self.model).ports, outputs)
+        block: Block = hold_precision(self, self._learner().ports, outputs)
         return block
 
     @property
@@ -159,7 +163,7 @@ class StateEstimator(Block):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        model, learner = self.model, self.precision.learner(self.model)
+        model, learner = self.model, self._learner()
         Q, nominal = model.matrix("process_covariance"), model.matrix("sensor_covariance")
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
         first = sum(port.size for port in self._common_outputs)

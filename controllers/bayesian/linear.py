@@ -19,7 +19,7 @@ from bayesftc.controllers.estimation.absurd import alarm_of
 from bayesftc.controllers.estimation.belief import ESTIMATION, advance, estimation, make_estimate, plan
 from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, Limits, decide, limit
 from bayesftc.controllers.models.linear import LinearModel
-from bayesftc.controllers.precision.base import Learner, PrecisionLearner
+from bayesftc.controllers.precision.base import Learner, PrecisionLearner, made_once
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError, brief
@@ -212,6 +212,7 @@ class BayesianController(BayesianBlock):
         owner = "A BayesianController with belief='joint'"
         return self.precision.apart(owner) if self.belief == "joint" else self.precision
 
+    @made_once
     def _learner(self) -> Learner:
         return self._precision.learner(self.model)
 

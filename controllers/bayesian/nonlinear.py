@@ -45,7 +45,7 @@ from bayesftc.controllers.models.checks import Matrix, check_choice, check_numbe
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linear_rows import linear_rows
 from bayesftc.controllers.models.nonlinear import NonlinearModel
-from bayesftc.controllers.precision.base import NAN, Learner, Sample, Trust
+from bayesftc.controllers.precision.base import NAN, Learner, Sample, Trust, made_once
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import absolute, both, select
@@ -353,6 +353,7 @@ class NonlinearBayesianController(BayesianBlock):
         # Learners need a linear model of the sensors. At the initial mean the linearisation was checked to be finite.
         return self.model.linearised(np.asarray(self.initial_mean), np.asarray(self.control_mean))
 
+    @made_once
     def _learner(self) -> Learner:
         return self.precision.apart("NonlinearBayesianController").learner(self._start())
 

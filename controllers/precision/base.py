@@ -28,7 +28,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from functools import wraps
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
 NAN = float("nan")
+
+_Block = TypeVar("_Block")
 
 ERROR_CAP = 1e12
 """Largest squared error for learning, in units of the sensor's nominal variance."""
@@ -139,6 +143,22 @@ class Learner:
     report: Callable[..., None] = report_nothing
     infer: Callable[..., None] | None = None
     compiled: bool = True
+
+
+def made_once(learner_of: Callable[[_Block], Learner]) -> Callable[[_Block], Learner]:
+    """Let a method of a block make the learner at the first call and keep it: each look at the block's ports asks for it.
+
+    A copy of the block, also in another process, makes its own: not every step function can be pickled.
+    """
+    learners: WeakKeyDictionary[_Block, Learner] = WeakKeyDictionary()
+
+    @wraps(learner_of)
+    def kept(block: _Block) -> Learner:
+        if block not in learners:
+            learners[block] = learner_of(block)
+        return learners[block]
+
+    return kept
 
 
 @dataclass(frozen=True)
