@@ -11,6 +11,7 @@ import numpy as np
 from bayesftc.controllers.bayesian.lqg import LQGController
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
+from bayesftc.controllers.estimation.innovation import predicted_covariance
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_vector
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
@@ -283,7 +284,7 @@ def _goal_rows(model: LinearModel, goal: Any) -> Floats:
 
 def _initial(model: LinearModel) -> Floats:
     """Return the initial covariance: ten times that of the steady filter's predictions."""
-    from scipy.linalg import LinAlgError, solve_discrete_are
+    from numpy.linalg import LinAlgError
 
     moving = model.moving
     A, C, Q, R = (moving.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
@@ -292,7 +293,7 @@ def _initial(model: LinearModel) -> Floats:
     start = np.zeros((model.states, model.states))
     n = moving.states
     try:
-        start[:n, :n] = 10.0 * solve_discrete_are(A.T, C.T, Q + spread * np.eye(n), R)
+        start[:n, :n] = 10.0 * predicted_covariance(A, C, Q + spread * np.eye(n), R)
         return as_covariance("The initial covariance", (start + start.T) / 2, model.states, singular=True)
     except (ModelError, LinAlgError, ValueError):
         raise ModelError(

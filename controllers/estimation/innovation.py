@@ -17,6 +17,9 @@ SETTLED = 1e-9
 
 MOST_STEPS = 50_000
 
+NEWTON_STEPS = 5
+"""Most steps of Newton's method; it doubles the digits at each, and one makes the covariance positive."""
+
 SLOWEST = 1.0 - 1e-6
 """A filter with a slower pole counts as one without a steady state."""
 
@@ -60,11 +63,9 @@ def steady_covariance(model: LinearModel) -> Floats:
     ModelError
         If there is no steady state.
     """
-    from scipy.linalg import solve_discrete_are
-
     A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     try:
-        P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
+        P = predicted_covariance(A, C, Q, R)
         size = float(np.abs(np.linalg.eigvals(_error_transition(A, C, P, R)[0])).max())
     except (np.linalg.LinAlgError, ValueError):  # also if P is not finite
         size = np.inf
@@ -75,6 +76,28 @@ def steady_covariance(model: LinearModel) -> Floats:
             "state a little process_covariance, or leave it out."
         )
     return np.asarray((P + P.T) / 2, dtype=np.float64)
+
+
+def predicted_covariance(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
+    """Return the solution of the filter's Riccati equation.
+
+    If a state of small variance decays slowly, scipy's solution can have a negative variance. Newton's method, of which each step
+    is a Lyapunov equation, then gives a covariance (Kleinman 1968).
+
+    Raises
+    ------
+    LinAlgError, ValueError
+        If there is none.
+    """
+    from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+
+    P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
+    for _ in range(NEWTON_STEPS):
+        if np.linalg.eigvalsh((P + P.T) / 2)[0] >= 0.0:
+            break
+        F, K = _error_transition(A, C, P, R)
+        P = np.asarray(solve_discrete_lyapunov(F, Q + A @ K @ R @ K.T @ A.T))
+    return P
 
 
 def response(model: LinearModel, sensor: int) -> Response:
