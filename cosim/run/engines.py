@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any, Protocol
 
@@ -11,13 +12,22 @@ import numpy as np
 
 from bayesftc.cosim.block import External
 from bayesftc.cosim.diagram.schedule import NOT_FINITE, Call, Schedule
+from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.isolation.guard import guard_of
 from bayesftc.cosim.random import CHUNK, compiled_fill, draw_chunk, stream_key
 from bayesftc.cosim.run.coupled.engines import CompiledGroup, GroupRun, InterpretedGroup, address_of, step_function
 from bayesftc.cosim.run.fused.compiled import fused, fused_lanes
 from bayesftc.cosim.run.general.program import COLUMNS, FUSED, Program
+from bayesftc.cosim.run.online import compiled_step
 from bayesftc.cosim.run.state_functions import StateFunctions
 from bayesftc.cosim.types import Floats
+
+CALLED_COMPILED = 500
+"""Steps from which on a loop in Python calls compiled step functions: that of the default controller takes 5 s to compile, and a
+hundredth of the 10 ms of a plain step to call."""
+
+Function = Callable[[float, int], int | None]
+"""A step function of time and step count, which returns a status that stops the run, 0 or None."""
 
 WRITES = frozenset({"output", "ahead"})
 """The kinds of calls that write outputs."""
@@ -98,6 +108,9 @@ class Engine(Protocol):
         If `first`, compute the outputs at t_begin before; else they are already in memory.
         """
 
+    def prepare(self, steps: float) -> None:
+        """Get ready for so many steps, by compiling what pays for them."""
+
     def evaluate(self, k: int) -> Failure | None:
         """Compute all outputs at t_k from the states, inputs and random numbers in memory."""
 
@@ -159,8 +172,8 @@ class CompiledEngine:
             run.memory, run.streams(),
         )  # fmt: skip
 
-    def fuse(self, steps: float) -> None:
-        """Use one function for the whole loop from now on, if that pays for so many steps."""
+    def prepare(self, steps: float) -> None:
+        """See `Engine.prepare`: one function for the whole loop."""
         if steps <= self._asked_for:
             return
         address = self._program.words[FUSED] = fused(self._run.schedule, self._described(), steps)
@@ -251,20 +264,50 @@ class CompiledEngine:
 
 
 class InterpretedEngine:
-    """Calls the plain Python step functions, which you can step through in a debugger."""
+    """Calls the plain Python step functions, which you can step through in a debugger.
 
-    def __init__(self, run: Run):
-        self._run = run
+    Parameters
+    ----------
+    run : Run
+        The run.
+    compiles : bool
+        Whether compiled step functions may be called where they pay: the loop then runs in Python only because one of its blocks
+        calls back into Python.
+    """
+
+    def __init__(self, run: Run, *, compiles: bool = False):
+        self._run, self._compiles = run, compiles
         self._evaluate = [self._bind(call) for call in run.schedule.evaluate]
         self._advance = [self._bind(call) for call in run.schedule.advance]
         self._draws = Draws(run)
 
-    def _bind(self, call: Call) -> tuple[Call, Callable[[float, int], int]]:
+    def _bind(self, call: Call) -> tuple[Call, Function]:
         if call.kind == "inputs":
             return call, lambda t, k: 0
         if call.group:
             return call, InterpretedGroup(self._run, call.group)
         return call, step_function(self._run, call.node, call.kind, self._run.schedule.outputs_start(call))
+
+    def prepare(self, steps: float) -> None:
+        """See `Engine.prepare`: compiled step functions of the blocks that have them."""
+        if self._compiles and steps >= CALLED_COMPILED:
+            self._compiles = False
+            self._evaluate, self._advance = (
+                [(call, self._compiled(call) or plain) for call, plain in calls]
+                for calls in (self._evaluate, self._advance)
+            )
+
+    def _compiled(self, call: Call) -> Function | None:
+        schedule = self._run.schedule
+        kernel, definition = None if call.group else schedule.kernel(call), schedule.definitions[call.node]
+        if kernel is None or definition is None or not definition.compiled:
+            return None
+        slots = schedule.slots[call.node]
+        with suppress(KernelError):  # what cannot be compiled stays as it is
+            return compiled_step(
+                kernel, replace(slots, start={**slots.start, "outputs": schedule.outputs_start(call)}), self._run.memory
+            )
+        return None
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
@@ -294,7 +337,7 @@ class InterpretedEngine:
         with np.errstate(all="ignore"):
             return self._phase(self._advance, k)
 
-    def _phase(self, calls: list[tuple[Call, Callable[[float, int], int]]], k: int) -> Failure | None:
+    def _phase(self, calls: list[tuple[Call, Function]], k: int) -> Failure | None:
         """Make the calls of a phase, under IEEE 754 as in compiled code: infinities and NaNs are values."""
         schedule, memory = self._run.schedule, self._run.memory
         t = k * schedule.step.numerator / schedule.step.denominator

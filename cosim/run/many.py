@@ -204,10 +204,10 @@ class ManyRuns:
         overhead()
         self._engine = choose_engine("auto", self._run)
         self._function = 0
-        if isinstance(self._engine, CompiledEngine):
-            self._engine.fuse(self._steps * self._of)
-            if self._beside_allowed and all(hasattr(i, "state_functions") for i in self._run.instances.values()):
-                self._function = self._engine.in_lock_step(self._steps * self._of)
+        self._engine.prepare(self._steps * self._of)
+        beside = self._beside_allowed and all(hasattr(i, "state_functions") for i in self._run.instances.values())
+        if beside and isinstance(self._engine, CompiledEngine):
+            self._function = self._engine.in_lock_step(self._steps * self._of)
         self._opened = self._fresh = True
         self._initial = self._run.memory.copy()
         if more and self._repeats is not False and all(i.can_save for i in self._run.instances.values()):
@@ -351,6 +351,7 @@ class ManyRuns:
             run.seed = seed
             if not self._goes_from_run_to_run:  # an interpreted engine holds random numbers of the old seed
                 self._engine = choose_engine("auto", run)
+                self._engine.prepare(self._steps * self._of)
         self._fresh = False
 
         limit = self._limit if limited else None

@@ -168,7 +168,7 @@ def choose_engine(name: str, run: Run) -> Engine:
             f"The blocks {', '.join(names)} call back into Python and cannot be compiled; use engine='auto' or 'interpreted'."
         )
     if name == "interpreted" or not run.schedule.compiled:
-        return InterpretedEngine(run)
+        return InterpretedEngine(run, compiles=name == "auto")
     return CompiledEngine(run)
 
 

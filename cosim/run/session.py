@@ -211,10 +211,8 @@ class Session:
         make_room(run, end, self._room)
         try:
             self._is_running = True
-            if self._pacer is None and isinstance(
-                self._engine, CompiledEngine
-            ):  # compiling would make paced steps late
-                self._engine.fuse(steps)
+            if self._pacer is None:  # compiling would make paced steps late
+                self._engine.prepare(steps)
             stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
         except KeyboardInterrupt as stop:
             stop.add_note(
