@@ -36,7 +36,8 @@ class Definition:
     state, parameters : mapping of name to array
         Initial values. The step functions get arrays of the same shapes. Scalars become arrays of one element.
     compiled : bool
-        False for a block that calls back into Python; the whole diagram then runs interpreted.
+        False for a block that calls back into Python; the loop then runs in Python, and calls compiled step functions of other
+        blocks only in long runs.
     scratch : mapping of name to array
         Work arrays for intermediate values, since a step function allocates nothing. Their content at the beginning of a step
         function has no meaning. Values that ``update`` needs from ``output`` therefore belong to the state.

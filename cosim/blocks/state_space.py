@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -23,6 +24,9 @@ logger = logging.getLogger("bayesftc.state_space")
 logger.addHandler(logging.NullHandler())  # without a handler, logging prints warnings to stderr
 
 NOISE = "process_noise"
+
+_TRIALS = (1.0, -1.0, 1e6, -1e6, np.nan)
+"""Values of an input at which the outputs are compared with those at zero."""
 
 if TYPE_CHECKING:
     Vector = ArrayLike
@@ -69,8 +73,8 @@ class StateSpace(Block):
 
     A continuous linear system is discretised exactly at the block's step, with its inputs held during a step (zero-order
     hold). A continuous nonlinear system is integrated over each step by ``scipy.integrate.solve_ivp``. A discrete system runs at
-    its own sample time only. Linear systems run in compiled code. Nonlinear systems call back into Python, so that the whole
-    diagram runs interpreted.
+    its own sample time only. Linear systems run in compiled code. Nonlinear systems call back into Python, so that the loop runs
+    in Python.
 
     Ports have the names of the signals. Signals without names are called ``u`` and ``y``, or ``u0``, ``u1`` and so on.
 
@@ -83,9 +87,10 @@ class StateSpace(Block):
     process_noise : matrix of float, optional
         Covariance, n x n, of Gaussian noise that is added to the state at every step, for any step size. The block then has
         a random input ``process_noise`` of n independent standard normal numbers.
-    feedthrough : bool or sequence of str
+    feedthrough : bool or sequence of str, optional
         For nonlinear systems: whether the outputs depend on the inputs at the same instant, or the names of the inputs on
-        which they do. For linear systems D determines this.
+        which they do. By default this is found by trials at the initial state, and checked at each step. For linear systems D
+        determines it.
     params : mapping, optional
         For nonlinear systems: values that are passed to the system's functions.
     method, rtol, atol : str, float, float
@@ -94,7 +99,7 @@ class StateSpace(Block):
     Raises
     ------
     ModelError
-        If the system is none of these, or sizes do not fit.
+        If the system is none of these, or sizes do not fit; in a run, if the outputs depend on an input without feedthrough.
     StepSizeError
         If a discrete system is run at a step other than its sample time.
 
@@ -110,7 +115,7 @@ class StateSpace(Block):
     system: Any
     initial: Vector | None = field(default=None, kw_only=True)
     process_noise: Matrix | None = field(default=None, kw_only=True)
-    feedthrough: bool | Sequence[str] = field(default=True, kw_only=True)
+    feedthrough: bool | Sequence[str] | None = field(default=None, kw_only=True)
     params: Mapping[str, Any] | None = field(default=None, kw_only=True, hash=False)
     method: str = field(default="RK45", kw_only=True)
     rtol: float = field(default=1e-9, kw_only=True)
@@ -122,19 +127,17 @@ class StateSpace(Block):
         set_ = object.__setattr__
         if not isinstance(self.system, LinearSystem):
             set_(self, "system", normalised(self.system))
-        if isinstance(self.system, LinearSystem) and (self.feedthrough is not True or self.params is not None):
+        if isinstance(self.system, LinearSystem) and (self.feedthrough not in (None, True) or self.params is not None):
             raise ModelError(
                 "StateSpace has feedthrough=... or params=... for a linear system; leave them out. The matrix D determines "
                 "the feedthrough."
             )
-        if isinstance(self.feedthrough, bool):
-            names = self._names[0] if self.feedthrough else ()
-        else:
+        if self.feedthrough is not None and not isinstance(self.feedthrough, bool):
             names = tuple([self.feedthrough] if isinstance(self.feedthrough, str) else self.feedthrough)
             set_(self, "feedthrough", names)
-        for name in names:
-            if name not in self._names[0]:
-                raise UnknownNameError(f"StateSpace has no input {name!r}; {did_you_mean(name, self._names[0])}")
+            for name in names:
+                if name not in self._names[0]:
+                    raise UnknownNameError(f"StateSpace has no input {name!r}; {did_you_mean(name, self._names[0])}")
         n = self._states
         initial = np.zeros(n) if self.initial is None else reals(self.initial)
         if initial.shape != (n,) or not np.isfinite(initial).all():
@@ -149,16 +152,23 @@ class StateSpace(Block):
         if not (self.rtol > 0 and self.atol > 0):
             raise ModelError(f"StateSpace has rtol={self.rtol!r}, atol={self.atol!r}; both must be positive.")
 
+    @cached_property
+    def _fed(self) -> tuple[str, ...]:
+        """The inputs of a nonlinear system on which its outputs depend at the same instant."""
+        if self.feedthrough is None:
+            return _found_feedthrough(self.system, np.array(self.initial), self._names[0], self.params)
+        if isinstance(self.feedthrough, bool):
+            return self._names[0] if self.feedthrough else ()
+        return tuple(self.feedthrough)
+
     @property
     def inputs(self) -> tuple[Port, ...]:
         """A scalar port for each input signal, and ``process_noise`` if it is set."""
         names = self._names[0]
         if isinstance(self.system, LinearSystem):
             feeds = [any(row[j] != 0.0 for row in self.system.D) for j in range(len(names))]
-        elif isinstance(self.feedthrough, bool):
-            feeds = [self.feedthrough] * len(names)
         else:
-            feeds = [name in self.feedthrough for name in names]
+            feeds = [name in self._fed for name in names]
         text = "Input of the system"
         ports = [
             Port(name, feedthrough=feed, default=0.0, description=text) for name, feed in zip(names, feeds, strict=True)
@@ -221,13 +231,16 @@ class StateSpace(Block):
         feeds = np.array([port.feedthrough for port in self.inputs if port.name != NOISE], dtype=bool)
         x0, m = np.array(self.initial), len(feeds)
         _check_feedthrough(system, x0, feeds, params)
+        found = self.feedthrough is None
 
         def output(t, inputs, outputs, system_x):
             # Inputs without feedthrough are not computed yet. Zeros make the result independent of the order of blocks.
             outputs[:] = system.output(t, system_x, np.where(feeds, inputs[:m], 0.0), params)
 
-        def update(t, inputs, system_x):
+        def update(t, inputs, outputs, system_x):
             u = inputs[:m].copy()
+            if found and not np.array_equal(system.output(t, system_x, u, params), outputs, equal_nan=True):
+                raise ModelError(_OTHERWISE)
             if system.dt == 0:
                 x = self._integrate(float(t), h, system_x.copy(), u, params)
             else:
@@ -274,6 +287,32 @@ def _factor(covariance: ArrayLike, n: int) -> Floats:
             "StateSpace has a process_noise that is not a covariance; it must be symmetric, without negative eigenvalues."
         )
     return lower
+
+
+_OTHERWISE = (
+    "The outputs of the nonlinear system depend on its inputs at the same instant, but not at its initial state, where this was "
+    "tried. Give StateSpace feedthrough=True, or the names of these inputs."
+)
+
+
+def _found_feedthrough(
+    system: Any, x: Floats, names: tuple[str, ...], params: Mapping[str, Any] | None
+) -> tuple[str, ...]:
+    """Return the inputs on which the outputs of a nonlinear system depend at a state, by trials; all if it has no state."""
+    if not len(x):
+        return names
+    found = []
+    with np.errstate(all="ignore"):
+        for j, name in enumerate(names):
+            trials = np.zeros((1 + len(_TRIALS), len(names)))
+            trials[1:, j] = _TRIALS
+            try:
+                rest, *others = (np.asarray(system.output(0.0, x, u, params), dtype=np.float64) for u in trials)
+            except Exception:  # noqa: BLE001 - a user's function may raise anything for such numbers
+                return names
+            if not all(np.array_equal(rest, other, equal_nan=True) for other in others):
+                found.append(name)
+    return tuple(found)
 
 
 def _check_feedthrough(

@@ -185,8 +185,33 @@ def test_interconnected_systems():
     assert run.metadata["engine"] == "interpreted"
 
 
-def test_nonlinear_feedthrough_is_the_users_word_and_is_checked():
+def test_nonlinear_feedthrough_is_found_by_trials_and_checked_at_each_step():
     assert [p.feedthrough for p in cosim.StateSpace(pendulum()).inputs] == [True]
+    assert [p.feedthrough for p in cosim.StateSpace(pendulum(direct=0.0)).inputs] == [True]  # 0 times a NaN is none
+
+    def system(output, inputs=("a", "b")):
+        return control.nlsys(
+            lambda t, x, u, params: np.ones(1), output, inputs=list(inputs), outputs=["y"], states=["x"]
+        )
+
+    def fed(output):
+        return [p.feedthrough for p in cosim.StateSpace(system(output)).inputs]
+
+    assert fed(lambda t, x, u, params: x) == [False, False]
+    assert fed(lambda t, x, u, params: x + u[1]) == [False, True]
+    assert fed(lambda t, x, u, params: x * u[0]) == [True, False]  # 0 at the initial state, whatever the input is
+    assert fed(lambda t, x, u, params: x + np.sign(u[:1])) == [True, False]
+    assert fed(lambda t, x, u, params: [x[0] if u[0] < 1e5 else 1.0]) == [True, False]
+    assert fed(lambda t, x, u, params: [x[0] / int(u[0] + 1)]) == [True, True]  # it raises: not known
+    hidden = system(lambda t, x, u, params: x + (u if x[0] > 0.5 else 0.0), inputs=["torque"])
+    with pytest.raises(ModelError, match=r"not at its initial state.*feedthrough=True"):
+        driven(cosim.StateSpace(hidden), 0.05, waves(["torque"])).simulate(1.0)
+    run = driven(cosim.StateSpace(hidden, feedthrough=True), 0.05, waves(["torque"])).simulate(1.0)
+    u = values(waves(["torque"])["torque"], run.time)
+    assert np.allclose(run["plant.y"], run.time + np.where(run.time > 0.5, u, 0.0), atol=1e-9)
+
+
+def test_nonlinear_feedthrough_is_the_users_word_and_is_checked():
     honest = cosim.StateSpace(pendulum(direct=0.0), feedthrough=())
     assert [p.feedthrough for p in honest.inputs] == [False]
     diagram = cosim.Diagram(dt=0.05)

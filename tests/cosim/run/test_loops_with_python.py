@@ -65,10 +65,10 @@ def test_a_short_run_compiles_nothing(compiled):
 
 def test_in_pieces_after_restore_and_in_time(compiled):
     loop = pendulum()
-    whole = loop.simulate(6.0, seed=5, engine="interpreted")["plant.angle"]
+    whole = loop.simulate(5.0, seed=5, engine="interpreted")["plant.angle"]
     with loop.start(seed=5) as session:
-        first = session.advance(2.0)["plant.angle"]
-        assert not compiled  # 100 steps
+        first = session.advance(1.0)["plant.angle"]
+        assert not compiled  # 50 steps
         state = session.save_state()
         long = session.advance(4.0)["plant.angle"]
         assert compiled
