@@ -81,8 +81,8 @@ def steady_covariance(model: LinearModel) -> Floats:
 def predicted_covariance(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
     """Return the solution of the filter's Riccati equation.
 
-    Elements of A that are no more than rounding can mislead scipy's balancing: its solution then has a negative variance. Newton's
-    method, of which each step is a Lyapunov equation, gives a covariance from there (Hewer 1971).
+    Elements of A that are no more than rounding can mislead scipy's balancing: its solution then has a negative variance.
+    Newton's method, of which each step is a Lyapunov equation, gives a covariance from there (Hewer 1971).
 
     Raises
     ------

@@ -129,6 +129,19 @@ def test_the_size_of_a_fault_has_its_unit_or_counts_noise(capsys):
     assert not modes["Offset"].size_in_noise
 
 
+def test_names_are_printed_as_they_are(files, tmp_path):
+    """Brackets are no styles of the terminal, and colons make no pictures."""
+    names = dict(zip("abc", ("T 1 [degC]", "[red]", ":car:"), strict=True))
+    table = pd.read_csv(tmp_path / "tank.csv").rename(columns=names)
+    table.to_csv(tmp_path / "named.csv", index=False)
+    done = RUNNER.invoke(
+        app, ["monitor", str(tmp_path / "named.csv"), "--fit", "--model", str(tmp_path / "named.toml")]
+    )
+    assert done.exit_code == 0, done.output
+    for name in names.values():
+        assert sum(line.lstrip().startswith(name) for line in done.output.splitlines()) >= 2  # fitted model, samples
+
+
 def test_json_and_quiet(files):
     done = RUNNER.invoke(app, ["monitor", *files, "--json"])
     assert done.exit_code == 0, done.output

@@ -264,10 +264,9 @@ def as_json(numbers: Mapping[str, Any]) -> str:
 
 def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
     """Print the figures of a run as tables."""
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console(highlight=False)
+    console = terminal()
     title = f"{numbers['scenario']}: {numbers['duration']:g} s, {numbers['steps']} steps, seed {numbers['seed']}"
     console.print(Text(title), soft_wrap=True)
     tables = [(*_sensors(numbers["sensors"]), "")]
@@ -364,12 +363,18 @@ def plain_table(*columns: str, right: Collection[str] = (), whole: Collection[st
     return table
 
 
+def terminal(width: int | None = None) -> Console:
+    """Return the terminal, which prints names as they are: rich would take ``[degC]`` for a style, and ``:car:`` too."""
+    from rich.console import Console
+
+    return Console(highlight=False, markup=False, emoji=False, width=width)
+
+
 def sayer() -> tuple[Console, Callable[..., None]]:
     """Return the terminal, and a function that prints a sentence there in a style of rich."""
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console(highlight=False)
+    console = terminal()
     return console, lambda sentence, style="": console.print(Text(sentence, style=style), soft_wrap=True)
 
 

@@ -68,10 +68,9 @@ def _connections(diagram: Diagram) -> list[dict[str, Any]]:
 
 
 def _print(data: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console(highlight=False)
+    console = output.terminal()
     console.print(Text(f"file  {data['path']}"))
     console.print(Text(f"step  {data['step']} s" if data["step"] else "step  none is given: open_ssp(path, dt=...)"))
     components = output.plain_table("component", "FMU", "FMI", "used for", "values")

@@ -162,10 +162,9 @@ def _plain(value: Any) -> Any:
 
 
 def _print(numbers: Mapping[str, Any], before: int) -> None:
-    from rich.console import Console
     from rich.text import Text
 
-    console = Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=110)
+    console = output.terminal(None if sys.stdout.isatty() else 110)
     if numbers["points"] and numbers["points"][0]["metrics"]:
         console.print(_table(numbers["points"]))
         hidden = [f"{len(numbers['points']) - POINTS} more points"] if len(numbers["points"]) > POINTS else []

@@ -82,11 +82,10 @@ def find_fmu(name: str) -> Path:
 
 
 def _print(path: Path, description: FMUDescription, works: list[Verdict], everything: bool) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console(highlight=False)
+    console = output.terminal()
     facts = Table(box=None, show_header=False, pad_edge=False)
     facts.add_column(style="bold", no_wrap=True)
     facts.add_column(overflow="fold")

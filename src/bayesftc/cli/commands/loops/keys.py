@@ -81,11 +81,10 @@ def keys(
     if not chosen:
         names = {name for title, kind, *_ in tables for name in (*_words(title)[:1], kind) if name}
         raise ScenarioError(f"A {file} file has no section or kind {section!r}; {did_you_mean(section, names)}")
-    from rich.console import Console
 
-    from bayesftc.cli.output import plain_table
+    from bayesftc.cli.output import plain_table, terminal
 
-    console, before = Console(highlight=False), ""
+    console, before = terminal(), ""
     for title, kind, cls, without in chosen:
         if title != before:
             console.print(f"\n{title}", style="bold", markup=False)

@@ -116,11 +116,10 @@ def _write(folder: Path, experiment: Experiment, report: Report) -> list[str]:
 
 
 def _print(experiment: Experiment, report: Report, folder: Path | None, written: list[str]) -> None:
-    from rich.console import Console
     from rich.rule import Rule
     from rich.text import Text
 
-    console = Console(highlight=False)
+    console = output.terminal()
     console.print(Rule(f"{experiment.name}, seed {report['settings']['seed']}", align="left"))
     for part in experiment.show(report):
         console.print(Text(part) if isinstance(part, str) else part)
