@@ -135,7 +135,7 @@ def test_names_are_printed_as_they_are(files, tmp_path):
     table = pd.read_csv(tmp_path / "tank.csv").rename(columns=names)
     table.to_csv(tmp_path / "named.csv", index=False)
     done = RUNNER.invoke(
-        app, ["monitor", str(tmp_path / "named.csv"), "--fit", "--model", str(tmp_path / "named.toml")]
+        app, ["monitor", str(tmp_path / "named.csv"), "--fit", "--to", "29", "--model", str(tmp_path / "named.toml")]
     )
     assert done.exit_code == 0, done.output
     for name in names.values():
