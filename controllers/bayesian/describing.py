@@ -14,9 +14,18 @@ from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     from bayesftc.controllers.bayesian.linear import BayesianController
+    from bayesftc.controllers.models.linear import LinearModel
 
 LASTING = 1e-9
 """A mode whose pole is nearer to the unit circle than this counts as undamped: its noise accumulates."""
+
+
+def _about(model: LinearModel) -> str:
+    if not model.constant:
+        return ""
+    u = model.operating_control
+    at = "" if u is None else f" at which the control is {_numbers(np.atleast_1d(np.asarray(u, dtype=np.float64)))}"
+    return f", about an operating point{at}"
 
 
 def model_lines(controller: BayesianController) -> list[str]:
@@ -30,7 +39,7 @@ def model_lines(controller: BayesianController) -> list[str]:
     lines = [
         f"Model: {states}, {_count(model.controls, 'control')}{named}, {_count(model.sensors, 'sensor')} of "
         f"{_count(len(model.alike), 'quantity', 'quantities')}{f' ({sensors})' if sensors else ''}, every {show(model.step)} s"
-        f"{', about an operating point' if model.constant else ''}.",
+        f"{_about(model)}.",
         f"Expected standard deviations of the sensors: {_numbers(std)}.",
         f"Goals: {controller.goals}; limits of the control: {_limits(controller)}.",
     ]

@@ -77,3 +77,13 @@ def test_a_bayesian_controller_says_its_poles_and_why_it_has_no_probability():
 def test_a_loop_in_which_noise_adds_up_for_ever_has_no_accuracy():
     model = controllers.LinearModel([[1, 0.1], [0, 0.9]], [[0.0], [0.1]], [[0, 1.0], [1.0, 0]], 1e-3, 1e-2, dt=0.1)
     assert "Expected accuracy: none" in lqg(model, goal_on=[[0.0, 1.0]]).describe()
+
+
+def test_the_control_at_the_operating_point_is_named():
+    def drain(t, x, u, params):
+        return np.array([0.1 * u[0] - 0.2 * np.sqrt(x[0])])
+
+    tank = control.nlsys(drain, lambda t, x, u, params: x, inputs=["pump"], outputs=["level"], states=["h"])
+    plant = cosim.StateSpace(tank, initial=[1.0])
+    text = controllers.design(plant, measured="level", actuated="pump", sensors=2, dt=0.1, at={"pump": 2.0}).describe()
+    assert "every 0.1 s, about an operating point at which the control is 2.\n" in text
