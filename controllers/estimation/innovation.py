@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,6 +17,9 @@ SETTLED = 1e-9
 """A response has settled if it changes by at most this in a step."""
 
 MOST_STEPS = 50_000
+
+ROUNDING = 1e-9
+"""Size of a negative eigenvalue up to which a covariance counts as rounded."""
 
 NEWTON_STEPS = 5
 """Most steps of Newton's method; it doubles the digits at each, and one makes the covariance positive."""
@@ -89,15 +93,25 @@ def predicted_covariance(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
     LinAlgError, ValueError
         If there is none.
     """
-    from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+    from scipy.linalg import LinAlgWarning, solve_discrete_are, solve_discrete_lyapunov
 
     P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
     for _ in range(NEWTON_STEPS):
-        if np.linalg.eigvalsh((P + P.T) / 2)[0] >= 0.0:
+        if _is_covariance(P):
             break
         F, K = _error_transition(A, C, P, R)
-        P = np.asarray(solve_discrete_lyapunov(F, Q + A @ K @ R @ K.T @ A.T))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LinAlgWarning)  # whoever uses the result judges it
+            P = np.asarray(solve_discrete_lyapunov(F, Q + A @ K @ R @ K.T @ A.T))
     return P
+
+
+def _is_covariance(P: Floats) -> bool:
+    """Return whether a matrix has no negative eigenvalue, but for rounding, in units in which its variances are 1."""
+    variances = np.diag(P)
+    units = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    correlation = (P + P.T) / 2 / np.outer(units, units)
+    return bool((variances >= 0.0).all()) and float(np.linalg.eigvalsh(correlation)[0]) >= -ROUNDING
 
 
 def response(model: LinearModel, sensor: int) -> Response:

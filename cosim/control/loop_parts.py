@@ -106,7 +106,7 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     linear, start = (
         (_of_system(plant, step, rows), np.zeros(len(measured)))
         if plant is not None
-        else _of_block(diagram, node, driven, measured, step)
+        else _of_block(diagram, node, driven, measured, step, _operating_control(controller))
     )
     p, q = len(driven), len(measured)
     if linear.D.shape != (q, p):
@@ -174,16 +174,32 @@ def _samples(diagram: Diagram, node: Node, port: Port, i: int, step: Fraction) -
 # --- Linearize the parts ---------------------------------------------------------------------------------------------
 
 
+def _operating_control(controller: Node) -> Floats | None:
+    """Return the controls at the operating point of the controller's model; None if it has none."""
+    at = getattr(getattr(controller.block, "model", None), "operating_control", None)
+    return None if at is None else np.atleast_1d(np.asarray(at, dtype=np.float64))
+
+
 def _of_block(
-    diagram: Diagram, node: Node, driven: Sequence[Element], measured: Sequence[Element], step: Fraction
+    diagram: Diagram,
+    node: Node,
+    driven: Sequence[Element],
+    measured: Sequence[Element],
+    step: Fraction,
+    control: Floats | None,
 ) -> tuple[Matrices, Floats]:
-    """Return the plant from controls to measured signals, linearized at its start values, and these signals there."""
+    """Return the plant from controls to measured signals, linearized at its start values, and these signals there.
+
+    With a `control` the plant has these controls there, in place of the start values of its inputs.
+    """
     block: Any = node.block
     plant_step, ports = diagram.step * node.every, _inputs(node)
     inputs, outputs = _elements(ports), _elements(block.outputs)
     columns = [inputs.index((port.name, i)) for port, i in driven]
     lines = [outputs.index((port.name, i)) for port, i in measured]
     u = np.concatenate([np.zeros(0), *map(_defaults, ports)])
+    if control is not None and len(control) == len(columns):
+        u[columns] = control
     if isinstance(block, StateSpace) and isinstance(block.system, LinearSystem):
         a, b, c, d = block.system.matrices()
         y = c @ np.asarray(block.initial) + d @ u

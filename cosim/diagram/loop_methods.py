@@ -17,9 +17,10 @@ class LoopMethods:
     def linear(self, *, plant: Any = None) -> LinearLoop:
         """Return the closed loop as a linear system, which has methods for its figures.
 
-        The loop has no faults, no noise and no limits of the control. The plant is linearized at its start values. A Bayesian
-        controller with a linear model is in steady state, with the sensor covariance of its model. Any other controller is
-        linearized at its initial state, with its precision learner stopped.
+        The loop has no faults, no noise and no limits of the control. The plant is linearized at its start values, with the
+        controls of the operating point of the controller's model, if it has one. A Bayesian controller with a linear model is
+        in steady state, with the sensor covariance of its model. Any other controller is linearized at its initial state, with
+        its precision learner stopped.
 
         Parameters
         ----------

@@ -369,3 +369,28 @@ def slower():
         reference=0.0,
         dt=0.1,
     )
+
+
+def test_a_nonlinear_plant_is_linearized_with_the_controls_of_the_operating_point():
+    """A tank whose outflow grows with the root of its level; without inflow it would be another plant."""
+
+    def change(t, x, u, params):
+        return np.array([0.1 * u[0] - 0.2 * np.sqrt(max(x[0], 1e-3)) * (1.0 + u[0])])
+
+    tank = control.nlsys(change, lambda t, x, u, params: x, inputs=["pump"], outputs=["level"], states=["h"])
+    plant = cosim.StateSpace(tank, initial=[0.25 / 9.0])  # 0.1 * 0.5 = 0.2 * sqrt(h) * 1.5
+    controller = controllers.design(
+        plant, measured="level", actuated="pump", sensors=2, sensor_std=0.01, dt=0.5, at={"pump": 0.5}
+    )
+    loop = cosim.closed_loop(
+        plant, controller, control="pump", measured="level", sensors=cosim.Sensors(2, 0.01), reference=0.03
+    )
+    slope = -0.1 * 1.5 / np.sqrt(0.25 / 9.0)
+    effect = 0.1 - 0.2 * np.sqrt(0.25 / 9.0)
+    exact = control.ss([[slope]], [[effect]], [[1.0]], 0, inputs=["pump"], outputs=["level"])
+    np.testing.assert_allclose(
+        np.sort_complex(loop.poles()), np.sort_complex(loop.linear(plant=exact).poles()), rtol=1e-4
+    )
+    described = controller.describe().split("filter's included: ")[1].split(";")[0]
+    poles = sorted(float(pole) for pole in described.split(", "))
+    np.testing.assert_allclose(np.sort(loop.poles().real), poles, rtol=1e-4)
