@@ -354,9 +354,9 @@ def _of_fmu(
     realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
     if realisation.waited and not at:
         warn_user(
-            f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(realisation.waited)} s without control, "
-            f"and the model is about the steady state that it reached, with {_point(measured, realisation.y)}. For another "
-            "operating point give start values or inputs (at=...)."
+            f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(realisation.waited)} s with its "
+            "inputs at their start values, and the model is about the steady state that it reached, with "
+            f"{_point(measured, realisation.y)}. For another operating point give start values or inputs (at=...)."
         )
     point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
     return Linearization(realisation.A, realisation.B, realisation.C, *point, driven, measured, step)

@@ -147,7 +147,9 @@ def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
         return
     for sensor in with_probability:
         assert sensor.probability is not None
-        axis.plot(*thin(signals.time, _given(sensor, sensor.probability)), **_line(sensor))
+        infers_dropout = "DroppedOut" in sensor.kinds  # a missing sample then says something, too
+        probability = sensor.probability if infers_dropout else _given(sensor, sensor.probability)
+        axis.plot(*thin(signals.time, probability), **_line(sensor))
     for j, actuator in enumerate(signals.actuators):
         # Black, as for inputs, because the colours belong to the sensors.
         style: dict[str, Any] = {"color": BLACK, "ls": LINES[j % len(LINES)], "lw": 1.3, "zorder": 3}

@@ -53,8 +53,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
 
     If a transient at the start would squeeze a panel, its belief or control is cut off there, with marks and the largest value.
 
-    Present faults are shaded, those of an input hatched, and named at the top. Lines have gaps at missing samples. Signals that
-    were not recorded are left out.
+    Present faults are shaded, those of an input hatched, and named at the top. Lines have gaps at missing samples, except
+    probabilities of learners that infer dropouts. Signals that were not recorded are left out.
 
     Parameters
     ----------

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 FORMAT = "bayesftc-result-1"
 
+_TABLES = frozenset({".csv", ".tsv", ".xlsx", ".parquet", ".json", ".mat"})
+"""Endings of files that other programs read, which this format is not."""
+
 # What NumPy, zip and JSON raise for damaged files.
 _DAMAGE = (
     OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError, SyntaxError,
@@ -338,9 +341,14 @@ class Result(Mapping[str, Floats]):
         Raises
         ------
         ResultFileError
-            If the file cannot be written.
+            If the file cannot be written, or its name is that of a table such as ``run.csv``.
         """
         path = Path(path)
+        if path.suffix.lower() in _TABLES:
+            raise ResultFileError(
+                f"save() writes NumPy's arrays, not the {path.suffix} of {path.name!r}. Name the file {path.stem}.npz; or make a "
+                "table: result.to_pandas() has to_csv(), to_parquet() and others."
+            )
         header = {
             "format": FORMAT,
             "step": str(self.step),

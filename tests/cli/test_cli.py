@@ -276,9 +276,15 @@ def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
             "but the model expects",
         ),
         ({}, "", "is blamed for"),
+        (
+            {"initial_mean = 20.0": "initial_mean = 20.0\nu_max = 100.0"},
+            "force is at its limit of 100 for",
+            "limit of -",
+        ),
+        ({"initial_mean = 20.0": "initial_mean = 20.0\nu_min = -1e9\nu_max = 1e9"}, "", "at its limit"),
     ],
 )
-def test_healthy_sensors_that_are_blamed_come_with_a_hint(bayesftc_, tmp_path, changes, said, unsaid):
+def test_what_explains_a_bad_run_is_a_note(bayesftc_, tmp_path, changes, said, unsaid):
     text = shipped_scenarios()["cruise_control"].read_text()
     for old, new in changes.items():
         assert old in text

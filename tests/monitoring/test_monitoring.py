@@ -2,10 +2,12 @@
 
 import re
 from dataclasses import replace
+from datetime import datetime
 from fractions import Fraction
 from itertools import combinations
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import linalg, stats
 
@@ -103,6 +105,9 @@ def test_numbers_of_a_file_are_read_to_the_last_bit(tmp_path):
         (lambda: Signal([0, 1, 1], [1, 2, 3]), "Sort the recording"),
         (lambda: Signal([0, np.nan], [1, 2]), "without a time"),
         (lambda: Signal([0, 1], [np.nan, np.inf]), "no samples"),
+        (lambda: Signal(pd.date_range("2026-03-01", periods=2, freq="5s"), [1, 2]), "seconds, not dates"),
+        (lambda: Signal(["2026-03-01", "2026-03-02"], [1, 2]), "seconds, not dates"),
+        (lambda: Signal([datetime(2026, 3, 1), datetime(2026, 3, 2)], [1, 2]), "seconds, not dates"),
         (lambda: Signal([0, 1], [1, 2], smooth=-1.0), "smooth=-1.0"),
         (lambda: Signal([0, 1], [1, 2], delay=np.nan), "delay=nan"),
         (lambda: align({}, {}, DT), "no sensor to monitor"),

@@ -262,7 +262,7 @@ def as_json(numbers: Mapping[str, Any]) -> str:
     return json.dumps(without_nan(numbers), indent=2, allow_nan=False, ensure_ascii=False)
 
 
-def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
+def print_report(numbers: Mapping[str, Any]) -> None:
     """Print the figures of a run as tables."""
     from rich.text import Text
 
@@ -290,9 +290,12 @@ def print_report(numbers: Mapping[str, Any], folder: Path | None) -> None:
     for note in numbers["notes"]:
         console.print()
         console.print(Text(note))
-    if folder is not None:
-        console.print()
-        console.print(Text(f"Written to {folder}: {RESULT}, {FIGURE}, {NUMBERS}"), soft_wrap=True)
+
+
+def say_written(folder: Path) -> None:
+    """Print the files of a run."""
+    _, say = sayer()
+    say(f"\nWritten to {folder}: {RESULT}, {FIGURE}, {NUMBERS}")
 
 
 def _errors(numbers: Mapping[str, Any]) -> tuple[str, Table]:

@@ -83,6 +83,12 @@ class Signal:
         return short(self, delay="s", smooth="s")
 
     def __post_init__(self) -> None:
+        given = np.asarray(self.time)
+        if given.dtype.kind in "MUS" or any(hasattr(time, "isoformat") for time in given.ravel()[:1]):
+            raise RecordingError(
+                "A signal's times must be seconds, not dates or texts. From dates: (dates - start) / pandas.Timedelta('1 s'), "
+                "with one start for all signals."
+            )
         time, values = (np.asarray(given, dtype=np.float64) for given in (self.time, self.values))
         if time.ndim != 1 or time.shape != values.shape:
             raise RecordingError(f"A signal has {time.shape} times and {values.shape} values. Give one value per time.")

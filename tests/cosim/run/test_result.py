@@ -201,6 +201,13 @@ def _nan(t, y):
     y[0, 0] = t / t
 
 
+@pytest.mark.parametrize("name", ["run.csv", "run.Parquet"])
+def test_a_table_is_not_written_under_the_name_of_one(tmp_path, result, name):
+    with pytest.raises(cosim.ResultFileError, match=r"Name the file run\.npz; or make a table: result\.to_pandas"):
+        result.save(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
 def test_files_that_are_no_results(tmp_path, result):
     with pytest.raises(cosim.ResultFileError, match=r"There is no result file .*nowhere; check the path"):
         Result.load(tmp_path / "nowhere")

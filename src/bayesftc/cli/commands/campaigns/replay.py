@@ -140,12 +140,15 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
             typer.echo(output.as_json(numbers) if json else "\n\n".join([*numbers["notes"], *written]))
         return
     numbers |= {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
+    if not json and not quiet:
+        output.print_report(numbers)
     if out is not None:
         output.write_files(out, result, numbers, signals)
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
-        output.print_report(numbers, out)
+        if out is not None:
+            output.say_written(out)
     elif result.stopped:
         sys.stderr.write(f"{result.stopped}\n")
 

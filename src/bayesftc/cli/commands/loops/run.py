@@ -17,6 +17,7 @@ from bayesftc.cli import output
 from bayesftc.cli.commands.loops._compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed, check_numbers
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
+from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.conditions import never_began
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.running import Progress
     from bayesftc.cosim.types import Floats
 
+LIMITED = 0.3
+"""Share of a run at a limit of a control from which a run ends with a note."""
 MANY_FALSE_ALARMS = 0.05
 """Share of a sensor's fault-free time in alarm from which a run ends with a hint."""
 SCATTER = 1.3
@@ -126,13 +129,15 @@ def run(
             numbers["kalman"] = _kalman(loaded, loop, result, most=COMPARED)
         else:
             numbers["notes"].append(NOT_COMPARED)
+    if not json and not quiet:
+        output.print_report(numbers)  # the figure takes seconds
     if out is not None:
         output.write_files(out, result, numbers, signals)
     if json:
         numbers["notes"] += notes
         typer.echo(output.as_json(numbers))
-    elif not quiet:
-        output.print_report(numbers, out)
+    elif out is not None and not quiet:
+        output.say_written(out)
 
 
 def _compare(scenario: Scenario) -> None:
@@ -190,12 +195,33 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "units": {q.name: q.unit for q in signals.quantities},
         "law": _law(scenario.controller),
         **figures(signals).to_dict(),
-        "notes": [*_notes(scenario, signals), *(never_began(loop, result) if result.decimation == 1 else ())],
+        "notes": [
+            *_notes(scenario, signals),
+            *_limited(loop, result),
+            *(never_began(loop, result) if result.decimation == 1 else ()),
+        ],
     }
     if pace := result.metadata.get("pace"):
         numbers["pace"] = pace
         numbers["notes"].append(_in_time(pace))
     return numbers, signals
+
+
+def _limited(loop: Diagram, result: Result) -> Iterator[str]:
+    """Give a sentence for each control that is at one of its limits for a large part of a run."""
+    roles = find_roles(loop)
+    name = f"{roles.controller}.u"
+    if name not in result:
+        return
+    for control, u in zip(roles.controls, result[name].reshape(len(result.time), -1).T, strict=True):
+        for limit, at in ((control.low, u <= (-np.inf if control.low is None else control.low)),
+                          (control.high, u >= (np.inf if control.high is None else control.high))):  # fmt: skip
+            if limit is not None and (share := float(at.mean())) >= LIMITED:
+                unit = f" {control.unit}" if control.unit else ""
+                yield (
+                    f"The control {control.name} is at its limit of {limit:g}{unit} for {share:.0%} of the run, "
+                    "where it cannot do more. Is the goal within its reach?"
+                )
 
 
 def _law(controller: Block) -> str:
