@@ -278,7 +278,7 @@ def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
         ({}, "", "is blamed for"),
         (
             {"initial_mean = 20.0": "initial_mean = 20.0\nu_max = 100.0"},
-            "force is at its limit of 100 for",
+            "force is at its limit of 100 N for",
             "limit of -",
         ),
         ({"initial_mean = 20.0": "initial_mean = 20.0\nu_min = -1e9\nu_max = 1e9"}, "", "at its limit"),
