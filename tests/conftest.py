@@ -252,6 +252,19 @@ def bayesftc_(tmp_path, monkeypatch):
     return run
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Save an empty figure in place of each: of six panels it takes 0.7 s, which a test of the files beside it can save."""
+    from matplotlib.figure import Figure
+
+    usual = Figure.savefig
+
+    def save(self, file, **settings):
+        usual(Figure(self.get_size_inches()), file, **settings)
+
+    monkeypatch.setattr(Figure, "savefig", save)
+
+
 TELLING = """
 import sys
 from contextlib import contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -82,6 +83,20 @@ def steady_covariance(model: LinearModel) -> Floats:
     return np.asarray((P + P.T) / 2, dtype=np.float64)
 
 
+class _ByValue:
+    """A matrix that equals another of the same elements in the same order in memory, in which sums have the same bits."""
+
+    def __init__(self, matrix: Floats) -> None:
+        self.matrix = matrix.copy(order="K")
+        self._key = matrix.shape, matrix.strides, matrix.tobytes()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _ByValue) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
 def predicted_covariance(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
     """Return the solution of the filter's Riccati equation.
 
@@ -93,8 +108,14 @@ def predicted_covariance(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
     LinAlgError, ValueError
         If there is none.
     """
+    return _solved(*map(_ByValue, (A, C, Q, R))).copy(order="K")
+
+
+@lru_cache(maxsize=512)  # a design, its learner, and each diagnosis ask for the same filters
+def _solved(*given: _ByValue) -> Floats:
     from scipy.linalg import LinAlgWarning, solve_discrete_are, solve_discrete_lyapunov
 
+    A, C, Q, R = (each.matrix for each in given)
     P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
     for _ in range(NEWTON_STEPS):
         if _is_covariance(P):

@@ -42,12 +42,12 @@ CAMPAIGNS = {
     "a hundred million points": changed("[0.5, 1.0]", str(list(range(1, 10_001))), CAMPAIGN)
     + f'"faults[0].start" = {[0.02 * k for k in range(10_000)]}\n',
 }
-RECORDINGS = {
-    "a million columns": "t," + ",".join(f"s{i}" for i in range(10**6)) + "\n" + ("1," * 10**6 + "1\n") * 3,
-    "steps of a thousand years": "t,a,b,c\n0,1,1,1\n1e12,1,1,1\n",
-    "a long cell": "t,a,b,c\n0,1,1,1\n1," + "1" * 10**7 + ",1,1\n",
-    "a long line": "t,a,b,c\n0,1,1,1\n1" + "," * 10**7 + "\n",
-    "one line": "x" * 10**8,
+RECORDINGS = {  # made by the test, and not by each process that collects it: a hundred megabytes
+    "a million columns": lambda: "t," + ",".join(f"s{i}" for i in range(10**6)) + "\n" + ("1," * 10**6 + "1\n") * 3,
+    "steps of a thousand years": lambda: "t,a,b,c\n0,1,1,1\n1e12,1,1,1\n",
+    "a long cell": lambda: "t,a,b,c\n0,1,1,1\n1," + "1" * 10**7 + ",1,1\n",
+    "a long line": lambda: "t,a,b,c\n0,1,1,1\n1" + "," * 10**7 + "\n",
+    "one line": lambda: "x" * 10**8,
 }
 
 
@@ -97,5 +97,5 @@ def test_campaigns(line, text):
 def test_recordings(line, text):
     check(
         line,
-        Case(("monitor", "data.csv", "--model", "model.toml", "--json"), {"model.toml": MONITOR, "data.csv": text}),
+        Case(("monitor", "data.csv", "--model", "model.toml", "--json"), {"model.toml": MONITOR, "data.csv": text()}),
     )

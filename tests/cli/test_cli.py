@@ -85,6 +85,7 @@ def independent(arrays, stop=1000):
     }
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_faults_of_an_actuator_are_reported(bayesftc_, tmp_path):
     fault = '[[input_faults.force]]\nkind = "GainFault"\nfactor = 0.5\nstart = 0.5\nstop = 1.0\n'
     (tmp_path / "car.toml").write_text(CAR + fault)
@@ -106,6 +107,7 @@ def test_faults_of_an_actuator_are_reported(bayesftc_, tmp_path):
     assert numbers["tracking"]["v"]["during"] is not None
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_the_controller_says_of_its_actuators_is_reported(bayesftc_, tmp_path):
     text = CAR[: CAR.index("[controller.precision]")]
     text += '[controller.precision]\nkind = "SwitchingPrecision"\nmodes = [{ kind = "Frozen" }]\n'
@@ -181,6 +183,7 @@ def test_quiet_prints_nothing_and_twice_gives_the_same_files(bayesftc_, tmp_path
     assert contents[0] == contents[1]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_files_that_are_replaced_are_noted(bayesftc_, tmp_path):
     assert "exist" not in run_car(bayesftc_, "--duration", "1", "--out", "out").stderr
     (tmp_path / "out" / "figure.png").unlink()
@@ -212,6 +215,7 @@ def test_check_kalman(bayesftc_):
     assert f"{check['mean_absolute']:.2e}" in table
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_belief_that_is_not_finite(bayesftc_, tmp_path, monkeypatch):
     """It is told, with numbers that JSON can say, and all files are there."""
     simulate = Scenario.simulate
@@ -454,6 +458,7 @@ def test_decimation_does_not_shorten_the_run(bayesftc_, tmp_path):
     assert (numbers["duration"], numbers["steps"]) == (20.0, 1000)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_that_stops_keeps_what_it_has(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("v0 = 20.0", "m = 1e-320, v0 = 20.0"))
     done = bayesftc_("run", "car.toml", "--out", "out")
@@ -481,6 +486,7 @@ def test_a_folder_that_cannot_be_written_is_known_before_the_run(bayesftc_, tmp_
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "taken"]
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("there", [False, True])
 @pytest.mark.parametrize("raised", [OSError(28, "No space left on device"), KeyboardInterrupt()])
@@ -589,6 +595,7 @@ def test_bench_passes_its_options_on(bayesftc_, monkeypatch):
     assert seen == [*every, {"json": False, "quick": False, "sections": ["export", "memory"]}]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("line", "found"), [("bayesftc ru", {"run"}), ("bayesftc run --ou", {"--out"})])
 def test_a_shell_completes_commands_and_options(line, found):
     words = {"COMP_WORDS": line, "COMP_CWORD": str(len(line.split()) - 1), "_BAYESFTC_COMPLETE": "complete_bash"}

@@ -81,6 +81,7 @@ def test_it_prints_the_fault_and_writes_all_files(files, tmp_path):
     assert (out / "figure.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_faults_of_an_actuator_are_shown_beside_the_sensors(tmp_path):
     """A level that a pump fills: the pump gives .8 more from 20 to 35 s, sensor b 1.5 more from 45 to 52 s."""
     rng = np.random.default_rng(0)
@@ -161,6 +162,7 @@ def test_nothing_found_and_nothing_to_find(files, tmp_path):
     assert "There is no fault probability: FixedPrecision does not infer faults." in done.output
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_file_that_cannot_be_written_leaves_none_behind(files, tmp_path, monkeypatch):
     def full(self):
         raise OSError(28, "No space left on device")
@@ -216,6 +218,7 @@ def test_the_columns_of_a_fit_are_explained_and_gaps_named(drive, tmp_path):
     assert f"Gaps are not counted as missing: {sentence}" in done.output
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_model_is_fitted_and_written(drive, tmp_path):
     out = tmp_path / "results"
     done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--to", "29", "--out", str(out)])

@@ -88,6 +88,7 @@ def inspected(*arguments, width=80):
     return done.stdout
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("width", [80, 120])
 def test_the_table_fits_the_terminal(width):
     text = inspected("TwoLinkArm", width=width)

@@ -300,7 +300,7 @@ def perform(desk, actions):
         desk.advance_to(desk.k + (rest[0] if what == "on" else 7))
 
 
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(ACTIONS)
 def test_random_actions_have_the_bits_of_the_file(tmp_path, actions):
     with Desk("cruise_control", beside=()) as desk:

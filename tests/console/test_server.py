@@ -345,66 +345,75 @@ def test_page_has_a_policy_and_nothing_from_elsewhere(address):
         assert get(address, path)[0] == 404
 
 
-def test_other_addresses_need_the_token():
-    with served("cruise_control", "--alone", "--host", "0.0.0.0") as (process, shown):
-        assert "write a name or address of this machine in place of 0.0.0.0" in process.stderr.readline()
-        token = re.search(r"token=(\S+)", shown)[1]
-        address = shown.replace("0.0.0.0", "127.0.0.1")
-        assert len(token) > 30
-        for path in (
-            "/",
-            "/page/console.js",
-            "/download/scenario.toml",
-            "/?token=",
-            "/?token=wrong",
-            "/?xtoken=1",
-            "/?x=once=1",
-        ):
-            assert get(address, path)[0] == 403
-        for cookie in ("", "token=x", f"other={token}", f"bayesftc-1={token}", ";;==", "a" * 5000):
-            assert get(address, "/", Cookie=cookie)[0] in (400, 403)
-            with pytest.raises(InvalidStatus):
-                Viewer(address, additional_headers={"Cookie": cookie})
-        status, headers, _ = get(address, f"/?token={token}")
-        assert status == 303
-        assert headers["location"] == "/"
-        cookie = headers["set-cookie"]
-        assert "HttpOnly" in cookie
-        assert "SameSite=strict" in cookie
-        cookie = cookie.split(";")[0]
-        assert get(address, "/", Cookie=cookie)[0] == 200
-        with pytest.raises(InvalidStatus):
-            Viewer(address, origin="http://evil.example", additional_headers={"Cookie": cookie})
-        with Viewer(address, additional_headers={"Cookie": cookie}) as viewer:
-            viewer.ready()
-            assert [lane["name"] for lane in viewer.layout["lanes"]] == ["SwitchingPrecision"]
-
-
-def test_a_browser_is_opened_with_a_pass_for_one_use(tmp_path, monkeypatch):
-    """The arguments of a browser's process are in the list of processes: the token is not among them."""
-    browser, seen = tmp_path / "browser", tmp_path / "seen"
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory):
+    """What a console for other machines prints first, its address, and the file with what its browser was started with."""
+    folder = tmp_path_factory.mktemp("browser")
+    browser, seen = folder / "browser", folder / "seen"
     browser.write_text(f'#!/bin/sh\necho "$@" > {seen}.part\nmv {seen}.part {seen}\n')
     browser.chmod(0o755)
-    monkeypatch.setenv("BROWSER", f"{browser} %s")
-    with served("cruise_control", "--alone", "--host", "0.0.0.0", "--open") as (_, shown):
-        token = re.search(r"token=(\S+)", shown)[1]
-        until(seen.exists)
-        opened = seen.read_text().strip()
-        assert token not in opened
-        address, query = re.fullmatch(r"(http://0\.0\.0\.0:\d+)/(\?once=\S{40,})", opened).groups()
-        address = address.replace("0.0.0.0", "127.0.0.1")
-        for wrong in ("/?once=", "/?once=x", f"/page/console.js{query}", f"/download/scenario.toml{query}"):
-            assert get(address, wrong)[0] == 403
-        status, headers, _ = get(address, f"/{query}")
-        assert (status, headers["location"]) == (303, "/")
-        assert {"HttpOnly", "SameSite=strict", "Path=/"} <= {*headers["set-cookie"].split("; ")}
-        cookie = headers["set-cookie"].split(";")[0]
-        assert get(address, "/", Cookie=cookie)[0] == 200
-        status, headers, body = get(address, f"/{query}")  # once more
-        assert (status, body) == (
-            403, b"This address does not count any more. Open the one with the token that has been printed.",
-        )  # fmt: skip
-        assert "set-cookie" not in headers
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("BROWSER", f"{browser} %s")
+        with served("cruise_control", "--alone", "--host", "0.0.0.0", "--open") as (process, shown):
+            yield process.stderr.readline(), shown, seen
+
+
+def test_other_addresses_need_the_token(elsewhere):
+    said, shown, _ = elsewhere
+    assert "write a name or address of this machine in place of 0.0.0.0" in said
+    token = re.search(r"token=(\S+)", shown)[1]
+    address = shown.replace("0.0.0.0", "127.0.0.1")
+    assert len(token) > 30
+    for path in (
+        "/",
+        "/page/console.js",
+        "/download/scenario.toml",
+        "/?token=",
+        "/?token=wrong",
+        "/?xtoken=1",
+        "/?x=once=1",
+    ):
+        assert get(address, path)[0] == 403
+    for cookie in ("", "token=x", f"other={token}", f"bayesftc-1={token}", ";;==", "a" * 5000):
+        assert get(address, "/", Cookie=cookie)[0] in (400, 403)
+        with pytest.raises(InvalidStatus):
+            Viewer(address, additional_headers={"Cookie": cookie})
+    status, headers, _ = get(address, f"/?token={token}")
+    assert status == 303
+    assert headers["location"] == "/"
+    cookie = headers["set-cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=strict" in cookie
+    cookie = cookie.split(";")[0]
+    assert get(address, "/", Cookie=cookie)[0] == 200
+    with pytest.raises(InvalidStatus):
+        Viewer(address, origin="http://evil.example", additional_headers={"Cookie": cookie})
+    with Viewer(address, additional_headers={"Cookie": cookie}) as viewer:
+        viewer.ready()
+        assert [lane["name"] for lane in viewer.layout["lanes"]] == ["SwitchingPrecision"]
+
+
+def test_a_browser_is_opened_with_a_pass_for_one_use(elsewhere):
+    """The arguments of a browser's process are in the list of processes: the token is not among them."""
+    _, shown, seen = elsewhere
+    token = re.search(r"token=(\S+)", shown)[1]
+    until(seen.exists)
+    opened = seen.read_text().strip()
+    assert token not in opened
+    address, query = re.fullmatch(r"(http://0\.0\.0\.0:\d+)/(\?once=\S{40,})", opened).groups()
+    address = address.replace("0.0.0.0", "127.0.0.1")
+    for wrong in ("/?once=", "/?once=x", f"/page/console.js{query}", f"/download/scenario.toml{query}"):
+        assert get(address, wrong)[0] == 403
+    status, headers, _ = get(address, f"/{query}")
+    assert (status, headers["location"]) == (303, "/")
+    assert {"HttpOnly", "SameSite=strict", "Path=/"} <= {*headers["set-cookie"].split("; ")}
+    cookie = headers["set-cookie"].split(";")[0]
+    assert get(address, "/", Cookie=cookie)[0] == 200
+    status, headers, body = get(address, f"/{query}")  # once more
+    assert (status, body) == (
+        403, b"This address does not count any more. Open the one with the token that has been printed.",
+    )  # fmt: skip
+    assert "set-cookie" not in headers
 
 
 def test_a_pass_counts_once_and_soon():

@@ -2,6 +2,7 @@
 
 import ctypes
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,18 +15,21 @@ STEP = "int32(voidptr, CPointer(CPointer(double)), CPointer(double), CPointer(do
 DT = 0.01
 
 
-@cfunc(STEP)
-def read(state, table, inputs, outputs, t, k):
-    outputs[0] = table[0][0]
-    return 0
+@cache  # when the first cart is made, and not in each process that collects these tests
+def library():
+    @cfunc(STEP)
+    def read(state, table, inputs, outputs, t, k):
+        outputs[0] = table[0][0]
+        return 0
 
+    @cfunc(STEP)
+    def move(state, table, inputs, outputs, t, k):
+        cart = table[0]  # position, speed, mass, step size
+        cart[0] += cart[3] * cart[1]
+        cart[1] += cart[3] * inputs[0] / cart[2]
+        return 7 if abs(inputs[0]) > 1e3 else 0
 
-@cfunc(STEP)
-def move(state, table, inputs, outputs, t, k):
-    cart = table[0]  # position, speed, mass, step size
-    cart[0] += cart[3] * cart[1]
-    cart[1] += cart[3] * inputs[0] / cart[2]
-    return 7 if abs(inputs[0]) > 1e3 else 0
+    return read, move
 
 
 class RunningCart:
@@ -34,6 +38,7 @@ class RunningCart:
     def __init__(self, mass, h, words):
         self.numbers = np.array([0.0, 0.0, mass, h])
         self.table = np.full(words, self.numbers.ctypes.data)
+        read, move = library()
         self.output_address, self.update_address = read.address, move.address
         self.read, self.move = C_STEP(read.address), C_STEP(move.address)
 

@@ -311,9 +311,10 @@ if sys.argv[1] == "store":
     ("action", "words"),
     [
         ("simulate", "KeyboardInterrupt|Stopped by Ctrl-C at t = "),
-        (
+        pytest.param(
             "memory",
             "KeyboardInterrupt|Stopped by Ctrl-C: none of the 8 runs is kept, because the campaign has no store.\n",
+            marks=pytest.mark.slow,
         ),
         ("store", "KeyboardInterrupt|Stopped by Ctrl-C: 2 of 8 runs are kept in "),
     ],

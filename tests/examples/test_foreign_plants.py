@@ -44,7 +44,7 @@ def made(tmp_path_factory):
     return make
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("tool", CASES)
 def test_from_the_file_to_a_loop_that_tracks(made, tool, capsys):
     """Of the two sensors one fails; the loop holds its goal, and says which one it was."""

@@ -88,7 +88,7 @@ def states(result):
     return np.column_stack([result[f"arm.{name}"] for name in STATE])
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("given", "size", "tolerance"),
     [({}, 150.0, 1e-6), ({"max_substep": 1e-4}, 150.0, 1e-10), (LIGHT, 8.0, 1e-8)],

@@ -64,6 +64,7 @@ def test_a_rebuilt_fmu_behaves_as_the_shipped_one(built, fmi):
     assert np.array_equal(old, new)
 
 
+@pytest.mark.sampled(1)
 @needs_compiler
 @pytest.mark.parametrize("fmi", FMI_VERSIONS)
 def test_an_arm_by_another_compiler_has_the_same_bits(tmp_path, fmi):
@@ -177,6 +178,7 @@ def leaky(folder):
     )
 
 
+@pytest.mark.sampled(1)
 @needs_compiler
 @pytest.mark.parametrize("fmi", FMI_VERSIONS)
 def test_the_wrappers_take_any_model_that_keeps_the_contract(tmp_path, fmi):

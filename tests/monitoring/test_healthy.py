@@ -24,7 +24,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("sensors", [1, 3])
 @pytest.mark.parametrize("kind", FAULTS)
 def test_a_fault_takes_the_weight_of_its_sensor_only(kind, sensors):

@@ -279,6 +279,7 @@ def broken(fault):
 SENSORS = {"Frozen": "left", "Offset": "right", "Drifting": "left", "Noisier": "left", "DroppedOut": "gnss"}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("fault", SENSORS)
 def test_a_fault_is_found_with_its_kind_onset_and_size(fault, tmp_path):
     found = found_in(tmp_path, broken(fault))

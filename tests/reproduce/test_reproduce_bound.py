@@ -195,6 +195,7 @@ def test_report_compares_stream_by_stream(report):
     assert report["moved"] < FEW.moves
 
 
+@pytest.mark.slow
 def test_same_bits_for_any_number_of_jobs(report):
     assert run(jobs=1) == report
 

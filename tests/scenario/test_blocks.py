@@ -100,7 +100,7 @@ to = "controller.y"
 
 def test_the_shipped_scenario_has_a_subsystem_at_its_own_rate():
     scenario = load_scenario("smooth_car")
-    result = short(scenario, 8.0)
+    result = scenario.simulate(duration=8.0)
     assert scenario.loop()["warning.lamp"].every == 5
     assert np.diff(result["shaper.y"]).max() <= 0.02 + 1e-9
     assert result["warning.times"][-1] == 1.0

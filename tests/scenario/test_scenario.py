@@ -81,7 +81,7 @@ def test_faults_on_a_condition(write, same_bits):
     assert scenario.faults == [cosim.Freeze(start=condition, stop=other, duration=2.0, latching=False)]
     as_text = load_scenario(write(("start = 6.0", "start = 'plant.v > 22'"), ("stop = 14.0", "duration = 2")))
     assert as_text.faults == [cosim.Freeze(start=condition, duration=2.0)]
-    result = short(as_text, duration=4.0)
+    result = as_text.simulate(duration=4.0)
     first = int(np.argmax(result["plant.v"] > 22.0))
     assert 0 < first < 100
     same_bits(result["freeze_0.active"], (np.abs(np.arange(201) - first - 49.5) < 50).astype(float))

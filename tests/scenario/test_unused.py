@@ -34,7 +34,7 @@ def car(tmp_path):
 
 def test_a_fault_after_the_end_is_a_note_where_it_disturbs_nobody(bayesftc_, car):
     car()
-    short = ("run", "car.toml", "--engine", "interpreted", "--duration", "2")
+    short = ("run", "car.toml", "--duration", "2")
     note = "car.toml: 'faults[0]' starts at 6 s, but the run ends at 2 s. The fault has no effect."
     assert f"Note: {note}\n" == bayesftc_(*short).stderr
     assert bayesftc_(*short, "--quiet").output == ""
@@ -153,13 +153,13 @@ def late_car():
 
 def test_python_warns_of_a_fault_after_the_end_at_the_line_of_the_call(recwarn):
     loop, sentence = late_car()
-    loop.simulate(2.0, engine="interpreted")
+    loop.simulate(2.0)
     (warning,) = recwarn.list
     assert str(warning.message) == f"{sentence} The fault has no effect."
     assert warning.filename == __file__
     recwarn.clear()
-    loop.simulate(6.1, engine="interpreted")
-    with loop.start(engine="interpreted") as session:
+    loop.simulate(6.1)
+    with loop.start() as session:
         session.advance(1.0)  # it may be continued beyond the start
     assert not recwarn.list
 

@@ -205,6 +205,7 @@ def test_with_a_random_walk_and_one_step_the_states_prediction_error_is_zero():
         np.testing.assert_array_equal(weak(y=row, goal=[1.0]).x_hat, strong(y=row, goal=[1.0]).x_hat)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(5))
 def test_inner_steps_lower_the_free_energy(seed):
     controller, *_, rng = random_case(seed, "euler", pull)
@@ -252,7 +253,7 @@ def rough_samples(steps=120):
     return y
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("control", ["gradient", "law"])
 @pytest.mark.parametrize("precision", LEARNERS, ids=repr)
 def test_rough_samples_leave_everything_finite_with_every_learner(precision, control):
@@ -422,7 +423,7 @@ def in_units(unit, **options):
     return small(**given)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     "options",
     [

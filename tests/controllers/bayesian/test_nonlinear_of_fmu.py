@@ -59,7 +59,7 @@ def loop_of(pendulum, model, **options):
 
 def test_the_run_is_that_of_the_equations_written_by_hand(pendulum, model, run_both):
     known = NonlinearModel(by_hand, angle_thrice, 2, 1, 3, **NOISE, dt=DT)
-    results = [run_both(loop_of(pendulum, model), 0.6, seed=3), loop_of(pendulum, known).simulate(0.6, seed=3)]
+    results = [run_both(loop_of(pendulum, model), 0.3, seed=3), loop_of(pendulum, known).simulate(0.3, seed=3)]
     for name in ("controller.x_hat", "controller.u", "controller.fault_probability", "plant.y"):
         np.testing.assert_allclose(results[0][name], results[1][name], rtol=1e-8, atol=1e-8)
 

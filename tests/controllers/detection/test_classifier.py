@@ -32,15 +32,19 @@ def log_logistic():
     return make_pipeline(FunctionTransformer(np.log), StandardScaler(), LogisticRegression())
 
 
+@parametrize_with_checks([FaultClassifier(), FaultClassifier(forest())])
+def test_scikit_learns_own_checks(estimator, check):
+    check(estimator)
+
+
+@pytest.mark.slow
 @parametrize_with_checks(
     [
-        FaultClassifier(),
         FaultClassifier(make_pipeline(StandardScaler(), LogisticRegression())),
-        FaultClassifier(forest()),
         FaultClassifier(GradientBoostingClassifier(n_estimators=5, random_state=0)),
     ]
 )
-def test_scikit_learns_own_checks(estimator, check):
+def test_scikit_learns_own_checks_of_others(estimator, check):
     check(estimator)
 
 

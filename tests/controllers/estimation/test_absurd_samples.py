@@ -88,7 +88,7 @@ def same_but_for_the_fault(got, expected, absurd, probability):
             np.testing.assert_array_equal(out[name], values, err_msg=f"{name} at {k}")
 
 
-@pytest.mark.sampled(5)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("values", VALUES)
 @pytest.mark.parametrize("precision", LEARNERS, ids=repr)
 def test_every_learner_takes_them_as_missing_and_faulty_and_is_back_within_a_second(precision, values):
@@ -101,7 +101,7 @@ def test_every_learner_takes_them_as_missing_and_faulty_and_is_back_within_a_sec
     assert np.abs(estimates(outs) - estimates(healthy))[last + 50 :].max() < 0.1 * STD[0]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("values", VALUES)
 @pytest.mark.parametrize("block", CONTROLLERS, ids=lambda block: type(block).__name__)
 def test_every_controller_takes_them_as_missing_and_is_back_within_a_second(block, values):
@@ -113,7 +113,7 @@ def test_every_controller_takes_them_as_missing_and_is_back_within_a_second(bloc
     assert np.abs(estimates(outs) - estimates(run(block, y)))[last + 50 :].max() < 0.1 * STD[0]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "block",
     [
@@ -169,7 +169,7 @@ def test_a_sensor_that_stays_absurd_is_a_faulty_one_for_ever():
         assert probabilities(outs)[-1].max() < 0.05
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("precision", LEARNERS, ids=repr)
 @pytest.mark.parametrize("case", ["start", "rest", "jump", "stuck"])
 def test_no_estimator_is_deaf_for_ever(precision, case):

@@ -200,16 +200,15 @@ def test_absurd_errors_are_detected():
 
 def test_learned_on_a_healthy_run_of_the_shipped_car():
     """The whole way: a healthy run, a threshold for each sensor, a faulty run that is seen and survived."""
-    plain = {"engine": "interpreted"}
     never = replace(FREEZE, start=1000.0, stop=1001.0)
-    healthy = cruise_control(FixedPrecision(), fault=never).simulate(20.0, seed=7, **plain)
+    healthy = cruise_control(FixedPrecision(), fault=never).simulate(20.0, seed=7)
     thresholds = [ChebyshevThreshold(0.05).fit(healthy["controller.innovation"][:, i]) for i in range(2)]
     errors = {}
     for precision in (
         FixedPrecision(),
         ExplicitDetection(GammaPrecision(calibration=Calibration(2.0, -3.0)), thresholds),
     ):
-        result = cruise_control(precision).simulate(20.0, seed=3, **plain)
+        result = cruise_control(precision).simulate(20.0, seed=3)
         errors[type(precision)] = np.sqrt(np.mean((result["plant.v"] - result["reference.y"])[300:700] ** 2))
     detected = result["controller.detected"] > 0.5
     assert not detected[:300].any()

@@ -88,7 +88,7 @@ def run(precision, y, compiled=True, **options):
     return [step(y=row, goal=[20.0]) for row in y]
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("precision", EXAMPLES, ids=repr)
 def test_compiled_and_plain_agree_to_the_last_bit_and_stay_finite(precision):
     y = samples()
@@ -110,7 +110,7 @@ FORGETFUL = [
 ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("precision", [*EXAMPLES, *FORGETFUL], ids=repr)
 def test_long_dropouts_are_survived(precision):
     """Both sensors fall silent for a long time and return: precisions stay positive, the belief finds the car again."""
@@ -140,7 +140,7 @@ def test_the_belief_is_filterpys_given_the_covariances_that_are_reported(precisi
         assert np.isinf(R[150, 0, 0])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("precision", FORGETFUL, ids=repr)
 def test_sensors_that_agree_exactly_for_ever_stay_finite(precision):
     model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], 0.02)
@@ -431,7 +431,7 @@ def all_controllers(precision):
             continue  # it does not take this learner
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("precision", [*EXAMPLES, SwitchingPrecision()], ids=repr)
 def test_what_is_in_scratch_space_before_a_step_function_means_nothing(precision, same_bits):
     found = list(all_controllers(precision))

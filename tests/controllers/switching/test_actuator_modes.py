@@ -173,7 +173,7 @@ def test_the_unit_of_an_offset_is_what_the_state_that_tells_most_tells():
     """A force on a double integrator shows in the speed, of which the position's noise says nothing."""
     model = LinearModel([[1, 0.02], [0, 1]], [[2e-4], [0.02]], np.eye(2), [1e-3, 1e-3], 1.0, STEP)
     rng, x = np.random.default_rng(0), np.zeros(2)
-    step = StateEstimator(model, SwitchingPrecision(actuator_modes=(InputOffset(),))).online(compiled=False)
+    step = StateEstimator(model, SwitchingPrecision(actuator_modes=(InputOffset(),))).online()
     for k in range(300):
         out = step(y=list(x + rng.normal(size=2)), u=[0.0])
         x = (

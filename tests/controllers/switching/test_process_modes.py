@@ -155,7 +155,7 @@ SLOW = LinearModel([[1.001]], [[1.0]], [[1.0]], 1e-12, 1.0, 0.001)
 """It falls apart slowly, and its filter takes thousands of samples to settle."""
 
 
-@pytest.mark.parametrize("model", [MODEL, TWO, MODEL.with_disturbance(4.0), SLOW])
+@pytest.mark.parametrize("model", [MODEL, TWO, MODEL.with_disturbance(4.0), pytest.param(SLOW, marks=pytest.mark.slow)])
 def test_how_fast_the_filter_of_a_model_follows_its_sensors(model):
     """Against filterpy's filter, once it has settled."""
     one = KalmanFilter(model.states, model.sensors)

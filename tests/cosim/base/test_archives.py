@@ -329,7 +329,7 @@ def test_what_a_killed_process_has_left_is_cleared_away(cache):
     assert {p.name for p in folder.parent.iterdir()} == {archive.digest, f"{archive.digest}.lock"}
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=75, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.text("ab./\\:\0~\n", min_size=1, max_size=8), max_size=4))
 def test_whatever_the_names_all_lands_in_the_folder(tmp_path_factory, names):
     folder = tmp_path_factory.mktemp("names")
@@ -349,7 +349,7 @@ def test_whatever_the_names_all_lands_in_the_folder(tmp_path_factory, names):
     assert all(p.read_text() == "content" and not p.is_symlink() for p in found)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=75, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_damage_ends_in_a_sentence(tmp_path_factory, data):
     folder = tmp_path_factory.mktemp("damage")
@@ -364,7 +364,7 @@ def test_any_damage_ends_in_a_sentence(tmp_path_factory, data):
         assert describe(path).kinds
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=75, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_description_ends_in_a_sentence(tmp_path_factory, data):
     """Values of attributes are put in each other's place, and what is not validated is read all the same."""

@@ -32,6 +32,7 @@ def run(block, y):
     return [step(y=row, **{port.name: 20.0 for port in block.inputs if port.name != "y"}) for row in y]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("block", READERS, ids=lambda block: type(block).__name__)
 def test_a_sample_of_such_a_value_is_a_missing_one(block):
     rng = np.random.default_rng(0)

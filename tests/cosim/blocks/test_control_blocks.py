@@ -111,6 +111,7 @@ DISCRETE = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("make", DISCRETE.values(), ids=DISCRETE)
 def test_every_discrete_system_is_a_block(make, fed):
     system = make()

@@ -50,6 +50,7 @@ def file(tmp_path):
     return path
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_from_file_to_report_and_replay(bayesftc_, file, tmp_path, same_bits):
     done = bayesftc_("campaign", file, "--jobs", 2)
     assert done.exit_code == 0, done.output

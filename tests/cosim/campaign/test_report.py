@@ -257,6 +257,7 @@ def detected(score, seed=0, points=PRECISIONS, seeds=3):
     }, both
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_areas_under_the_curve_are_those_of_scikit_learn(stored):
     from sklearn.metrics import roc_auc_score
 
@@ -511,6 +512,7 @@ def test_two_hundred_levels(stored):
     assert "140 further rows are left out here." in page.words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_points_that_fill_ranges(stored):
     design = cosim.LatinHypercube({"mass": (80.0, 120.0), "gain": (0.0, 1.0), "n": range(1, 100)}, 40)
     points = [dict(p) for p in design.labels()]
@@ -540,6 +542,7 @@ def test_labels_are_texts_whatever_is_in_them(stored):
         assert any(label in row for row in page.tables["Results"])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_factor_that_is_called_like_a_signal_or_a_column(stored):
     points = grid(**{"plant.v": [1.0, 2.0], "seed": [7, 8], "rmse": ["x", "y"]})
     signals, _ = detected(lambda both, rng: rng.normal(size=both.shape), points=points)
@@ -553,6 +556,7 @@ def test_a_factor_that_is_called_like_a_signal_or_a_column(stored):
     assert page.tables["Comparison"][1][0] == "x − y"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_values_that_are_missing_or_true_and_false(stored):
     points = [{"on": on, "model": model} for on in (True, False) for model in (None, "large")]
     store = stored(points, 5, {"rmse": noisy(points, 5, lambda p: 1.0 + p["on"] + 2.0 * (p["model"] is None))})
@@ -570,6 +574,7 @@ def test_signals_that_are_vectors_and_a_loop_without_a_controller(stored):
     assert ["recorded", "filter.x, filter.P"] in page.tables["Settings"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_loop_whose_faults_were_not_recorded(stored):
     signals, _ = detected(lambda both, rng: rng.normal(size=both.shape))
     del signals["freeze_0.active"]

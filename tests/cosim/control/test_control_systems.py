@@ -195,6 +195,7 @@ PLANTS = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=PLANTS)
 def test_a_loop_put_together_by_python_control_gives_our_numbers(plant):
     ours = loop(cosim.StateSpace(linear_car(), initial=[20.0])).simulate(2.0, seed=3, engine="interpreted")
@@ -402,7 +403,7 @@ def test_an_isolated_fmu_is_one_like_any_other():
     np.testing.assert_array_equal(response(system, force).outputs, response(twin, force).outputs)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("saves", [True, False])
 @pytest.mark.parametrize("fmi", FMI)
 def test_any_fmu_stands_in_a_loop_of_python_control(foreign, fmi, saves):

@@ -75,6 +75,7 @@ def test_every_learner_is_linearized_to_finite_numbers_in_a_nonlinear_controller
     check_finite(nonlinear(learner()))
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("make", [bayesian, lqg])
 @pytest.mark.parametrize(
     "learner",

@@ -187,6 +187,7 @@ def nonlinear():
     )
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("make", [active, nonlinear])
 def test_other_controllers_are_linearized_at_their_beginning(make):
     """The poles are among those of the whole loop, which python-control linearizes with all that the controller keeps."""

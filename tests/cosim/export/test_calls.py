@@ -211,7 +211,7 @@ def test_a_step_that_an_importer_computes_from_its_times(exported, instance, fmi
     assert it.log == []
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seconds", ["1/30", "1/3000"])
 def test_a_step_that_an_importer_counts_in_nanoseconds(instance, tmp_path, fmi, seconds, c_compiler):
     """Of such a step there is no whole number; libcosim is an importer of this kind."""

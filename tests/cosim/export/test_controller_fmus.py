@@ -53,6 +53,7 @@ def path(request, tmp_path_factory, c_compiler):
     return cosim.export_fmu(CONTROLLER, folder / "controller.fmu", fmi=request.param)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("dt", [None, 0.01])
 def test_a_loop_takes_the_fmu_in_place_of_the_controller_with_the_same_numbers(path, dt):
     runs = [loop(each, dt=dt).simulate(2.0, seed=1) for each in (CONTROLLER, cosim.FMU(path))]

@@ -12,7 +12,7 @@ from bayesftc.cosim.export.program import program_of
 BASES = {cosim.Block, cosim.Fault, cosim.Source}
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.sampled(8)
 def test_the_same_bits_as_plain_python(block, sample_time, random_inputs, compiled, same_bits):
     rng = np.random.default_rng(3)
     plain, c = block.online(sample_time(block), compiled=False), compiled(block, dt=sample_time(block))

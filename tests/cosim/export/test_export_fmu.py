@@ -99,7 +99,7 @@ def test_blocks_that_are_fused_are_one_fmu(tmp_path, car):
     fmu = cosim.FMU(path)
     assert fmu.description.blocks == ("sensors", "freeze_0", "controller")
     assert [port.name for port in fmu.inputs] == ["sensors.u", "sensors.noise", "controller.goal"]
-    found = cosim.verify_fmu(path, loop, duration=16.0, engine="interpreted")
+    found = cosim.verify_fmu(path, loop, duration=8.0, engine="interpreted")
     assert found.agrees(), found
     assert found.verdict().startswith("front.fmu does what sensors, freeze_0 and controller do: the same numbers")
 
@@ -254,7 +254,7 @@ def test_signals_under_new_names_are_found_again(car, tmp_path):
         inputs={"y": "speeds", "goal": "wanted"},
         outputs={"u": "force"},
     )
-    found = cosim.verify_fmu(path, loop, duration=8.0, engine="interpreted")
+    found = cosim.verify_fmu(path, loop, duration=2.0, engine="interpreted")
     assert found.agrees()
     assert [d.signal for d in found.beside] == ["controller.u"]
     assert "the FMU does not have them: controller.x_hat, controller.P" in " ".join(found.notes)

@@ -214,6 +214,7 @@ def arguments(u, y, k):
 KERNELS = [numbers, operations, loops, order, rows, aliases, call_order, hidden_names, truth, choices, arguments]
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.__name__)
 def test_the_bits_of_python(kernel, compiled, same_bits):
     rng = np.random.default_rng(1)

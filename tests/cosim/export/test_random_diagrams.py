@@ -46,7 +46,7 @@ def ran(diagram, seed, engine):
         return error.result, str(error)
 
 
-@few_and_many(12, 400)
+@few_and_many(6, 400)
 def test_both_engines(count, same_bits):
     def check(diagram, seed, plan):
         (one, reason), (other, same) = ran(diagram, seed, "compiled"), ran(diagram, seed, "interpreted")
@@ -58,7 +58,7 @@ def test_both_engines(count, same_bits):
     over_random_diagrams(count, check)
 
 
-@few_and_many(3, 40)
+@few_and_many(2, 40)
 def test_campaigns(count, campaign_as_alone):
     def check(diagram, seed, plan):
         points = {f"{plan.names[0]}.mean": [0.0, 1.5]}

@@ -345,7 +345,7 @@ def check_lanes(block, values, expected, same_bits, name):
 
 
 @pytest.mark.parametrize(
-    ("examples", "functions", "by_numba"), [(1, 10, 1), pytest.param(60, 40, 4, marks=pytest.mark.slow)]
+    ("examples", "functions", "by_numba"), [(1, 6, 1), pytest.param(60, 40, 4, marks=pytest.mark.slow)]
 )
 def test_random_step_functions(tmp_path_factory, compiled_together, same_bits, examples, functions, by_numba):
     """A seed for each example: functions as long as these have more choices than Hypothesis draws, or would shrink in time."""

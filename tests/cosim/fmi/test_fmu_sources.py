@@ -34,6 +34,7 @@ def coast(path):
     return diagram.simulate(1, engine="interpreted")["car.v"]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_sources_are_compiled_once_and_give_the_same_bits(tmp_path, monkeypatch, caplog, fmi):
     monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "cache"))
@@ -69,6 +70,7 @@ def old_header(text):
     return joined + text
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("fmi", "header"), [("3.0", None), ("2.0", None), ("2.0", old_header)])
 def test_functions_with_the_models_name_before_them_get_their_own_names(tmp_path, monkeypatch, fmi, header):
     monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path / "cache"))

@@ -222,6 +222,7 @@ def test_failures_and_messages_are_those_in_process(lying, caplog, car):
     assert "the communication point 5 is not the time 0" in texts[1][1]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", FMI)
 def test_refusals_are_those_in_process(fmi, tmp_path):
     path = tmp_path / "reference.fmu"

@@ -184,7 +184,7 @@ def meaning(plan, steps, seed):
     return np.array(rows, dtype=float), seen
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(plan=plans(known_blocks(), STEP), seed=st.integers(0, 2**64 - 1), pieces=st.booleans())
 def test_random_diagrams(plan, seed, pieces, run_both, same_bits):
     steps, (blocks, widths, wires), levels, names = 70, known_parts(plan), plan.levels, plan.names
@@ -212,7 +212,7 @@ def test_random_diagrams(plan, seed, pieces, run_both, same_bits):
 
 
 @pytest.mark.slow
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(plan=plans(known_blocks(), STEP), seed=st.integers(0, 2**64 - 1))
 def test_random_diagrams_as_one_function(plan, seed, as_one, run_both):
     run_both(build(plan)[0], 70 * STEP, seed=seed)

@@ -483,7 +483,7 @@ def test_hostile_files(tmp_path, cache):
     refused(path, "evil.fmu has an entry called '../evil'", error=cosim.FMUError)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=75, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_any_structure_ends_in_a_sentence(tmp_path_factory, data):
     """Values of attributes are put in each other's place; what is not validated is read all the same."""

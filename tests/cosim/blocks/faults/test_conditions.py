@@ -62,7 +62,7 @@ def presence(begins, ends, steps, latching):
 LEVELS = st.lists(st.sampled_from([0.0, 1.0, 2.0, nan]), min_size=30, max_size=30)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     levels=st.tuples(LEVELS, LEVELS),
     relations=st.tuples(st.sampled_from(list(RELATIONS)), st.sampled_from([None, *RELATIONS])),

@@ -63,6 +63,7 @@ def examples():
 EXAMPLES = list(examples())
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("fault", EXAMPLES, ids=lambda fault: type(fault).__name__)
 def test_every_kind_stands_between_controller_and_plant(fault):
     name = f"force_{fault.default_name}"

@@ -112,7 +112,7 @@ def campaigns(draw):
     )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(campaigns())
 def test_any_campaign_in_any_order_and_any_number_of_sessions(campaign):
     plan, signals, rows, chance, largest = campaign

@@ -22,6 +22,7 @@ PAIRS = {
 OUT = {"wide": "twice"}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("major", "23")
 def test_values_of_every_type_go_in_and_out_exactly(breadth, alone, run_both, major):
     sources = [(name, cosim.Constant(value)) for name, value in PAIRS[major].items()]

@@ -28,6 +28,7 @@ def driven(path, sources, dt=0.25, **options):
     return diagram
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("solver", ["cvode", "scipy:RK45"])
 @pytest.mark.parametrize("fmi", ["1.0", *FMI])
 def test_every_type_is_converted_exactly_at_the_same_instant(built, fmi, solver, run_both):

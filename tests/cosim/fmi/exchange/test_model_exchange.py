@@ -47,7 +47,7 @@ def ball_height(times, g=9.81, e=0.7, vmin=0.1):
     return np.array(heights)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("fmi", FMI)
 @pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
 def test_a_bouncing_ball_to_its_rest(built, fmi, solver, run_both):
@@ -320,6 +320,7 @@ def test_an_fmu_with_discrete_states_that_cannot_save(built):
 # --- what goes wrong ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
 @pytest.mark.parametrize("fmi", FMI)
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def stepped(masses, n, way, steps=100):
     return np.array(rows)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("masses", [MASSES, DAMPED], ids=["spring", "damper"])
 @pytest.mark.parametrize("way", WAYS)
 def test_each_way_yields_what_it_must(masses, way, run_both):
@@ -355,6 +355,7 @@ def test_isolated_fmus_are_iterated_with_the_same_bits(settings, same_bits, run_
         same_bits(runs[1][name], runs[0][name], name)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_isolated_fmu_that_is_gone_when_it_is_saved(engine):
     diagram = cosim.Diagram("1/20")

@@ -34,6 +34,7 @@ DIAGRAMS = {"the whole loop": full_diagram, "three rates": slow_and_fast}
 SEEDS = tuple(range(5, 5 + 3 * compiled.LANES + 2))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", DIAGRAMS)
 @pytest.mark.parametrize("decimation", [1, 7])
 def test_runs_in_lock_step_have_the_bits_of_single_runs(name, decimation, lanes, campaign_as_alone):
