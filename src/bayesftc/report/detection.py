@@ -50,16 +50,31 @@ class Level:
         )  # type: ignore[return-value]
 
 
+def why_no_detection(contents: Contents) -> str:
+    """Return a sentence if a score is recorded, but not when each fault was present; else nothing."""
+    scores, active = _recorded_scores(contents), _active(contents)
+    missing = [name for name in active if name not in contents.store.metadata.signals]
+    if not scores or not missing:
+        return ""
+    return f"There are no figures of detection, because {', '.join(missing)} was not recorded. Add it to record=."
+
+
+def _recorded_scores(contents: Contents) -> list[str]:
+    controller = contents.description.get("roles", {}).get("controller")
+    return [name for name in (f"{controller}.{score}" for score in SCORES) if name in contents.store.metadata.signals]
+
+
+def _active(contents: Contents) -> list[str]:
+    chains = contents.description.get("roles", {}).get("faults_of_sensors", [])
+    return [f"{name}.active" for name in sorted({name for chain in chains for name in chain})]
+
+
 def read_detection(contents: Contents) -> dict[Any, Level]:
     """Return recorded scores and faults of each level for which these suffice."""
-    roles, recorded = contents.description.get("roles", {}), contents.store.metadata.signals
-    faults = sorted({name for chain in roles.get("faults_of_sensors", []) for name in chain})
-    scores = [f"{roles.get('controller')}.{name}" for name in SCORES]
-    scores = [name for name in scores if name in recorded]
-    active = [f"{name}.active" for name in faults]
-    if not faults or not scores or not set(active) <= set(recorded):
+    scores, active = _recorded_scores(contents), _active(contents)
+    if not active or not scores or not set(active) <= set(contents.store.metadata.signals):
         return {}
-    runs = _read(contents, scores, active, roles["faults_of_sensors"])
+    runs = _read(contents, scores, active, contents.description["roles"]["faults_of_sensors"])
     detection = {}
     for level in contents.drawn():
         for name in scores:
@@ -164,7 +179,7 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
         f"Detection of sensor faults by {' or '.join(sorted(names))}, {_chosen(detection)}. Left: mean of the seeds' curves, "
         f"with the AUC of all samples{seeds}. Right: delay of alarms over the share of false alarms, for all thresholds; a curve "
         "ends where most faults are missed."
-        + (f" At a fault probability of {ALARM:g} (circle): {'; '.join(alarms)}." if alarms else "")
+        + (f" At a fault probability of {ALARM:g} (mark): {'; '.join(alarms)}." if alarms else "")
         + _without(contents, detection)
     )
 

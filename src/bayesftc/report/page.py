@@ -12,7 +12,7 @@ from bayesftc.cosim.campaign.store.reading import StoredCampaign
 from bayesftc.report import comparisons, tables
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents
-from bayesftc.report.detection import read_detection, reliability_figure, roc_figure
+from bayesftc.report.detection import read_detection, reliability_figure, roc_figure, why_no_detection
 from bayesftc.report.grids import over_grid
 from bayesftc.report.svg import to_svg
 
@@ -90,6 +90,8 @@ def _parts(contents: Contents) -> Iterator[Part]:
         reliability = reliability_figure(contents, detection)
         if reliability:
             yield _part("Reliability", reliability)
+    elif why := why_no_detection(contents):
+        yield Part("Detection", caption=why)
     worst = tables.worst(contents)
     if worst:
         yield Part(worst.title, table=worst)

@@ -1,6 +1,7 @@
 """The report of a campaign: its numbers beside those of pandas, SciPy and scikit-learn, its form, and campaigns of all kinds."""
 
 import re
+import shutil
 from html.parser import HTMLParser
 
 import numpy as np
@@ -306,6 +307,21 @@ def test_a_level_without_probabilities_is_ranked_by_beta_and_one_without_either_
     assert all(drawn[level] == colours[level] for level in found)
     made, _ = reliability_figure(contents, found)
     assert len(made.axes[0].get_legend_handles_labels()[1]) == 1
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_detection_that_lacks_a_recording_says_which(stored, tmp_path):
+    signals, _ = detected(lambda both, rng: 2.0 * both + rng.normal(size=both.shape))
+
+    def page():
+        shutil.rmtree(tmp_path / "campaign", ignore_errors=True)
+        return report(precisions(stored, seeds=3, signals=signals))
+
+    assert "no figures of detection" not in page()
+    del signals["freeze_0.active"]
+    assert "There are no figures of detection, because freeze_0.active was not recorded. Add it to record=." in page()
+    del signals["controller.fault_probability"], signals["controller.beta"]
+    assert "no figures of detection" not in page()
 
 
 def test_of_many_runs_some_are_drawn_at_random_and_the_page_says_how_many(stored, monkeypatch):
