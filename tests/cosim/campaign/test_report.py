@@ -309,21 +309,6 @@ def test_a_level_without_probabilities_is_ranked_by_beta_and_one_without_either_
     assert len(made.axes[0].get_legend_handles_labels()[1]) == 1
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_detection_that_lacks_a_recording_says_which(stored, tmp_path):
-    signals, _ = detected(lambda both, rng: 2.0 * both + rng.normal(size=both.shape))
-
-    def page():
-        shutil.rmtree(tmp_path / "campaign", ignore_errors=True)
-        return report(precisions(stored, seeds=3, signals=signals))
-
-    assert "no figures of detection" not in page()
-    del signals["freeze_0.active"]
-    assert "There are no figures of detection, because freeze_0.active was not recorded. Add it to record=." in page()
-    del signals["controller.fault_probability"], signals["controller.beta"]
-    assert "no figures of detection" not in page()
-
-
 def test_of_many_runs_some_are_drawn_at_random_and_the_page_says_how_many(stored, monkeypatch):
     monkeypatch.setattr("bayesftc.report.detection.RUNS", 4)
     signals, _ = detected(lambda both, rng: 2.0 * both + rng.normal(size=both.shape))
@@ -591,9 +576,15 @@ def test_signals_that_are_vectors_and_a_loop_without_a_controller(stored):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_loop_whose_faults_were_not_recorded(stored):
+def test_a_loop_whose_faults_were_not_recorded(stored, tmp_path):
     signals, _ = detected(lambda both, rng: rng.normal(size=both.shape))
     del signals["freeze_0.active"]
+    page = read(report(precisions(stored, seeds=3, signals=signals)))
+    sentence = "There are no figures of detection, because freeze_0.active was not recorded. Add it to record=."
+    assert sentence in page.words
+    assert "Reliability" not in page.headings
+    shutil.rmtree(tmp_path / "campaign")
+    del signals["controller.fault_probability"], signals["controller.beta"]
     assert "Detection" not in read(report(precisions(stored, seeds=3, signals=signals))).headings
 
 
