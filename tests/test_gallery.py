@@ -23,7 +23,7 @@ LONG = 80
 """Longest program in lines, so that it can be read."""
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("path", SCRIPTS, ids=lambda path: path.stem)
 def test_scripts_run(path, tmp_path, monkeypatch):
     if "A C compiler is needed" in TEXT[path] and why_no_compiler():

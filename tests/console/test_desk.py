@@ -62,7 +62,7 @@ def desk():
         yield made
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", [each.__name__ for each in MADE])
 @pytest.mark.parametrize("target", ["sensors", "force"])
 def test_every_fault_has_the_bits_of_the_file(desk, tmp_path, kind, target):

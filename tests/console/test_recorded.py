@@ -151,7 +151,7 @@ def test_those_who_do_not_read_hold_nobody_up(tmp_path, monkeypatch):
 def test_a_download_that_is_left_makes_room(tmp_path):
     folder = filled(tmp_path, 100_000, columns=20)
     with page_of(live.Recording(tmp_path), folder) as (address, _):
-        for _ in range(5):
+        for _ in range(3):  # one more than there may be
             host = re.search(r"http://([^/]+)", address)[1]
             connection = http.client.HTTPConnection(host, timeout=60)
             connection.request("GET", "/download/signals.csv")

@@ -68,6 +68,7 @@ def test_an_fmu_for_co_simulation_is_known_by_its_answers(name):
         assert model.matrix("C")[0] @ [*steady[:, 0], 1.0] == pytest.approx(GATE, abs=1e-9)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("name", "radius"), [("PositionServo", 3.53), ("TwoMasses", 5.27), ("CartPendulum", 1.10), ("HydroTurbine", 1.09)]
 )

@@ -63,6 +63,7 @@ def units(result, x, function):
         return float(abs(mpmath.mpf(result) - true) / math.ulp(float(true)))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("count", [150, pytest.param(600, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", RANGES)
 def test_the_error_is_below_one_unit_in_the_last_place(name, count):

@@ -80,6 +80,7 @@ def test_engines_couplings_and_versions_of_fmi_agree_to_the_bit(fmi, coupling, e
         same_bits(run[name], reference[name], name)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.skipif(os.name != "posix", reason="isolation needs a POSIX system")
 @pytest.mark.parametrize(("engine", "coupling"), [("compiled", "iterated"), ("interpreted", "gauss-seidel")])
 def test_an_isolated_plant_agrees_to_the_bit(engine, coupling, reference, same_bits):

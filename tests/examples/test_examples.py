@@ -55,6 +55,7 @@ def test_learned_precision_helps_on_a_sine_and_hurts_on_a_constant(capsys):
     assert len(capsys.readouterr().out.splitlines()) == 7
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", shipped_scenarios())
 def test_every_scenario_runs(name):
     scenario = load_scenario(name)

@@ -75,6 +75,7 @@ def test_four_faults_are_found_with_their_kinds(capsys):
     assert len(capsys.readouterr().out.splitlines()) == 8
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     ("main", "arguments", "code", "words"),
     [

@@ -69,6 +69,7 @@ def test_import_is_light():
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize(("plant", "fmi"), SHIPPED)
 def test_shipped_fmus_are_valid(plant, fmi):
     path = fmus.path(plant.name, fmi=fmi)

@@ -232,6 +232,7 @@ def test_plant_and_controller_may_be_subsystems(write, bayesftc_):
         load_scenario(write(PI + "[model]\nA = [[1.0]]\n"))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("line", ["warning.lamp.on", "blocks.warning.blocks.lamp.on"])
 def test_settings_inside_are_factors_of_campaigns(write, line):
     write(SMOOTH)

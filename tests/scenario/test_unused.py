@@ -125,6 +125,7 @@ def test_sensors_and_variables_that_nobody_reads_are_said(car):
     ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("factors", "words"),
     [
@@ -187,6 +188,7 @@ def starting_at(start=6.0):
     return cosim.varied(load_scenario("cruise_control").loop(), {"freeze_0.start": start})
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("grid", "warned"),
     [

@@ -140,7 +140,7 @@ def descent_by_casadi(controller, measured, A, B, ys, goals):
     return (np.array(column) for column in zip(*out, strict=True))
 
 
-@pytest.mark.sampled(12)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("law", [PD, PID, pull], ids=["PD", "PID", "function"])
 @pytest.mark.parametrize("prior", ["random walk", "euler", "kalman"])
 @pytest.mark.parametrize("seed", range(4))
@@ -285,6 +285,7 @@ def of_form(form):
     return small(modalities=modalities, control_precision=0.1, **FORMS[form])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("form", FORMS)
 def test_both_forms_agree_to_the_last_bit(form, same_bits):
     steps = [of_form(form).online(compiled=compiled) for compiled in (True, False)]

@@ -59,6 +59,7 @@ def test_with_fixed_precision_it_is_filterpys_kalman_filter():
         reference.predict(known[:, None])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("precision", [FixedPrecision(), GammaPrecision(), SwitchingPrecision(loss=(0.1, 0.2))])
 def test_it_is_the_belief_of_the_controller_that_drives(precision):
     y, _ = samples(CAR, 100)

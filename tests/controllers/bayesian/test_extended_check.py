@@ -157,6 +157,7 @@ FAULTS = [
 ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("faults", FAULTS, ids=repr)
 def test_a_right_model_is_not_whatever_one_sensor_does(faults):
     for seed in range(5):

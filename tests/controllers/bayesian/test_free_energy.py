@@ -110,7 +110,7 @@ def problems(draw):
     return model, options, y, wanted
 
 
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=30, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(problems())
 def test_posterior_and_free_energy_are_those_of_the_dense_joint_gaussian(problem):
     model, options, y, goals = problem

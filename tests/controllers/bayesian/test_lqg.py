@@ -112,6 +112,7 @@ def test_poles_that_are_shown_are_those_of_control_and_filter(name, belief):
     assert max(np.abs(found - pole).min() for pole in shown) < 1e-5
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("seed", range(25))
 def test_the_law_of_random_plants_in_any_units(seed):
     """Up to 6 states, 3 controls and as many goals or fewer, spectral radius up to 1.2, units from 1e-3 to 1e3."""

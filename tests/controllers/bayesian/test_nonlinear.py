@@ -242,7 +242,7 @@ def by_least_squares(problem, start, method="lm"):
     return least_squares(problem.residuals, start, method=method, xtol=1e-15, ftol=1e-15, gtol=1e-15).x
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_no_optimiser_of_scipys_finds_less_in_the_same_basin(seed):
     """Several optimisers, started from our solution and from the prior mean."""

@@ -80,7 +80,7 @@ def trained(training, features, estimator=None, threshold=0.5):
     return FaultClassifier(estimator, threshold).fit(X[known], y[known])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("features", "make", "compiled"),
     [

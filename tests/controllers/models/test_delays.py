@@ -125,6 +125,7 @@ def test_the_belief_is_the_posterior_of_all_states_at_once():
                 add(row, root[i] @ B @ acting, 1.0)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("preview", [0, 4])
 def test_the_law_is_the_optimum_of_the_late_plant(preview):
     """By least squares over 300 samples, in which a control that is not sent yet moves nothing for three samples."""

@@ -73,6 +73,7 @@ CASES = {
 }
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 @pytest.mark.parametrize("name", CASES)
 def test_shipped_plants_step_from_any_state_as_the_textbook_says(name, fmi):
@@ -233,7 +234,7 @@ TIMES = {
 }  # fmt: skip
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("case", TIMES)
 def test_an_fmu_that_depends_on_time_is_refused(case, curved_in_time):
     terms, message = TIMES[case]

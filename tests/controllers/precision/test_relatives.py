@@ -61,7 +61,7 @@ def follow(model, outs, y, update):
 SEEDS = range(6)
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("iterations", [1, 3])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_variational_bayes_with_variances(seed, iterations):

@@ -43,6 +43,7 @@ def test_there_are_outputs_for_the_modes_that_were_given(modes):
     assert BayesianController(MODEL, precision=precision).actuator_kinds == tuple(type(mode).__name__ for mode in modes)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", ACTUATOR_MODES)
 def test_a_fault_that_has_begun_is_filtered_as_filterpy_does(kind):
     """Whatever the controller counts on in between; the offset of a sensor has no chance beside it."""

@@ -235,7 +235,7 @@ def check(name, settings, paces, low=0.0):
 PACES = _exact_cases.paces
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", ROWS)
 def test_the_differences_are_no_larger_than_the_page_says(name):
     """On the first of its sequences, with faults as frequent as in the detection experiment."""

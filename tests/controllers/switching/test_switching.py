@@ -303,6 +303,7 @@ def test_a_mode_of_ones_own():
     assert probabilities[2][1] < 0.01
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("mode", controllers.FAULT_MODES, ids=lambda c: c.__name__)
 def test_every_listed_mode_is_tried_and_runs_and_can_be_said(mode, tmp_path):
     """Beside an offset, in both forms; a scenario file says it by its name."""
@@ -429,6 +430,7 @@ def test_each_sensor_has_its_resolution():
     assert Frozen(resolution=[0.5, 0.0]) == Frozen(resolution=(0.5, 0.0))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("joint", [True, False])
 def test_a_harmless_mode_is_no_part_of_the_fault_probability(joint):
     modes = (Offset(), controllers.Burst())

@@ -123,6 +123,7 @@ def test_a_sensor_that_goes_its_own_course_is_left_out_as_filterpy_leaves_it_out
     assert out.fault_size[0] > 20.0
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("joint", [True, False])
 def test_noise_is_learned_as_by_its_gamma_distribution(joint):
     """Of the posterior of each sample's noise, where no mode ever begins; the per-sensor form uses it for the same sample."""
@@ -240,6 +241,7 @@ def test_each_sensor_repeats_itself_as_often_as_is_said(resolution):
         SwitchingPrecision([Frozen(healthy_repeats=[0.1, 0.1, 0.1])]).learner(CAR)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("model", [CAR, TWO, CAR.with_disturbance(4.0)])
 def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
     """The plant's predicted covariance grows, its process noise with it; that of a force that is estimated does not.
@@ -338,6 +340,7 @@ def test_a_healthy_sensor_whose_noise_is_hardly_known_has_the_density_of_student
     assert abs(wider(16.0 * 100.0, 100.0, 1.0, 0.2)) < 0.01 < wider(16.0, 1.0, 1.0, 0.2)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("case", "most"),
     [
@@ -420,7 +423,7 @@ def test_a_first_sample_tells_nothing_of_what_needs_two(joint):
             assert out.mode_probability[0, 3] == pytest.approx(frozen, rel=2e-3)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("sensors", [1, 2])
 @pytest.mark.parametrize("known", [1e2, 1e6, 1e10])
 def test_a_state_of_which_nothing_is_known_is_what_the_sensors_say(sensors, known):

@@ -77,11 +77,11 @@ def test_verify_and_fit_report_themselves(fresh, caplog, tmp_path, monkeypatch):
     monkeypatch.setattr(announcing, "PATIENCE", 0.0)
     monkeypatch.setattr(announcing.announcement, "said", lambda: True)
     caplog.clear()
-    cosim.verify_fmu(fmu, diagram, duration=50.0)
-    cosim.fit(CAR, recording(0, 400), {"m": (80.0, 120.0)}, **NAMES)
+    cosim.verify_fmu(fmu, diagram, duration=10.0)
+    cosim.fit(CAR, recording(0, 100), {"m": (80.0, 120.0)}, **NAMES)
     assert caplog.messages == [
         "Comparing limit.fmu with limit, for some seconds.",
-        "Fitting m to 400 steps, for seconds to minutes.",
+        "Fitting m to 100 steps, for seconds to minutes.",
     ]
 
 

@@ -154,6 +154,7 @@ def test_a_run_that_fails_is_recorded_with_its_reason_and_the_others_go_on(same_
     assert_alone(campaign, result, table["run"][~failed], same_bits)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("way", ["ERROR", "NOT_A_NUMBER", "FATAL"])
 def test_an_fmu_that_fails_is_made_anew_for_the_next_run(lying, way, same_bits):
     path, ways = lying("2.0")

@@ -209,7 +209,7 @@ IN_PYTHON = {
 """Paths of factors as they are in Python, lines of the scenario, and values."""
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("path", IN_PYTHON)
 def test_a_factor_may_be_named_as_in_python(path, tmp_path, same_bits):
     content = read_toml(find_scenario("cruise_control"))

@@ -41,6 +41,7 @@ def test_several_rates(campaign_as_alone):
     assert (campaign_as_alone(with_noise(car, "force", every=3, slower=2), 1.2)["status"] == "ok").all()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.skipif(bool(why_no_compiler()), reason=why_no_compiler() or "there is a compiler")
 @pytest.mark.parametrize(
     "settings",

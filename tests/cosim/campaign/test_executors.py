@@ -335,6 +335,7 @@ def test_what_is_no_executor_is_refused(executor, car):
         cosim.Campaign(car(), duration=0.1).run(executor=executor)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("executor", [Threads(1), Processes(1)], ids=str)
 def test_what_a_function_raises_fails_the_runs_that_it_raises_for(executor, car, same_bits):
     def rarely(result):

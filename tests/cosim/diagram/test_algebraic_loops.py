@@ -137,6 +137,7 @@ def sampled_loop(path, p=2.0, r=1.0):
     return diagram
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_a_sampled_fmu_in_a_loop_is_put_back_before_each_sweep(fmi, controller, run_both):
     run = run_both(sampled_loop(controller[fmi]).build("iterated", tolerance=1e-13), 2)

@@ -68,7 +68,7 @@ def test_a_present_goal_is_refused_with_the_one_that_lies_ahead(settings):
         loop_of(**settings)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("source", ["reference.ahead", "controller.goal"])
 @pytest.mark.parametrize("block", [cosim.Gain(1.0), part(cosim.Gain(1.0))], ids=["block", "subsystem"])
 def test_the_remedy_gives_the_control_with_preview(source, block):

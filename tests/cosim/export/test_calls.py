@@ -178,6 +178,7 @@ def test_reset_begins_anew(exported, instance, name, fmi, expected, same_bits):
     same_bits(driven(it.begin(), BLOCKS[name]), expected)
 
 
+@pytest.mark.sampled(2)
 def test_instances_do_not_disturb_each_other(exported, instance, name, fmi, expected, same_bits):
     block = BLOCKS[name]
     one, two = (instance(exported[name, fmi]).begin() for _ in range(2))
@@ -188,6 +189,7 @@ def test_instances_do_not_disturb_each_other(exported, instance, name, fmi, expe
     same_bits(np.array(found), expected)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("start", [-3.0, 1e6, 1.7e9])  # the last one is the time of a clock on the wall
 def test_another_start_time(exported, instance, fmi, start, same_bits):
     """What knows no time gives the same; a source gives what belongs to its time."""
@@ -223,6 +225,7 @@ def test_a_step_that_an_importer_counts_in_nanoseconds(instance, tmp_path, fmi, 
     assert "must be" in it.refused(lambda c: c.fmu.doStep(20 * h, 1.001 * h))
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("start", [0.0, 1e6, 1.7e9])
 @pytest.mark.parametrize("steps", [1.0, -1.0, 0.5, 0.1])
 def test_another_time_is_refused(exported, instance, fmi, start, steps):

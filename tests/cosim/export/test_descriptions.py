@@ -17,7 +17,7 @@ from bayesftc.cosim.export.program import program_of
 from bayesftc.fmus.build import FMI_VERSIONS, build_fmu
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(2)
 def test_validators_find_nothing(block, sample_time, tmp_path):
     """fmpy's, against the schemas of the standard and by its rules: references, InitialUnknowns, units, start values."""
     program = program_of(block, name="it", dt=sample_time(block))

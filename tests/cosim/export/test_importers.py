@@ -432,7 +432,7 @@ def test_sources_where_nan_is_no_constant(tmp_path, c_compiler):
     assert made.returncode == 0, made.stderr
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("options", ["-O0", "-O3 -march=native -ffp-contract=off"])
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_the_sources_in_an_fmu_make_it_anew(

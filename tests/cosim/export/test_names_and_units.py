@@ -219,7 +219,7 @@ def test_every_port_says_what_it_is(block):
         assert port.description or port.draw, port.name
 
 
-@pytest.mark.sampled(10)
+@pytest.mark.sampled(3)
 def test_every_tunable_says_what_it_is(block, sample_time):
     for tunable in program_of(block, dt=sample_time(block)).tunables:
         assert not re.fullmatch(r"\w+ of \w+", tunable.description), (

@@ -300,6 +300,7 @@ def test_formats_symbols_and_sizes(folder, fmi):
     check_binaries(path, fmi)
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("fmi", FOLDERS)
 @pytest.mark.parametrize("plant", fmus.names())
 def test_shipped_fmus_have_binaries_for_all_platforms(plant, fmi):

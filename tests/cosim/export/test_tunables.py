@@ -59,7 +59,7 @@ def changed(block, tunable, rng):
     raise AssertionError(f"no other value of {tunable.name} is allowed")
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(3)
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_changed_number_is_a_changed_setting(block, sample_time, random_inputs, compiled):
     dt = sample_time(block)
@@ -159,6 +159,7 @@ def test_descriptions_come_from_the_docstring():
     assert shift.description == "shift of Pair"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_in_an_fmu_it_is_set_before_and_while_it_runs(fmi, tmp_path, c_compiler):
     made = cosim.export_fmu(Pair(), tmp_path / "Pair.fmu", fmi=fmi, dt=0.1)

@@ -150,6 +150,7 @@ def test_the_opposite_of_a_boolean_is_no_port(slave):
     assert [p.name for p in cosim.FMU(slave(), outputs=["inner", "down"]).outputs] == ["inner", "down"]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("isolate", [False, True])
 def test_several_instances_of_one_name_and_each_ones_messages(slave, isolate):
     path = slave()

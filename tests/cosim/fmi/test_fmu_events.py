@@ -114,6 +114,7 @@ def integral(t, first, every):
 # --- time events -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("dt", "first", "every"),
     [("1/8", 0.3, 0.55), ("1/3", 0.25, 0.25), (0.1, 0.2, 0.1), ("1/3", 2.0, 5.0), (1, 0.01, 0.07)],
@@ -220,6 +221,7 @@ def changing(count):
     return np.cumsum(0.1 * np.arange(1, count + 1))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("dt", ["1/8", "1/3", 0.1, 1])
 @pytest.mark.parametrize("timing", ["plant", "sampled"])
 def test_clocks_tick_when_the_fmu_asks_for_it(clocked, run_both, dt, timing):

@@ -76,6 +76,7 @@ def test_outputs_that_are_no_numbers(lying, way, word, isolate):
     np.testing.assert_allclose(error.result["car.v"], speeds(ways[way], 4), rtol=1e-12)
 
 
+@pytest.mark.sampled(1)
 @EVERYWHERE
 def test_outputs_that_are_never_written(lying, fmi, isolate):
     path, ways = lying(fmi)
@@ -83,6 +84,7 @@ def test_outputs_that_are_never_written(lying, fmi, isolate):
     assert "returns OK, but has not written 'v' of 'car'" in str(error)
 
 
+@pytest.mark.sampled(1)
 @EVERYWHERE
 def test_what_is_written_beyond_the_outputs(lying, fmi, isolate):
     """It would be another block's value, or break the heap."""
@@ -118,6 +120,7 @@ def test_arrays_of_another_size_than_the_binary_has(tmp_path, isolate):
 # --- steps that fail ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @EVERYWHERE
 def test_steps_that_fail_at_random(lying, fmi, isolate):
     path, ways = lying(fmi)
@@ -157,6 +160,7 @@ def logged(caplog):
     return [record.getMessage() for record in caplog.records if record.name == "bayesftc.fmu"]
 
 
+@pytest.mark.sampled(1)
 @EVERYWHERE
 def test_ten_megabytes_of_log_in_one_message(lying, fmi, isolate, caplog):
     path, ways = lying(fmi)

@@ -191,7 +191,7 @@ def test_our_controller_in_the_loop(lag, tool):
     assert np.sqrt(np.mean(error[20:] ** 2)) < 0.3  # it follows, though a sensor is frozen
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("tool", EXPORTERS)
 @pytest.mark.parametrize("isolate", [False, True])
 @pytest.mark.parametrize("mode", ["raise", "refuse"])

@@ -73,7 +73,7 @@ def test_every_shipped_plant_has_a_picture_with_its_outputs_and_lengths():
         assert dict(picture.lengths) == {length: plant.start_value(length) for length in picture.lengths}
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", sorted(PICTURES))
 def test_a_picture_follows_the_plant(name):
     parameters = {"CruiseControl": {"v0": 5.0}, "CartPendulum": {"angle_0": 0.3}, "TwoLinkArm": {"q1_0": 0.0}}.get(
@@ -192,6 +192,7 @@ def test_a_missing_sample_is_not_drawn():
     assert np.isfinite(marks["sensor 1"].get_xdata()).all()
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

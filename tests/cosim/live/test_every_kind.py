@@ -165,7 +165,7 @@ class Sender:
 KINDS = [udp, json_udp, mqtt, serial, file, *(pytest.param(k, marks=pytest.mark.slow) for k in (opcua, opcua_client))]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("target", [a_session, a_controller, a_monitor])
 @pytest.mark.parametrize("kind", KINDS)
 def test_samples_come_in_and_the_belief_goes_out(tmp_path, kind, target):

@@ -154,6 +154,7 @@ def test_a_control_that_is_no_number_is_not_sent(memory):
     assert summary.wires_out["out"]["not_finite"] == 3
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("value", "clipped"), [(np.nan, 0), (3.0, 3), (0.5, 0), (-3.0, 3)])
 def test_only_values_beyond_the_limits_count_as_clipped(memory, value, clipped):
     """One that is no number is sent as it is if there is no safe value."""

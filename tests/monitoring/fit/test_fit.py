@@ -189,7 +189,7 @@ def hold(samples, share, rng):
         samples[k] = samples[max(k - 1, 0)]
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("decimals", [2, 9])
 @pytest.mark.parametrize("share", [0.2, 0.4])
 def test_slow_data_that_repeat_are_healthy(share, decimals):

@@ -60,7 +60,7 @@ def test_it_computes_as_the_controller_alone(same_bits):
     result = scenario.loop().simulate(8.0, seed=1, record=["*", "controller.y", "controller.goal"])
     samples, goals = result["controller.y"][1:], result["controller.goal"]
     out = run(live_controller("live_car", ["controller.y"]), samples)
-    online = scenario.controller.online(compiled=False)
+    online = scenario.controller.online()
     steps = [online(y=y, goal=goal) for y, goal in zip([[np.nan] * 2, *samples], goals, strict=True)][1:]
     for name in ("u", "x_hat", "fault_probability"):
         same_bits(out[f"controller.{name}"], np.array([step[name] for step in steps]))

@@ -30,6 +30,7 @@ def jumped(sensors, jump, precision, samples=100, seed=0, others=0):
     return out
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("sensors", [2, *(pytest.param(m, marks=pytest.mark.slow) for m in (3, 5))])
 @pytest.mark.parametrize("jump", [4.0, 6.0, -5.0])
 def test_nobody_can_tell_a_kick_of_a_random_walk_from_sensors_that_jump_alike(sensors, jump):

@@ -213,6 +213,7 @@ def test_folders_that_are_no_store_say_so(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty", "file", "new", "s"]  # nothing that was begun
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", "{}", '{"format": "other"}', '{"format": "bayesftc-campaign", "version": 1}']
 )

@@ -273,6 +273,7 @@ def test_killed_at_any_change_of_a_file_a_store_has_each_piece_whole_or_not_at_a
     assert seen > 0
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("count", [0, 1, 2, 5, 9, 20, 60])
 def test_killed_while_it_is_made_a_store_is_not_there(tmp_path, unsynced, count):
     with killed_at(count), pytest.raises(Killed):

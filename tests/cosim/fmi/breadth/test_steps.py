@@ -19,6 +19,7 @@ REALS3 = {"inputs": ["u"], "outputs": ["y", "total"]}
 # --- tunable parameters ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("major", "flags"), [("2", ""), ("3", ""), ("3", EVENTS)])
 def test_tunable_parameters_are_inputs(breadth, alone, run_both, major, flags):
     out, one = {"2": ("x", 1.0), "3": ("y", [1.0, 0.0])}[major]

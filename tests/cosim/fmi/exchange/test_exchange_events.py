@@ -69,6 +69,7 @@ def stick_slip(times, belt=0.2, static=0.6, kinetic=0.4):
     return np.array(rows)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_stick_and_slip(built, solver, run_both):
     result = run_both(alone(built("slide"), 0.125, solver=solver, rtol=1e-10), 20)
@@ -103,6 +104,7 @@ def test_scipy_says_where_the_equations_do_not_hold(built):
             alone(built("wild"), 2, solver="scipy:RK45", parameters={"how": how}).simulate(4, engine="interpreted")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("solver", COMPILED)
 def test_a_switch_that_is_too_fine_ends_in_a_sentence(built, solver):
     diagram = alone(built("fine"), 1, solver=solver)

@@ -124,6 +124,7 @@ def test_saved_with_whole_numbers_and_tunables_it_goes_on_with_the_same_bits(bui
         one.close()
 
 
+@pytest.mark.slow
 def test_the_same_bits_in_a_process_of_its_own(built, same_bits):
     sources = {"i8": cosim.Step(time=0.5, after=7.0), "m": cosim.Step(time=0.5, after=2.0)}
     runs = [

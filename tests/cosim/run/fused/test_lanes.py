@@ -43,6 +43,7 @@ def test_runs_in_lock_step_have_the_bits_of_single_runs(name, decimation, lanes,
     assert sum(lanes) >= 2 * compiled.LANES
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("every", [1, 3])
 def test_a_run_that_fails_is_told_as_elsewhere(every, lanes, make_block, campaign_as_alone):
     def leave(u, y):

@@ -32,7 +32,7 @@ def test_a_shipped_step_has_the_bits_of_plain_python(python, tmp_path):
     run = RUN.replace("SHIPPED", "True").replace("20.0, seed=3", "0.4, seed=3, engine=ENGINE")
     used, bits = python(run.replace("ENGINE", "'compiled'"), cache=tmp_path)
     assert used == 1
-    assert python(run.replace("ENGINE", "'interpreted'"), cache=tmp_path) == [0, bits]
+    assert python(run.replace("ENGINE", "'interpreted'")) == [0, bits]
 
 
 @pytest.fixture(scope="module")
