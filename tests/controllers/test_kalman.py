@@ -67,7 +67,7 @@ def record(controller, rng, missing, steps):
     return [np.array(column) for column in zip(*rows, strict=True)]
 
 
-@pytest.mark.parametrize("count", [6, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [4, pytest.param(200, marks=pytest.mark.slow)])
 def test_belief_is_filterpys_for_every_goal_and_control_prior(count):
     checked = settings(
         max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
@@ -165,7 +165,7 @@ def test_the_ser_baseline_on_filterpy_has_the_outputs_of_ours():
     C = [[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
     model = controllers.LinearModel([[0.9, 0.1], [-0.2, 0.8]], [[1.0], [0.1]], C, 0.1, noise, 0.1)
     rng = np.random.default_rng(8)
-    y = rng.normal(size=(400, 3)) + [6.0, 0.0, 0.0] * (np.arange(400) // 50 % 2)[:, np.newaxis]
+    y = rng.normal(size=(200, 3)) + [6.0, 0.0, 0.0] * (np.arange(200) // 50 % 2)[:, np.newaxis]
     y[rng.random(y.shape) < 0.05] = np.nan
     options = {"goal_covariance": 0.1, "control_covariance": 1.0, "initial_mean": [0.5, 0.0]}
     both = [

@@ -141,7 +141,7 @@ def test_the_density_never_falls_where_nothing_is_approximated():
     modes = (Frozen(2.0, 0.5, healthy_repeats=0), DroppedOut(2.0, 0.5, arrives=0.3))
     y, _ = broken(3, modes, 600)
     start = SwitchingPrecision(wrong(modes, 5.0), loss=0.2, noise_factor=1.0)
-    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), start)
+    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), start, compiled=True)
     assert learned.settled
     assert len(learned.log_likelihood) > 2
     assert np.diff(learned.log_likelihood).min() > -0.01  # of what is believed before, half a fault
@@ -242,12 +242,12 @@ def test_equal_samples_beyond_the_resolution_are_freezes():
     y = 20.0 + np.column_stack([np.round(rng.standard_normal(900)), rng.standard_normal(900)])
     y[400:430, 1] = y[400, 1]
     assert (np.diff(y[:, 0]) == 0).mean() > 0.2
-    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), SwitchingPrecision((Frozen(),)))
+    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), SwitchingPrecision((Frozen(),)), compiled=True)
     assert learned.precision.modes[0].resolution == pytest.approx((1.0, 0.0), rel=1e-6)
     assert learned.onsets[0] == pytest.approx(1.0, abs=0.2)
     assert learned.faulty[0] == pytest.approx(30 * STEP, rel=0.1)
     given = SwitchingPrecision((Frozen(resolution=0.5),))
-    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), given, iterations=1)
+    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), given, iterations=1, compiled=True)
     assert learned.precision.modes[0].resolution == 0.5
 
 
@@ -287,7 +287,7 @@ def test_the_scale_of_the_noise_is_found():
     for begin in range(50, 850, 200):
         y[begin : begin + 100, 0] += 6.0 * rng.standard_normal(100)
     start = SwitchingPrecision((Noisier(5.0, 2.0, scale=20.0),))
-    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), start)
+    learned = learn_modes([RecordedRun(y, **KNOWN)], still(1.0, 1.0), start, compiled=True)
     assert learned.onsets[0] == pytest.approx(4.0, abs=0.5)
     assert learned.precision.modes[0].scale == pytest.approx(37**0.5, rel=0.25)
 

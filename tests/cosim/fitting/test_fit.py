@@ -169,7 +169,7 @@ def test_a_bound_is_named_and_has_no_standard_error():
 
 
 def test_it_is_repeated_with_the_same_bits_on_any_number_of_threads():
-    one, two, again = (cosim.fit(CAR, TABLE[:150], RANGES, **NAMES, jobs=jobs) for jobs in (1, 2, 2))
+    one, two, again = (cosim.fit(CAR, TABLE[:100], RANGES, **NAMES, jobs=jobs) for jobs in (1, 2, 2))
     assert one.parameters == two.parameters == again.parameters
     assert one.std == two.std
     np.testing.assert_array_equal(one.weights, two.weights)
