@@ -214,6 +214,7 @@ def test_without_a_compiler_there_is_a_reason(monkeypatch):
     assert section.bars()["plain_loop.engine_over_fmpy"]["value"] is not None
 
 
+@pytest.mark.slow
 def test_the_loop_by_hand_computes_the_same_and_each_part_can_be_left_out():
     (limit,) = bench.measure(["limit"], quick=True)
     assert limit.bars()["limit.difference"]["value"] < 1e-12

@@ -170,6 +170,7 @@ def test_the_worst_is_the_largest_of_all(report):
     assert any(table.get(worst["row"], {}).get(worst["cell"], {}).get("ratio") == worst["ratio"] for table in tables)
 
 
+@pytest.mark.slow
 def test_the_report_is_the_same_for_any_number_of_jobs_and_says_why(report):
     assert small(1) == report
     json.dumps(report, allow_nan=False)

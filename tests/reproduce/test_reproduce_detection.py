@@ -84,6 +84,7 @@ def test_same_bits_for_any_number_of_jobs(report):
     assert run(jobs=1) == report
 
 
+@pytest.mark.slow
 def test_the_streams_depend_on_the_seed_and_the_factor_does_not(report):
     other = reproduce.detection(seed=2, jobs=2, runs=3, beyond=False, settings=SMALL)
     assert other["settings"]["f"] == report["settings"]["f"]

@@ -244,6 +244,7 @@ def test_tables_fit_a_terminal_and_say_what_is_above_the_bar(report, printed):
     assert "8 N" in text
 
 
+@pytest.mark.slow
 def test_figures_show_each_case_and_model(report):
     for name, panels in (("models_healthy", 2), ("models_failed", 6)):
         figure = _models_figures.FIGURES[name](report)

@@ -154,6 +154,7 @@ def test_the_smoother_is_one_large_gaussian():
     assert found == pytest.approx(density)
 
 
+@pytest.mark.slow
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(("slow", "rows"), [(["y2"], 3000), (["y0", "y1", "y2"], 5000)])
 def test_sensors_that_are_slower_than_the_rest(slow, rows):

@@ -127,6 +127,7 @@ except cosim.StoreError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
 def test_a_full_disk_stops_it_with_a_sentence(car, tmp_path, same_bits):
     campaign = cosim.Campaign(car(), duration=8.0, seeds=300, record=["plant.v"], piece=100)

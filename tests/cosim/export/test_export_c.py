@@ -42,6 +42,7 @@ def test_the_same_bits_where_samples_are_absurd_or_the_belief_is_lost(
             same_bits(got[name], np.ravel(value), name)
 
 
+@pytest.mark.slow
 def test_every_fault_on_a_condition_is_that_at_a_time(blocks, compiled_together, tmp_path, random_inputs, same_bits):
     """Also the C of a fault whose condition is fulfilled from step 30 to step 90: the times of the faults in `BLOCKS`."""
     at_a_time = [blocks[kind.__name__] for kind in cosim.FAULTS]

@@ -120,6 +120,7 @@ def test_each_kind_equals_the_same_at_a_time(kind, run_both, same_bits):
             same_bits(result[f"{name}.{port}"], reference[f"{name}.{port}"])
 
 
+@pytest.mark.slow
 def test_each_kind_in_campaigns(campaign_as_alone):
     faults = [
         f for w in ({"start": BEGUN, "stop": ENDED}, {"start": BEGUN, "duration": 0.1}) for f in of_each_kind(**w)

@@ -451,7 +451,7 @@ def test_kill_9_at_many_moments(tmp_path):
     drill(tmp_path / "s", 60, random.Random(os.getpid()))
 
 
-@pytest.mark.parametrize("seconds", [0.5, pytest.param(3.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seconds", [0.3, pytest.param(3.0, marks=pytest.mark.slow)])
 def test_whoever_reads_while_it_is_written_sees_whole_pieces(tmp_path, seconds):
     process = start("write_all", tmp_path / "s", 0)
     expected = {piece.index: drilled(piece) for piece in DRILL.pieces}
