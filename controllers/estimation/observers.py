@@ -89,13 +89,9 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     correction, whiten = np.zeros((len(sets), model.states, m)), np.zeros((len(sets), m, m))
     noise = np.zeros((len(sets), model.states, model.states))
     settling = 1
-    made: dict[bytes, tuple[Floats, Floats, Floats, int] | None] = {}  # sets of equal sensors have the same filter
     for k, chosen in enumerate(map(list, sets)):
         C, R = moving.matrix("C")[chosen], moving.matrix("sensor_covariance")[np.ix_(chosen, chosen)]
-        key = C.tobytes() + R.tobytes()
-        if key not in made:
-            made[key] = _filter(replace(moving, C=C, sensor_covariance=R, names=None, delays=None))
-        filtered = made[key]
+        filtered = _filter(replace(moving, C=C, sensor_covariance=R, names=None, delays=None))
         if filtered is None:
             return None
         correction[k, :n, chosen], root, noise[k, :n, :n], samples = filtered[0].T, *filtered[1:]
