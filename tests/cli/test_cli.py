@@ -9,11 +9,13 @@ import time
 import warnings
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from sklearn.metrics import roc_auc_score
 
 import bayesftc
+from bayesftc import controllers, cosim
 from bayesftc.bench import SECTIONS
 from bayesftc.cli.application import COMMANDS
 from bayesftc.cli.commands.loops import _compare as compare_module, run as run_module
@@ -456,6 +458,18 @@ def test_decimation_does_not_shorten_the_run(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", "decimation = 7"))
     numbers = json.loads(bayesftc_("run", "car.toml", "--json").output)
     assert (numbers["duration"], numbers["steps"]) == (20.0, 1000)
+
+
+def test_a_run_that_stops_at_its_first_step_says_nothing_of_limits():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 1e-4, 0.01, dt=0.1)
+    plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[10.0]], 0, 0.1), initial=[1e308])  # its output is infinite
+    loop = cosim.closed_loop(
+        plant, controllers.BayesianController(model, u_max=9.0), control="u", measured="y", reference=0.0
+    )
+    with pytest.raises(cosim.SimulationError) as stopped:
+        loop.simulate(1.0, engine="interpreted")
+    assert not len(stopped.value.result.time)
+    assert not list(run_module._limited(loop, stopped.value.result))
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -87,10 +87,10 @@ def keys(
     console, before = terminal(), ""
     for title, kind, cls, without in chosen:
         if title != before:
-            console.print(f"\n{title}", style="bold", markup=False)
+            console.print(f"\n{title}", style="bold")
         before = title
         if kind:
-            console.print(f'\nkind = "{kind}": {summary(cls).replace("`", "")}', markup=False, soft_wrap=True)
+            console.print(f'\nkind = "{kind}": {summary(cls).replace("`", "")}', soft_wrap=True)
         table = plain_table("key", "value", "default", "meaning")
         for name, *cells, meaning in keys_of(cls, without):
             table.add_row(name, *(cell.replace("[", r"\[") for cell in (*cells, _first_sentence(meaning))))

@@ -211,7 +211,7 @@ def _limited(loop: Diagram, result: Result) -> Iterator[str]:
     """Give a sentence for each control that is at one of its limits for a large part of a run."""
     roles = find_roles(loop)
     name = f"{roles.controller}.u"
-    if name not in result:
+    if name not in result or not len(result.time):  # it may have stopped at its first step
         return
     for control, u in zip(roles.controls, result[name].reshape(len(result.time), -1).T, strict=True):
         for limit, at in ((control.low, u <= (-np.inf if control.low is None else control.low)),
