@@ -1,11 +1,11 @@
 """Diagnosis of a wrong model from a recorded run: a comparison of explanations by their predictions of all sensors.
 
 Observers of disjoint sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a
-lag or a limit; the plant is faster or slower than the model; a constant load acts; the plant has other dynamics, or nonlinear
-ones. The measure is the likelihood, with a free scale of the innovations (so that wrong noise has no effect), less the cost of
-the parameters (BIC). An explanation counts only with the evidence of *every* set: an error of one set alone is a fault of its
-sensors. Stretches in which sensors of one quantity disagree are left out. The fault probabilities of the precision learner, which
-a wrong model spoils, are therefore not needed.
+lag or a limit; the plant is faster or slower than the model; a load acts all the time, or begins during the run; the plant has
+other dynamics, or nonlinear ones. The measure is the likelihood, with a free scale of the innovations (so that wrong noise has no
+effect), less the cost of the parameters (BIC). An explanation counts only with the evidence of *every* set: an error of one set
+alone is a fault of its sensors. Stretches in which sensors of one quantity disagree are left out. The fault probabilities of the
+precision learner, which a wrong model spoils, are therefore not needed.
 """
 
 from __future__ import annotations
@@ -68,13 +68,14 @@ class ModelFinding:
     kind : str
         ``"sign"`` or ``"gain"`` of a column of B, ``"dt"`` (the plant is faster or slower), ``"late"`` (a delay or a lag of the
         control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control), ``"nonlinear"`` (far from the
-        point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"unknown"``.
+        point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an
+        offset of the actuator that begins during the run), ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
     values : tuple of float
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``dt``: the plant's speed relative
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
-        ``load``: a value for each control, in its unit; else empty.
+        ``load``: a value for each control, in its unit; ``onset``: seconds from the first sample, then as ``load``; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str

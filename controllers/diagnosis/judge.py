@@ -154,10 +154,10 @@ class Judge:
         (white,), _ = innovations([self.model], [self.bank], silent, (pushes / scale)[None])
         return np.asarray(white[:, : len(pushes)] * scale[:, 0, 0][:, None, None])
 
-    def fitted(self, kind: str, responses: Floats) -> Explanation:
-        """Fit the sizes of pushes by least squares, from their responses."""
+    def fitted(self, kind: str, responses: Floats, more: int = 0) -> Explanation:
+        """Fit the sizes of pushes by least squares, from their responses; `more` is the number of other fitted parameters."""
         theta, _, costs = self._fit(responses)
-        return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
+        return self.of(kind, [tuple(map(float, theta))], costs, len(theta) + more)[0]
 
     def flipped(self, responses: Floats, control: int) -> list[Explanation]:
         """Fit pushes of which the first is the control's effect; return ``"sign"`` if that effect is clearly reversed."""

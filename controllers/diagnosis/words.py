@@ -95,6 +95,15 @@ def _load(values: Sequence[float], model: LinearModel) -> str:
     )
 
 
+def _onset(values: Sequence[float], model: LinearModel) -> str:
+    pushed = ", ".join(f"{value:.3g}" for value in values[1:])
+    return (
+        f"a load or an offset of the actuator begins {values[0]:.4g} s after the first sample, about as large as a control of "
+        f"{pushed}. If such loads belong to normal operation, measure them, or estimate them (LinearModel.with_disturbance; "
+        "disturbance in design and in a scenario, larger if it is already there)."
+    )
+
+
 def _nonlinear(values: Sequence[float], model: LinearModel) -> str:
     return (
         "the plant's motion depends on its state: the plant is far from the point of linearisation. Linearise it nearer to its "
@@ -131,6 +140,7 @@ _WORDS = {
     "early": _early,
     "limit": _limit,
     "load": _load,
+    "onset": _onset,
     "nonlinear": _nonlinear,
     "dynamics": _dynamics,
     "unknown": _unknown,

@@ -202,7 +202,20 @@ class Result(Mapping[str, Floats]):
     def __repr__(self) -> str:
         rows = len(self._recording)
         end = float(self.time[-1]) if rows else 0.0
-        return f"<Result: {len(self)} signals, {rows} rows to t = {end:g} s{', stopped early' if self.stopped else ''}>"
+        notes = "".join(f", {note}" for note in self._notes())
+        return f"<Result: {len(self)} signals, {rows} rows to t = {end:g} s{notes}>"
+
+    def _notes(self) -> list[str]:
+        """Return what a reader must know of the run: that it stopped, or that its sensors contradict the controller's model."""
+        from bayesftc.cosim.judging.signals import ALARM
+
+        notes = ["stopped early"] if self.stopped else []
+        for name in self:
+            block, _, port = name.rpartition(".")
+            if port == "model_suspect" and (raised := self[name] >= ALARM).any():
+                when = f"t = {self.time[raised.argmax()]:g} s"
+                notes.append(f"model of {block} suspect from {when} (controllers.diagnose says why)")
+        return notes
 
     def _repr_html_(self) -> str:
         """Return a table of the signals with their ranges, for notebooks."""
@@ -286,8 +299,7 @@ class Result(Mapping[str, Floats]):
         roles = self.roles if signals is None else None
         if roles is None or not any(name.startswith(f"{roles.controller}.") for name in self):
             return self.plot_signals(signals)
-        title = "stopped early" if self.stopped else None
-        return plot_run(signals_of(roles, self), title, shown_figure())
+        return plot_run(signals_of(roles, self), ", ".join(self._notes()), shown_figure())
 
     def plot_signals(self, signals: Iterable[str] | None = None) -> Figure:
         """Return a figure with one panel for each unit, and one for each signal without a unit.

@@ -25,6 +25,7 @@ WORDS = {
     "far": "far from the point of linearisation",
     "limit": "limit that the controller does not have",
     "late": "acts late",
+    "loaded": "begins 10",
 }
 """What the sentence must say of each way of being wrong."""
 

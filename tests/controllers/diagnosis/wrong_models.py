@@ -101,6 +101,7 @@ MOVED: Mapping[str, frozenset[str]] = {
     "lighter": MASS,
     "limit": frozenset({"limit"}),
     "late": frozenset({"late"}),
+    "loaded": frozenset({"onset"}),
 }
 """What is wrong with the model of a plant that a force moves, and what it may be called."""
 
@@ -121,6 +122,9 @@ def cases() -> list[Case]:
         found += [Case(plant, f"right, {kind}", faults=(f,)) for kind, f in _faults(size, 6.0, 14.0).items()]
     return found
 
+
+LOADED: Mapping[str, float] = {"car": -0.02, "servo": 0.1, "pendulum": 0.05}
+"""Load on each plant's noise input from 10 s on, in the input's unit."""
 
 SCALE: Mapping[str, float] = {"heavier": 1.4, "lighter": 0.6}
 
@@ -226,7 +230,14 @@ def loop(case: Case, learner: controllers.PrecisionLearner) -> cosim.Diagram:
     diagram.connect(node_of["u"], actuator["u"])
     diagram.connect(actuator["y"], node[control])
     for name, source in noise.items():
-        diagram.connect(diagram.add(source, f"{name}_noise")["y"], node[name])
+        signal = diagram.add(source, f"{name}_noise")["y"]
+        if case.wrong == "loaded":
+            both = diagram.add(cosim.Sum("++"), f"{name}_sum")
+            diagram.connect(
+                [signal, diagram.add(cosim.Step(time=10.0, after=LOADED[case.plant]), f"{name}_load")["y"]], both["u"]
+            )
+            signal = both["y"]
+        diagram.connect(signal, node[name])
     return diagram.build()
 
 
