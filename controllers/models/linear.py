@@ -86,6 +86,8 @@ class LinearModel(NamedArguments):
         Names of controls, sensors and the plant's states, for `to_control` and for messages.
     operating_control : sequence of float, optional
         Control at the operating point, a result of `about`; leave it out.
+    held_inputs : sequence of (str, float)
+        Inputs that are not controls, with the values at which the plant was linearised (``at=``); leave it out.
     delays : Delays, optional
         Result of `with_delays`; leave it out.
 
@@ -105,6 +107,7 @@ class LinearModel(NamedArguments):
     constant: bool = False
     names: SignalNames | None = field(default=None, kw_only=True)
     operating_control: Sequence[float] | None = field(default=None, kw_only=True, metadata={"derived": True})
+    held_inputs: Sequence[tuple[str, float]] = field(default=(), kw_only=True, metadata={"derived": True})
     delays: Delays | None = field(default=None, kw_only=True, metadata={"derived": True})
 
     def __post_init__(self) -> None:

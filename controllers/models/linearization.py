@@ -72,6 +72,8 @@ class Linearization:
         The state one step after x in a steady motion, where integrators (a position) change; None if it is x.
     states : tuple of str
         Names of the states; empty if they have none.
+    held : tuple of (str, float)
+        Inputs whose value at the operating point was given, with that value.
     """
 
     A: Floats
@@ -86,6 +88,7 @@ class Linearization:
     step: Fraction
     following: Floats | None = None
     states: tuple[str, ...] = ()
+    held: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         # Algorithms of linear algebra fail on such numbers with errors that do not name the plant.
@@ -145,7 +148,9 @@ class Linearization:
         if not (self.x.any() or self.u.any() or self.y.any()):
             return model
         # Inputs that are not actuated keep their values at the operating point, and belong to the steady state.
-        return model.about(self.x, self.u[columns], self.y[order], following=self.following)
+        model = model.about(self.x, self.u[columns], self.y[order], following=self.following)
+        actuated_names = {self.inputs[j] for j in columns}
+        return replace(model, held_inputs=tuple(pair for pair in self.held if pair[0] not in actuated_names))
 
     def _noise(self, actuated: Sequence[int], noise: Mapping[str, float | Sequence[float]] | None) -> Floats:
         return covariance_by_inputs(self.B, self.u, self.inputs, actuated, noise)
@@ -318,7 +323,10 @@ def _of_nonlinear(
     _refuse_direct(d[np.ix_(rows, columns)])
     following = None if rate is None else x + rate * (float(step) if system.dt == 0 else 1.0)
     start = np.array(block.initial)
-    return Linearization(a, b[:, columns], c[rows], x, u[columns], y[rows], start, into, out, step, following)
+    held = _held(known_inputs, at)
+    return Linearization(
+        a, b[:, columns], c[rows], x, u[columns], y[rows], start, into, out, step, following, held=held
+    )
 
 
 def _step(default_step: float | None, dt: float | str | Fraction | None) -> Fraction:
@@ -350,7 +358,8 @@ def _of_fmu(
 ) -> Linearization:
     fmu, step, u, (columns, driven), (rows, measured), into = fmu_ports(fmu, inputs, outputs, dt, at)
     if fmu.description.exchange is not None and order is None:
-        return _of_equations(fmu, u, columns, rows, driven, measured, step, _free(columns, into, at))
+        linear = _of_equations(fmu, u, columns, rows, driven, measured, step, _free(columns, into, at))
+        return replace(linear, held=_held(into, at))
     realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
     if realisation.waited and not at:
         warn_user(
@@ -359,7 +368,8 @@ def _of_fmu(
             f"{_point(measured, realisation.y)}. For another operating point give start values or inputs (at=...)."
         )
     point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
-    return Linearization(realisation.A, realisation.B, realisation.C, *point, driven, measured, step)
+    matrices = realisation.A, realisation.B, realisation.C
+    return Linearization(*matrices, *point, driven, measured, step, held=_held(into, at))
 
 
 def _point(names: Sequence[str], values: Floats) -> str:
@@ -400,6 +410,11 @@ def _free(columns: Sequence[int], inputs: Sequence[str], at: Mapping[str, Any]) 
     """Return the actuated inputs that may change for a steady state: those without a given value."""
     given = spread("The operating point", at, inputs)
     return [j for j in columns if j not in given]
+
+
+def _held(inputs: Sequence[str], at: Mapping[str, Any]) -> tuple[tuple[str, float], ...]:
+    """Return the inputs whose value at the operating point is given, with that value."""
+    return tuple((inputs[j], float(value)) for j, value in spread("The operating point", at, inputs).items())
 
 
 def _rest(

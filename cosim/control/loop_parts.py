@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Literal, NamedTuple
@@ -106,7 +106,7 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     linear, start = (
         (_of_system(plant, step, rows), np.zeros(len(measured)))
         if plant is not None
-        else _of_block(diagram, node, driven, measured, step, _operating_control(controller))
+        else _of_block(diagram, node, driven, measured, step, _operating_point(controller))
     )
     p, q = len(driven), len(measured)
     if linear.D.shape != (q, p):
@@ -174,10 +174,11 @@ def _samples(diagram: Diagram, node: Node, port: Port, i: int, step: Fraction) -
 # --- Linearize the parts ---------------------------------------------------------------------------------------------
 
 
-def _operating_control(controller: Node) -> Floats | None:
-    """Return the controls at the operating point of the controller's model; None if it has none."""
-    at = getattr(getattr(controller.block, "model", None), "operating_control", None)
-    return None if at is None else np.atleast_1d(np.asarray(at, dtype=np.float64))
+def _operating_point(controller: Node) -> tuple[Floats, Mapping[str, float]]:
+    """Return the controls at the operating point of the controller's model, none if it has none, and its other inputs there."""
+    model = getattr(controller.block, "model", None)
+    at = getattr(model, "operating_control", None)
+    return np.asarray(() if at is None else at, dtype=np.float64), dict(getattr(model, "held_inputs", ()))
 
 
 def _of_block(
@@ -186,11 +187,11 @@ def _of_block(
     driven: Sequence[Element],
     measured: Sequence[Element],
     step: Fraction,
-    control: Floats | None,
+    at: tuple[Floats, Mapping[str, float]],
 ) -> tuple[Matrices, Floats]:
     """Return the plant from controls to measured signals, linearized at its start values, and these signals there.
 
-    With a `control` the plant has these controls there, in place of the start values of its inputs.
+    Controls and other inputs in `at` have these values in place of the start values of the plant's inputs.
     """
     block: Any = node.block
     plant_step, ports = diagram.step * node.every, _inputs(node)
@@ -198,7 +199,10 @@ def _of_block(
     columns = [inputs.index((port.name, i)) for port, i in driven]
     lines = [outputs.index((port.name, i)) for port, i in measured]
     u = np.concatenate([np.zeros(0), *map(_defaults, ports)])
-    if control is not None and len(control) == len(columns):
+    control, others = at
+    for k, (name, i) in enumerate(inputs):
+        u[k] = others.get(element_name(node.port(name), i), u[k])
+    if len(control) == len(columns):
         u[columns] = control
     if isinstance(block, StateSpace) and isinstance(block.system, LinearSystem):
         a, b, c, d = block.system.matrices()

@@ -31,7 +31,13 @@ from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.subsystem import outermost, port_named
-from bayesftc.cosim.diagram.wiring import check_goals_ahead, preview_time, warn_of_other_signals, wrong_goals
+from bayesftc.cosim.diagram.wiring import (
+    check_goals_ahead,
+    preview_time,
+    warn_of_held_inputs,
+    warn_of_other_signals,
+    wrong_goals,
+)
 from bayesftc.cosim.errors import (
     ConnectionError,
     ModelError,
@@ -201,6 +207,7 @@ def closed_loop(
         _feed(diagram, _start_value(diagram, node[name], name), node[name], chain, name)
     warn_of_other_signals(diagram, node, controller_node)
     _extend(diagram, blocks or {}, connections)
+    warn_of_held_inputs(diagram, node, controller_node)
     check_goals_ahead(diagram, controller_node)
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])

@@ -206,6 +206,21 @@ def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> No
             )
 
 
+def warn_of_held_inputs(diagram: Diagram, plant: Node, controller: Node) -> None:
+    """Warn if an input of the plant without a source has another value than that at which the controller's model was made."""
+    held = dict(getattr(getattr(controller.block, "model", None), "held_inputs", ()))
+    for port in plant.inputs:
+        for i, name in enumerate(labels(port.name, port.shape)):
+            if name in held and port.default is not None and healthy_source(diagram, plant, port, i) is None:
+                value = float(np.broadcast_to(port.default, port.shape).ravel()[i])
+                if value != held[name]:
+                    warn_user(
+                        f"The controller's model was made with {name} = {held[name]:g}, but {name} of the plant has no source "
+                        f"and stays at {value:g}. Give it a source, such as noise={{{name!r}: cosim.Constant({held[name]:g})}}; "
+                        "in a scenario file, [noise]."
+                    )
+
+
 # --- Goals --------------------------------------------------------------------------------------------------------
 
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from control import ss
+from control import nlsys, ss
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim import Port
@@ -304,6 +304,35 @@ def test_signals_in_another_order_than_those_of_the_model_are_warned_of(changes,
         cosim.closed_loop(ROOMS, controller, reference=[1.0, 2.0], **given)
     assert len(caught) == bool(words)
     assert all(re.search(words, str(each.message)) and each.filename == __file__ for each in caught)
+
+
+def tank(t, x, u, params):
+    return np.array([0.1 * u[0] + u[1] - 0.2 * np.sqrt(max(x[0], 1e-3))])
+
+
+@pytest.mark.parametrize(
+    ("noise", "words"),
+    [
+        ({}, r"with inflow = 0\.05, but inflow of the plant has no source and stays at 0\. .*Constant\(0\.05\)"),
+        ({"inflow": cosim.Constant(0.05)}, ""),
+    ],
+)
+def test_an_input_that_stays_away_from_the_operating_point_is_warned_of(noise, words):
+    system = nlsys(tank, lambda t, x, u, params: x, inputs=["pump", "inflow"], outputs=["level"], states=["h"])
+    plant = cosim.StateSpace(system, initial=[0.25])
+    controller = controllers.design(
+        plant, measured="level", actuated="pump", sensors=2, dt=0.5, at={"pump": 0.5, "inflow": 0.05}
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        diagram = cosim.closed_loop(
+            plant, controller, control="pump", measured="level", sensors=cosim.Sensors(2, 0.01), reference=0.25, noise=noise
+        )  # fmt: skip
+    assert len(caught) == bool(words)
+    assert all(re.search(words, str(each.message)) and each.filename == __file__ for each in caught)
+    described = controller.describe().split("filter's included: ")[1].split(";")[0]
+    poles = sorted(float(pole) for pole in described.split(", "))
+    np.testing.assert_allclose(np.sort(diagram.poles().real), poles, rtol=1e-4)
 
 
 def test_one_fault_needs_no_list():
