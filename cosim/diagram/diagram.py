@@ -12,7 +12,7 @@ from bayesftc.cosim.base.timebase import rational_step, whole_number, whole_step
 from bayesftc.cosim.base.units import difference
 from bayesftc.cosim.block import Block, ExternalBlock
 from bayesftc.cosim.blocks.faults.base import Fault
-from bayesftc.cosim.blocks.faults.without_effect import late_faults, warn_without_effect
+from bayesftc.cosim.blocks.faults.without_effect import late_faults, short_faults, warn_without_effect
 from bayesftc.cosim.diagram.coupling import Coupling, Method
 from bayesftc.cosim.diagram.loop_methods import LoopMethods
 from bayesftc.cosim.diagram.nodes import Node, PortRef
@@ -406,12 +406,13 @@ class Diagram(LoopMethods):
         from bayesftc.cosim.run.session import Session
 
         with Session(self, seed=seed, record=record, decimation=decimation, engine=engine) as session:
-            self._warn_of_late_faults(whole_steps(duration, self.step, "The duration") * self.step)
+            self._warn_of_faults_without_effect(whole_steps(duration, self.step, "The duration") * self.step)
             return session.advance(duration, progress=progress, time_limit=time_limit, pace=pace)
 
-    def _warn_of_late_faults(self, end: Fraction) -> None:
-        starts = {f"The fault {n.name!r}": [n.block.times[0]] for n in self.nodes if isinstance(n.block, Fault)}
-        warn_without_effect(late_faults(starts, end))
+    def _warn_of_faults_without_effect(self, end: Fraction) -> None:
+        times = {f"The fault {n.name!r}": n.block.times for n in self.nodes if isinstance(n.block, Fault)}
+        late = late_faults({name: [start] for name, (start, _) in times.items()}, end)
+        warn_without_effect([*late, *short_faults(times, self.step)])
 
     def start(
         self,

@@ -1,12 +1,15 @@
 """What a scenario says to no effect is a note on stderr, and no error: short runs of long scenarios are usual."""
 
 import json
+from fractions import Fraction
 from pathlib import Path
 
 import control
 import pytest
+from hypothesis import given, strategies as st
 
 from bayesftc import controllers, cosim
+from bayesftc.cosim.blocks.faults.without_effect import short_faults
 from bayesftc.cosim.campaign.designs.design import Points
 from bayesftc.cosim.campaign.runs import late
 from bayesftc.scenario import load_scenario, shipped_scenarios
@@ -42,6 +45,27 @@ def test_a_fault_after_the_end_is_a_note_where_it_disturbs_nobody(bayesftc_, car
     assert done.stderr == ""
     assert note in json.loads(done.stdout)["notes"]
     assert unused(load_scenario("car.toml")) == []
+
+
+def test_a_fault_between_two_steps_is_a_note(bayesftc_, car):
+    car()
+    with open("car.toml", "a", encoding="utf-8") as file:
+        file.write('[[faults]]\nkind = "Bias"\nmagnitude = 1.0\nstart = 1.105\nstop = 1.115\n')
+    step = load_scenario("car.toml").loop().step
+    when = f"from 1.105 s to 1.115 s, between two steps of {float(step):g} s"
+    note = f"car.toml: 'faults[1]' lasts {when}. The fault has no effect."
+    assert f"Note: {note}\n" == bayesftc_("run", "car.toml").stderr
+    with pytest.warns(UserWarning, match=r"^The fault 'bias_0' lasts from 1\.105 s to 1\.115 s, between two steps"):
+        load_scenario("car.toml").loop().simulate(8.0, engine="interpreted")
+
+
+@given(st.integers(1, 400), st.integers(1, 50), st.integers(1, 100), st.integers(0, 30))
+def test_a_fault_is_between_two_steps_if_no_step_is_in_its_window(num, den, start, length):
+    step = Fraction(num, den)
+    begin, end = start / 10, (start + length + 0.5) / 10
+    steps = [float(k * step) for k in range(int(end / float(step)) + 2)]
+    seen = any(begin <= t < end for t in steps)
+    assert bool(list(short_faults({"f": (begin, end)}, step))) == (not seen)
 
 
 def test_a_block_that_is_connected_to_nothing_is_a_note(bayesftc_, car):

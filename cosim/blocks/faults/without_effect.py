@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from fractions import Fraction
+from itertools import count
+from math import floor
 from numbers import Real
 
 import numpy as np
@@ -48,6 +50,24 @@ def late_faults(starts: Mapping[str, Iterable[object]], end: Fraction) -> Iterat
         first = min(start if isinstance(start, Real) else 0.0 for start in given)
         if first >= end:
             yield f"{fault} starts at {first:g} s, but the run ends at {show(end)} s. The fault has no effect."
+
+
+def short_faults(times: Mapping[str, tuple[float, float]], step: Fraction) -> Iterator[str]:
+    """Yield a sentence for each fault between two steps.
+
+    Parameters
+    ----------
+    times : mapping of str to (float, float)
+        Start and stop of each fault in seconds; the stop may be infinite.
+    step : Fraction
+        The base step in seconds.
+    """
+    for fault, (start, stop) in times.items():
+        k = max(floor(start / step) - 1, 0)
+        if next(t for i in count(k) if (t := float(i * step)) >= start) >= stop:
+            yield (
+                f"{fault} lasts from {start:g} s to {stop:g} s, between two steps of {show(step)} s. The fault has no effect."
+            )
 
 
 def unread_variables(name: str, matrix: ArrayLike | None, measured: Sequence[str]) -> Iterator[str]:

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.base.timebase import rational_step
-from bayesftc.cosim.blocks.faults.without_effect import late_faults, unconnected, unread_sensors, unread_variables
+from bayesftc.cosim.blocks.faults.without_effect import (
+    late_faults,
+    short_faults,
+    unconnected,
+    unread_sensors,
+    unread_variables,
+)
+from bayesftc.cosim.diagram.closed_loop import base_step
 from bayesftc.cosim.errors import StepSizeError
 from bayesftc.scenario._blocks import faults_among
 from bayesftc.scenario._paths import line_of
@@ -28,7 +35,7 @@ OF_CAMPAIGNS = [f"simulation.{f.name}" for f in fields(Simulation) if f.name != 
 
 
 def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -> list[str]:
-    """Return a sentence for each fault after the end of the run, and for each unused sensor, variable or block.
+    """Return a sentence for each fault after the end of the run or between two steps, and for each unused sensor or block.
 
     Parameters
     ----------
@@ -42,8 +49,10 @@ def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -
     except StepSizeError:  # the run raises it with its place
         return []
     root = Place(str(scenario.path))
-    starts = {place: [start] for place, start in _starts(scenario)}
-    return [*late_faults(_named(root, starts), end), *_unread(root, scenario), *_unconnected(root, scenario)]
+    times = {f"{root / place}": of for place, of in _times(scenario)}
+    step = rational_step(base_step(scenario.controller, scenario.simulation.dt))
+    late = late_faults({name: [start] for name, (start, _) in times.items()}, end)
+    return [*late, *short_faults(times, step), *_unread(root, scenario), *_unconnected(root, scenario)]
 
 
 def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
@@ -54,7 +63,7 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
     of_campaign = [name for name in points[0] if name in OF_CAMPAIGNS]
     starts = {
         place: [point.get(f"{place}.start", start) for point in points]
-        for place, start in _starts(scenario)
+        for place, (start, _) in _times(scenario)
         if not any(place.startswith(name) for name in points[0])  # a factor replaces the whole fault
     }
     where = Place(loop.path)
@@ -63,27 +72,25 @@ def unused_of_campaign(campaign: Campaign, path: str) -> list[str]:
             f"{Place(path)}: the factor {name!r} has no effect, because a campaign sets it itself. Leave it out."
             for name in of_campaign
         ),
-        *late_faults(_named(where, starts), campaign.job.steps * campaign.job.step),
+        *late_faults(
+            {f"{where / place}": each for place, each in starts.items()}, campaign.job.steps * campaign.job.step
+        ),
         *_unread(where, scenario),
         *_unconnected(where, scenario),
     ]
 
 
-def _starts(scenario: Scenario) -> Iterator[tuple[str, float]]:
-    """Yield the place of each fault in the file, and its earliest start."""
+def _times(scenario: Scenario) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield the place of each fault in the file, its earliest start, and its latest stop."""
     lists: Mapping[str, Iterable[Any]] = {
         "faults": scenario.faults,
         **{f"input_faults.{name}": faults for name, faults in scenario.input_faults.items()},
     }
     for name, faults in lists.items():
         for i, fault in enumerate(faults):
-            yield f"{name}[{i}]", fault.times[0]
+            yield f"{name}[{i}]", fault.times
     for place, fault in faults_among(scenario.blocks):
-        yield place, fault.times[0]
-
-
-def _named(root: Place, starts: Mapping[str, list[Any]]) -> dict[str, list[Any]]:
-    return {f"{root / place}": values for place, values in starts.items()}
+        yield place, fault.times
 
 
 def _unread(root: Place, scenario: Scenario) -> Iterator[str]:
