@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from bayesftc.controllers.precision.rate import Calibration, RateLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.probabilities import Reliability, reliability
 
@@ -54,6 +56,16 @@ class Hazards(NamedTuple):
 
     mean_time_to_fault: float = 2.8
     mean_time_to_recovery: float = 0.4
+
+    @classmethod
+    def usual(cls, step: Fraction) -> Hazards:
+        """Return the default for a sample time in seconds: no shorter than 28 and 4 samples."""
+        return cls(*(_longer(step) * seconds for seconds in cls()))
+
+
+def _longer(step: Fraction) -> float:
+    """Return the factor by which faults last longer with a sample time above 0.1 s."""
+    return max(1.0, float(step) / 0.1)
 
 
 @dataclass(frozen=True)
@@ -101,7 +113,7 @@ class CalibrationReport:
 
 def calibrate(
     model: LinearModel,
-    hazards: tuple[float, float] = Hazards(),
+    hazards: tuple[float, float] | None = None,
     magnitudes: Mapping[str, float] | None = None,
     *,
     precision: PrecisionLearner | None = None,
@@ -121,11 +133,12 @@ def calibrate(
     ----------
     model : LinearModel
         Plant and sensors.
-    hazards : (float, float)
-        Mean time to fault and mean time to recovery in seconds.
+    hazards : (float, float), optional
+        Mean time to fault and mean time to recovery in seconds; by default those of `Hazards`, and with sample times above 0.1 s
+        as many samples as these are with 0.1 s: 28 and 4.
     magnitudes : mapping
         ``injection`` (constant offset) and ``drift`` (offset per second), in the sensors' units; by default 3 and 5 standard
-        deviations of the first sensor. Freezes have no magnitude.
+        deviations of the first sensor. The drift is as much slower as the faults last longer. Freezes have no magnitude.
     precision : PrecisionLearner, optional
         The learner to calibrate, a `RateLearner`; by default ``GammaPrecision()``. An existing calibration is ignored.
     reference : source, number, or one for each goal, optional
@@ -193,7 +206,7 @@ def judge(calibration: Calibration, x: Floats, faulty: np.ndarray[Any, np.dtype[
 
 def judge_own_probability(
     model: LinearModel,
-    hazards: tuple[float, float] = Hazards(),
+    hazards: tuple[float, float] | None = None,
     magnitudes: Mapping[str, float] | None = None,
     *,
     precision: PrecisionLearner,
@@ -258,7 +271,7 @@ def _judged(
 def _simulated(
     output: str,
     model: LinearModel,
-    hazards: tuple[float, float],
+    hazards: tuple[float, float] | None,
     magnitudes: Mapping[str, float],
     learner: PrecisionLearner,
     reference: Block | float | Sequence[Block | float] | None,
@@ -272,10 +285,12 @@ def _simulated(
     unknown = set(magnitudes) - {"injection", "drift"}
     if unknown:
         raise ModelError(f"calibrate has the unknown magnitude {sorted(unknown)[0]!r}; give 'injection' and 'drift'.")
+    hazards = Hazards.usual(model.step) if hazards is None else hazards
     _check_hazards(hazards, model)
     deviation = float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
-    sizes = {"injection": 3 * deviation, "drift": 5 * deviation, **magnitudes}
-    loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
+    sizes = {"injection": 3 * deviation, "drift": 5 * deviation / _longer(model.step), **magnitudes}
+    with noted_elsewhere():  # the plant's outputs are all its states, of which the sensors may leave some out
+        loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
     record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
     with reported(f"Simulating {steps} steps with random faults."):
         result = loop.simulate(steps * model.step, seed=seed, record=record)

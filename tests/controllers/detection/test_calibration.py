@@ -104,6 +104,14 @@ def test_a_map_of_pure_noise_is_found_out():
     assert report.calibration_error > 0.2
 
 
+def test_a_slow_plant_is_calibrated_without_settings():
+    """With samples of 5 s faults of 0.4 s are impossible; per sample, the defaults are those of 0.1 s."""
+    slow, usual = (controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=dt) for dt in ("5", "0.1"))
+    reports = [controllers.calibrate(model, steps=6_000) for model in (slow, usual)]
+    assert reports[0].fault_share == reports[1].fault_share > 0.05
+    assert reports[0].auc == pytest.approx(reports[1].auc, abs=1e-6)
+
+
 def test_reproducible():
     assert fit(seed=2, steps=6_000) == fit(seed=2, steps=6_000)
 

@@ -32,8 +32,12 @@ OPTIONS = {
 
 def calibrate(
     scenario: AScenario,
-    time_to_fault: Annotated[float, typer.Option(help="Mean time to a fault in seconds.")] = 2.8,
-    time_to_recovery: Annotated[float, typer.Option(help="Mean time to recovery in seconds.")] = 0.4,
+    time_to_fault: Annotated[
+        float | None, typer.Option(help="Mean time to a fault in seconds, by default 2.8 or 28 samples.")
+    ] = None,
+    time_to_recovery: Annotated[
+        float | None, typer.Option(help="Mean time to recovery in seconds, by default 0.4 or 4 samples.")
+    ] = None,
     injection: Annotated[float | None, typer.Option(help="Offset of an injection; by default 3 sensor sd.")] = None,
     drift: Annotated[float | None, typer.Option(help="Drift per second; by default 5 sensor sd.")] = None,
     steps: Annotated[int, typer.Option(help="Length of the simulated run.")] = 80_000,
@@ -48,7 +52,7 @@ def calibrate(
     The scenario's model is simulated; its plant and faults are not used. A learner that gives a probability itself needs no map.
     Then only the quality of that probability is printed.
     """
-    hazards, path = controllers.Hazards(time_to_fault, time_to_recovery), scenario
+    path = scenario
     magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
     if out is not None:
         output.check_folder(out, (DIAGRAM, NUMBERS), silent=True)
@@ -61,6 +65,9 @@ def calibrate(
     if out is not None and not json:  # the scenario is checked
         output.note_replaced(out / name for name in (DIAGRAM, NUMBERS))
     settings = {f.name: getattr(controller, f.name) for f in fields(controller) if f.name != "model"}
+    usual = controllers.Hazards.usual(controller.model.step)  # type: ignore[attr-defined]
+    given = {"mean_time_to_fault": time_to_fault, "mean_time_to_recovery": time_to_recovery}
+    hazards = usual._replace(**{name: seconds for name, seconds in given.items() if seconds is not None})
     learner = controller.precision
     has_probability = not isinstance(learner, RateLearner) and learner.why_no_probability is None
     with Place(path).named(), by_options(**OPTIONS):
