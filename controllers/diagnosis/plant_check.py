@@ -45,6 +45,10 @@ RUNAWAY = 1e6
 LATER = 0.25
 """Largest ratio of the squared errors with and without a delay for which there is a delay."""
 
+SMALLER = 0.1
+"""Relative size of a second step, where the first one shows a difference: far from the operating point, as a large step leads, a
+plant may be another than its linear model."""
+
 
 class ModelMismatchWarning(UserWarning):
     """The responses of model and plant to a control differ in sign, size or delay."""
@@ -170,16 +174,20 @@ def compare_with_plant(
         size = STANDARD_DEVIATIONS / reach if reach > 0.0 else 0.0
         room = max(high[j] - start[j], start[j] - low[j])
         size = min(size, room) * (1.0 if high[j] - start[j] >= start[j] - low[j] else -1.0)
-        moved = start.copy()
-        moved[j] += size
-        response = _response(model, plant, names, outputs, moved) if size else None
-        if response is None:
-            continue
         name = names[j] if len(names) == p else f"control {j} ({', '.join(names)})"
         used = slice(len(expected))
-        differences += _differences(
-            response[used] - baseline[used], expected * size, name, outputs, delayed=model.delays is not None
-        )
+        found: list[Mismatch] = []
+        for step in (size, SMALLER * size):
+            moved = start.copy()
+            moved[j] += step
+            response = _response(model, plant, names, outputs, moved) if step else None
+            if response is None:
+                break
+            change = response[used] - baseline[used]
+            found = _differences(change, expected * step, name, outputs, delayed=model.delays is not None)
+            if not found:
+                break
+        differences += found
     for mismatch in differences:
         warn_user(mismatch.sentence(float(model.step)), ModelMismatchWarning)
     return tuple(differences)

@@ -344,6 +344,21 @@ def test_a_step_response_that_agrees_is_not():
         assert controllers.compare_with_plant(MODEL, CAR, control="force", measured="v", at=20.0) == ()
 
 
+def test_a_nonlinear_plant_is_compared_near_its_operating_point():
+    """A valve of which the effect grows by 40 % over the large step; with a wrong gain both steps show it."""
+
+    def move(t, x, u, params):
+        return np.array([0.98 * x[0] + 0.02 * (u[0] + 0.4 * u[0] ** 2)])
+
+    valve = control.nlsys(move, lambda t, x, u, params: x, inputs=["u"], outputs=["y"], states=["x"], dt=0.1)
+    plant = cosim.StateSpace(valve, initial=[0.0])
+    for gain, ratios in ((0.02, []), (0.01, [2.1])):
+        model = controllers.LinearModel([[0.98]], [[gain]], [[1.0]], 1e-4, 0.01, dt=0.1)
+        with warnings.catch_warnings(action="ignore"):
+            found = controllers.compare_with_plant(model, plant, control="u", measured="y", u_min=-1.0, u_max=1.0)
+        assert [round(each.ratio, 1) for each in found] == ratios
+
+
 def test_a_late_plant_is_said_to_be_late():
     from bayesftc.reproduce.experiments.models.car import TrueCar
 
