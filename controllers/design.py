@@ -44,7 +44,7 @@ def design(
     dt: float | str | Fraction | None = None,
     at: Mapping[str, float | Sequence[float]] | None = None,
     order: int | None = None,
-    sensors: int | None = None,
+    sensors: int | Sequence[int] | None = None,
     sensor_std: float | Sequence[float] = 0.01,
     noise: Mapping[str, float | Sequence[float]] | None = None,
     disturbance: Matrix | None = None,
@@ -82,8 +82,10 @@ def design(
         Sample time in seconds; by default the one of the model or the FMU.
     at : mapping of input to number or vector, optional
         Inputs at the operating point; by default their start values.
-    order, sensors : int, optional
-        Number of states of a model by pulse responses, and number of sensors.
+    order : int, optional
+        Number of states of a model by pulse responses.
+    sensors : int or sequence of int, optional
+        Number of sensors, or of each measured output.
     sensor_std : number or vector
         Standard deviation of the sensors' noise.
     noise : mapping of input to number or vector, optional

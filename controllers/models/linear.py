@@ -309,7 +309,7 @@ class LinearModel(NamedArguments):
         process_covariance: Matrix | None = None,
         sensor_covariance: Matrix | None = None,
         dt: float | str | Fraction | None = None,
-        sensors: int | None = None,
+        sensors: int | Sequence[int] | None = None,
     ) -> LinearModel:
         """Return the model of a python-control linear system.
 
@@ -324,9 +324,9 @@ class LinearModel(NamedArguments):
             Covariance of the sensors' noise; required.
         dt : float, str or Fraction, optional
             Sample time in seconds; required for a continuous system.
-        sensors : int, optional
-            Number of sensors, a multiple of the system's outputs: sensor i measures output i modulo their number. By default the
-            number of rows of `sensor_covariance`, or one sensor an output.
+        sensors : int or sequence of int, optional
+            Number of sensors, a multiple of the system's outputs: sensor i measures output i modulo their number. Or the number
+            of sensors of each output. By default the number of rows of `sensor_covariance`, or one sensor an output.
 
         Returns
         -------
@@ -365,15 +365,11 @@ class LinearModel(NamedArguments):
         if sensors is None:
             rows = np.asarray(sensor_covariance, float)
             sensors = rows.shape[0] if rows.ndim else outputs
-        if sensors % outputs:
-            raise ModelError(
-                f"{sensors} sensors are not a multiple of {outputs} outputs; use LinearModel(...) with C=."
-            )
-        C = np.tile(linear.C, (sensors // outputs, 1))
-        names = SignalNames(
-            tuple(system.input_labels), tuple(system.output_labels) * (sensors // outputs), tuple(states)
-        )
-        return cls(linear.A, linear.B, C, process_covariance, sensor_covariance, step, names=names)
+        from bayesftc.controllers.models.names import measured_by
+
+        order = measured_by(sensors, outputs)
+        names = SignalNames(tuple(system.input_labels), tuple(system.output_labels[i] for i in order), tuple(states))
+        return cls(linear.A, linear.B, linear.C[order], process_covariance, sensor_covariance, step, names=names)
 
     @classmethod
     def from_fmu(
@@ -386,7 +382,7 @@ class LinearModel(NamedArguments):
         at: Mapping[str, float | Sequence[float]] | None = None,
         order: int | None = None,
         noise: Mapping[str, float | Sequence[float]] | None = None,
-        sensors: int | None = None,
+        sensors: int | Sequence[int] | None = None,
         sensor_std: float | Sequence[float] = 0.01,
         disturbance: Matrix | None = None,
     ) -> LinearModel:
@@ -422,8 +418,9 @@ class LinearModel(NamedArguments):
         noise : mapping of input to number or vector, optional
             Inputs of the FMU at which process noise acts, and its standard deviation in each sample. By default the actuated
             inputs, with 5 % of their value at the operating point or of 1, whichever is larger.
-        sensors : int, optional
-            Number of sensors, a multiple of the measured outputs: sensor i measures output i modulo their number. By default one
+        sensors : int or sequence of int, optional
+            Number of sensors, a multiple of the measured outputs: sensor i measures output i modulo their number. Or the number
+            of sensors of each output: ``(1, 3)`` is one sensor of the first output, then three of the second one. By default one
             sensor an output.
         sensor_std : number or vector
             Standard deviation of the sensors' noise: one for all, for each output, or for each sensor.

@@ -129,7 +129,7 @@ class Linearization:
         actuated: Sequence[str],
         *,
         noise: Mapping[str, float | Sequence[float]] | None = None,
-        sensors: int | None = None,
+        sensors: int | Sequence[int] | None = None,
         sensor_std: float | Sequence[float] = 0.01,
         disturbance: Matrix | None = None,
     ) -> LinearModel:

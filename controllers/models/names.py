@@ -91,17 +91,29 @@ def chosen(names: Sequence[str], available: Sequence[str], kind: str) -> tuple[l
     return places, tuple(available[place] for place in places)
 
 
+def measured_by(sensors: int | Sequence[int] | None, outputs: int) -> list[int]:
+    """Return the number of the output that each sensor measures: in turn, or so many sensors of each output."""
+    if sensors is None or np.ndim(sensors) == 0:
+        count = outputs if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
+        if count % outputs:
+            raise ModelError(
+                f"{count} sensors are not a multiple of {outputs} measured outputs. Sensor i measures output i modulo the number "
+                f"of outputs; give a multiple, or a number for each output, such as sensors={(*[1] * (outputs - 1), 3)}."
+            )
+        return [i % outputs for i in range(count)]
+    counts = [int(as_number("The model has sensors", each, least=1, whole=True)) for each in sensors]  # type: ignore[union-attr]
+    if len(counts) != outputs:
+        raise ModelError(f"sensors has {len(counts)} numbers for {outputs} measured outputs; give one for each.")
+    return [i for i, count in enumerate(counts) for _ in range(count)]
+
+
 def sensors_of(
-    rows: Sequence[int], sensors: int | None, sensor_std: float | Sequence[float]
+    rows: Sequence[int], sensors: int | Sequence[int] | None, sensor_std: float | Sequence[float]
 ) -> tuple[list[int], Floats]:
     """Return the output that each sensor measures, and the variance of its noise; see `LinearModel.from_fmu`."""
-    count = len(rows) if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
-    if count % len(rows):
-        raise ModelError(
-            f"{count} sensors are not a multiple of {len(rows)} measured outputs. Sensor i measures output i modulo the "
-            "number of outputs; give a multiple."
-        )
-    std = as_vector("sensor_std", sensor_std, len(rows) if np.shape(sensor_std) == (len(rows),) else count)
+    measured = measured_by(sensors, len(rows))
+    of_outputs = np.shape(sensor_std) == (len(rows),)
+    std = as_vector("sensor_std", sensor_std, len(rows) if of_outputs else len(measured))
     if (std < 0).any():
         raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")
     if (std == 0).any():
@@ -109,5 +121,4 @@ def sensors_of(
             f"sensor_std is {std.tolist()}; a sensor without noise cannot be weighed against others. For a coarse sensor, give "
             "about a third of its resolution."
         )
-    variances = np.array([std[i % len(std)] for i in range(count)]) ** 2
-    return [rows[i % len(rows)] for i in range(count)], variances
+    return [rows[i] for i in measured], (std[measured] if of_outputs else std) ** 2

@@ -214,7 +214,7 @@ class NonlinearModel(NamedArguments):
         substeps: int | None = None,
         noise: Mapping[str, float | Sequence[float]] | None = None,
         process_covariance: Matrix | None = None,
-        sensors: int | None = None,
+        sensors: int | Sequence[int] | None = None,
         sensor_std: float | Sequence[float] = 0.01,
         disturbance: Matrix | None = None,
     ) -> NonlinearModel:

@@ -32,10 +32,11 @@ class Sensors(Block):
 
     Parameters
     ----------
-    count : int
-        Number of sensors.
+    count : int or sequence of int
+        Number of sensors, or of each signal: ``(1, 3)`` is one of the first signal, then three of the second one.
     std : float or sequence of float
-        Standard deviation of the noise in the unit of the signal, for all sensors or for each.
+        Standard deviation of the noise in the unit of the signal, for all sensors or for each; with a `count` for each signal
+        also for each signal. The same holds for `bias` and `resolution`.
     signals : int
         Number of signals that they read.
     bias : float or sequence of float
@@ -68,7 +69,7 @@ class Sensors(Block):
     (2,)
     """
 
-    count: int = 1
+    count: int | Sequence[int] = 1
     std: float | Sequence[float] = field(default=0.0, metadata={"unit": "{y}"})
     _: KW_ONLY
     signals: int = 1
@@ -81,23 +82,24 @@ class Sensors(Block):
     invalid: Invalid = ()
 
     def __post_init__(self) -> None:
+        if isinstance(self.count, Sequence | np.ndarray) and not isinstance(self.count, str):
+            self._count_by_signal(tuple(self.count))
         for name in ("count", "signals"):
-            number = getattr(self, name)
-            if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= MOST:
-                raise ModelError(f"Sensors has {name}={brief(number)}; it must be a whole number from 1 to {MOST:,}.")
+            _check_number(name, getattr(self, name))
         for name in ("std", "bias", "resolution"):
             self._check_each(name, negative=name == "bias")
-        invalid_values("Sensors", self.invalid, self.count)
+        invalid_values("Sensors", self.invalid, len(self))
         self._check_matrix("matrix", self.signals)
-        self._check_matrix("covariance", self.count)
+        self._check_matrix("covariance", len(self))
         if self.matrix is not None and self.function is not None:
             raise ModelError("Sensors has a matrix and a function; give only one of them.")
         if self.function is not None:
             _check_function(self.function)
-        elif self.matrix is None and self.count % self.signals:
+        elif self.matrix is None and len(self) % self.signals:
             raise ModelError(
-                f"{self.count} sensors cannot share {self.signals} signals evenly; give matrix=... "
-                f"({self.count} x {self.signals}) or function=... for the readings of each sensor."
+                f"{self.count} sensors cannot share {self.signals} signals evenly; give the number of each, such as "
+                f"count={(*[1] * (self.signals - 1), max(len(self) - self.signals + 1, 1))}, or matrix=... ({self.count} x "
+                f"{self.signals}) or function=... for the readings of each sensor."
             )
         if self.covariance is not None:
             if np.any(self.std):
@@ -106,17 +108,39 @@ class Sensors(Block):
                 )
             _semidefinite_factor(np.asarray(self.covariance))
 
+    def _count_by_signal(self, counts: tuple[int, ...]) -> None:
+        """Set the number of sensors and the matrix from the number of sensors of each signal."""
+        for number in counts:
+            _check_number("count", number)
+        if self.matrix is not None or self.function is not None or self.signals not in (1, len(counts)):
+            other = "a matrix" if self.matrix is not None else "a function" if self.function is not None else "signals"
+            raise ModelError(
+                f"Sensors has count={counts}, a number for each signal, which does not go with {other}; leave one of them out."
+            )
+        read = np.repeat(np.arange(len(counts)), counts)
+        for name in ("std", "bias", "resolution"):
+            if np.shape(value := getattr(self, name)) == (len(counts),):
+                object.__setattr__(self, name, tuple(np.asarray(value)[read].tolist()))
+        object.__setattr__(self, "count", len(read))
+        if len(counts) > 1:
+            object.__setattr__(self, "signals", len(counts))
+            object.__setattr__(self, "matrix", np.eye(len(counts))[read].tolist())
+
+    def __len__(self) -> int:
+        """Return the number of sensors."""
+        return self.count  # type: ignore[return-value]
+
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u`` and random input ``noise``."""
         shape = () if self.signals == 1 else (self.signals,)
         u = Port("u", shape, unit=self.unit, description="What is measured")
-        return (u, Port("noise", (self.count,), draw="normal"))
+        return (u, Port("noise", (len(self),), draw="normal"))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y", (self.count,), unit=self.unit, description="Samples of the sensors; NaN for a missing one"),)
+        return (Port("y", (len(self),), unit=self.unit, description="Samples of the sensors; NaN for a missing one"),)
 
     @property
     def rows(self) -> Floats | None:
@@ -125,7 +149,7 @@ class Sensors(Block):
             return None
         if self.matrix is not None:
             return np.asarray(self.matrix, dtype=np.float64)
-        return np.asarray(np.eye(self.signals)[np.arange(self.count) % self.signals])
+        return np.asarray(np.eye(self.signals)[np.arange(len(self)) % self.signals])
 
     @property
     def one_unit(self) -> tuple[str, ...]:
@@ -145,7 +169,7 @@ class Sensors(Block):
             disturbance, factor = kernels.correlated, _semidefinite_factor(np.asarray(self.covariance))
         return Definition(
             kernels.sensors(measure, disturbance),
-            state={"clean": np.zeros(self.count)},
+            state={"clean": np.zeros(len(self))},
             parameters={
                 "matrix": [[0.0]] if self.matrix is None else self.matrix,
                 "factor": factor,
@@ -155,7 +179,7 @@ class Sensors(Block):
         )
 
     def _each(self, name: str) -> Floats:
-        return np.broadcast_to(np.asarray(getattr(self, name), float), (self.count,))
+        return np.broadcast_to(np.asarray(getattr(self, name), float), (len(self),))
 
     def _check_each(self, name: str, negative: bool) -> None:
         value = getattr(self, name)
@@ -181,6 +205,11 @@ class Sensors(Block):
                 f"{self.count} sensors."
             )
         object.__setattr__(self, name, tuple(tuple(row) for row in numbers.tolist()))
+
+
+def _check_number(name: str, number: object) -> None:
+    if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 1 <= number <= MOST:
+        raise ModelError(f"Sensors has {name}={brief(number)}; it must be a whole number from 1 to {MOST:,}.")
 
 
 def _check_function(function: Callable[..., None]) -> None:

@@ -167,9 +167,9 @@ def closed_loop(
     diagram.connect(outputs, sensor_node["u"])
     samples = _through(diagram, sensor_node["y"], _chain(faults))
     controller_node = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
-    if len(controller_node["y"]) != sensors.count:
+    if len(controller_node["y"]) != len(sensors):
         raise ConnectionError(
-            f"The controller has {len(controller_node['y'])} sensors, but the loop has {sensors.count}. Give the loop "
+            f"The controller has {len(controller_node['y'])} sensors, but the loop has {len(sensors)}. Give the loop "
             f"sensors=cosim.Sensors(count={len(controller_node['y'])}, std=...), or the controller's model a row of C, or a "
             "modality, for each sensor of the loop."
         )
@@ -532,7 +532,7 @@ def with_invalid(controller: Block, sensors: Sensors) -> Block:
     ModelError
         If the controller has no setting ``invalid``, or other values in it.
     """
-    table = invalid_values("Sensors", sensors.invalid, sensors.count)
+    table = invalid_values("Sensors", sensors.invalid, len(sensors))
     if np.isnan(table).all():
         return controller
     settings: Any = controller
@@ -541,7 +541,7 @@ def with_invalid(controller: Block, sensors: Sensors) -> Block:
             f"Sensors has invalid={sensors.invalid!r}, but the controller, of the kind {type(controller).__name__}, has no "
             "setting 'invalid'; leave invalid out."
         )
-    values = invalid_values("The controller", settings.invalid, sensors.count)
+    values = invalid_values("The controller", settings.invalid, len(sensors))
     if not np.isnan(values).all() and not np.array_equal(values, table, equal_nan=True):
         raise ModelError(
             f"Sensors has invalid={sensors.invalid!r}, and the controller invalid={settings.invalid!r}; leave one of them out."

@@ -115,6 +115,26 @@ def test_an_fmu_that_saves_no_state_is_made_anew_for_each_experiment(monkeypatch
     assert saved.y[0] + (saved.C @ saved.start).item() == pytest.approx(0.6, abs=0.05)
 
 
+def test_outputs_may_have_different_numbers_of_sensors():
+    """As the model with a row of C for each; a loop and a scenario have the same numbers."""
+    tank = control.ss(
+        [[-0.1, 0.0], [0.02, -0.05]], 0.1 * np.eye(2), np.eye(2), 0, inputs=["valve", "heater"], outputs=["h", "T"]
+    )
+    settings = {"measured": ["h", "T"], "actuated": ["valve", "heater"], "dt": 1.0, "noise": {"valve": 0.1, "heater": 0.2}}
+    model = design(tank, **settings, sensors=(1, 3), sensor_std=(0.01, 0.2)).model
+    np.testing.assert_array_equal(model.matrix("C"), np.eye(2)[[0, 1, 1, 1]])
+    np.testing.assert_array_equal(np.sqrt(np.diag(model.matrix("sensor_covariance"))), [0.01, 0.2, 0.2, 0.2])
+    assert model.names.sensors == ("h", "T", "T", "T")
+    covariances = {"process_covariance": model.process_covariance, "sensor_covariance": model.sensor_covariance}
+    same = LinearModel.from_control(tank, dt=1.0, sensors=(1, 3), **covariances)
+    for name in "ABC":
+        np.testing.assert_allclose(same.matrix(name), model.matrix(name), atol=1e-12)
+    with pytest.raises(ModelError, match=r"3 sensors are not a multiple of 2 .* sensors=\(1, 3\)"):
+        design(tank, **settings, sensors=3)
+    with pytest.raises(ModelError, match="sensors has 3 numbers for 2 measured outputs"):
+        design(tank, **settings, sensors=(1, 1, 1))
+
+
 def test_a_system_without_a_sample_time_says_where_one_is_given():
     with pytest.raises(StepSizeError, match=r"without a sample time.* dt=0\.01, or dt = 0\.01 in \[simulation\]"):
         design(control.ss(-1.0, 1.0, 1.0, 0.0), measured="y", actuated="u")

@@ -535,6 +535,40 @@ def test_three_sensors_on_two_variables(write):
             load_scenario(write(text=text))
 
 
+SOME_OF_EACH = """
+[simulation]
+duration = 5
+[plant]
+A = [[-0.1, 0], [0.02, -0.05]]
+B = [[0.1, 0], [0, 0.1]]
+C = [[1, 0], [0, 1]]
+dt = 0
+inputs = ["valve", "heater"]
+outputs = ["h", "T"]
+control = ["valve", "heater"]
+measured = ["h", "T"]
+[sensors]
+count = [1, 3]
+std = [0.01, 0.2]
+[controller]
+kind = "design"
+dt = 1
+[[reference]]
+kind = "Constant"
+value = 1
+[[reference]]
+kind = "Constant"
+value = 5
+"""
+
+
+def test_a_design_has_as_many_sensors_of_each_variable_as_the_loop(write):
+    scenario = load_scenario(write(text=SOME_OF_EACH))
+    assert scenario.controller.model.names.sensors == ("h", "T", "T", "T")
+    np.testing.assert_allclose(np.diag(scenario.controller.model.matrix("sensor_covariance")), [1e-4, 0.04, 0.04, 0.04])
+    assert scenario.simulate(engine="interpreted")["sensors.y"].shape == (6, 4)
+
+
 ACTIVE = """
 [simulation]
 duration = 1

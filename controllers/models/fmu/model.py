@@ -34,7 +34,7 @@ def model_of_fmu(
     substeps: int | None,
     noise: Mapping[str, float | Sequence[float]] | None,
     disturbance: Matrix | None,
-    sensors: int | None,
+    sensors: int | Sequence[int] | None,
     sensor_std: float | Sequence[float],
 ) -> dict[str, Any]:
     """Return the arguments of the model; see `NonlinearModel.from_fmu`."""

@@ -55,8 +55,7 @@ def _of_plant(
     """Call a function that takes the plant, and what the sections [plant] and [sensors] have, with a table's settings."""
     settings = dict(table)
     if sensors is not None:
-        _refuse_uneven(sensors, place, "a design" if function is design else "a model of the plant")
-        from_file["sensors"] = sensors.count
+        from_file["sensors"] = _numbers(sensors, place, "a design" if function is design else "a model of the plant")
         if sensors.covariance is not None and "sensor_std" not in table:
             raise place.error(
                 "lacks 'sensor_std', which it needs if [sensors] has a covariance: it assumes independent noise. Add "
@@ -71,13 +70,22 @@ def _of_plant(
     return build(function, settings, place, given=from_file)
 
 
-def _refuse_uneven(sensors: Sensors, place: Place, what: str) -> None:
-    matrix = sensors.matrix
+def _numbers(sensors: Sensors, place: Place, what: str) -> int | list[int]:
+    """Return the number of sensors that read the measured variables in turn, or the number that reads each of them."""
+    matrix, signals = sensors.matrix, np.arange(sensors.signals)
+    count = len(sensors)
     if sensors.function is None and matrix is None:
-        return
-    in_turn = [[float(j == i % sensors.signals) for j in range(sensors.signals)] for i in range(sensors.count)]
-    if matrix is None or not np.array_equal(matrix, in_turn):
-        raise place.error(
-            f"cannot be {what}, because [sensors] has a matrix. That needs sensors that read the measured variables in turn. "
-            "Leave out the matrix, or choose a controller with a [model] of numbers."
-        )
+        return count
+    if matrix is not None:
+        read = np.argmax(matrix, axis=1)
+        counts = (read[:, np.newaxis] == signals).sum(axis=0)
+        if np.array_equal(np.eye(len(signals))[read], matrix) and counts.all():
+            if np.array_equal(read, np.arange(count) % len(signals)):
+                return count
+            if np.array_equal(read, np.repeat(signals, counts)):
+                return [int(number) for number in counts]
+    raise place.error(
+        f"cannot be {what}, because [sensors] has a {'function' if matrix is None else 'matrix'}. That needs sensors that read "
+        "the measured variables in turn, or so many of each: count = [1, 3]. Leave it out, or choose a controller with a [model] "
+        "of numbers."
+    )

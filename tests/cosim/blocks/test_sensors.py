@@ -44,6 +44,7 @@ VARIANTS = {
     "same signal": cosim.Sensors(3, **DIFFERENT),
     "one to one": cosim.Sensors(3, signals=3, **DIFFERENT, resolution=(0.0, 0.25, 0.1)),
     "in turn": cosim.Sensors(4, 0.5, signals=2),
+    "some of each": cosim.Sensors((1, 3), (0.5, 2.0), bias=(0.0, 0.1, 0.2, 0.3)),
     "matrix": cosim.Sensors(3, signals=2, matrix=MATRIX, covariance=COVARIANCE),
     "function": cosim.Sensors(3, 0.5, signals=2, function=camera, resolution=0.125),
 }
@@ -52,6 +53,7 @@ CLEAN = {
     "same signal": lambda u: u[:, [0, 0, 0]],
     "one to one": lambda u: u,
     "in turn": lambda u: u[:, [0, 1, 0, 1]],
+    "some of each": lambda u: u[:, [0, 1, 1, 1]],
     "matrix": lambda u: u @ np.array(MATRIX).T,
     "function": lambda u: np.stack(
         [np.cos(u[:, 0]) + np.cos(u.sum(axis=1)), np.sin(u[:, 0]) + np.sin(u.sum(axis=1)), u[:, 0] ** 2], axis=1
@@ -182,7 +184,11 @@ def test_units_are_those_of_the_signal():
         ({"bias": np.inf}, "finite"),
         ({"resolution": -0.1}, "not negative"),
         ({"count": 2, "signals": 3}, "2 sensors cannot share 3 signals"),
-        ({"count": 3, "signals": 2}, "3 sensors cannot share 2 signals"),
+        ({"count": 3, "signals": 2}, r"3 sensors cannot share 2 signals evenly; .* count=\(1, 2\)"),
+        ({"count": (1, 0)}, "count=0"),
+        ({"count": ()}, "count=0"),
+        ({"count": (1, 2), "signals": 3}, r"count=\(1, 2\).* does not go with signals"),
+        ({"count": (1, 1), "matrix": ((1.0, 0.0), (0.0, 1.0))}, "does not go with a matrix"),
         ({"count": 2, "signals": 2, "matrix": ((1.0, 0.0),)}, "a row of 2 finite numbers"),
         ({"count": 2, "matrix": ((1.0,), (1.0, 2.0))}, "a row of 1 finite numbers"),
         ({"matrix": ((np.nan,),)}, "finite"),
