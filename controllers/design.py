@@ -18,6 +18,7 @@ from bayesftc.controllers.models.delays import extended_rows, whole_delays
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import (
     INPUT_NOISE,
+    Linearization,
     check_plant,
     linearize,
     refuse_unmoved,
@@ -166,6 +167,7 @@ def design(
             linear = linearize(
                 plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
             )
+        _refuse_out_of_range(linear, driven, at or {}, u_min, u_max)
         refuse_unmoved(linear, driven)
         refuse_unmoving(linear, sensed)
         if noise is None:
@@ -247,8 +249,29 @@ def _half_range(u_min: object, u_max: object, size: int) -> Floats:
     low, high = as_vector("u_min", u_min, size, finite=False), as_vector("u_max", u_max, size, finite=False)
     if (low > high).any():
         raise ModelError(f"u_min {low.tolist()} lies above u_max {high.tolist()}; exchange them.")
+    if (low == high).any():
+        raise ModelError(
+            f"u_min {low.tolist()} and u_max {high.tolist()} leave a control no range. Leave out a control that cannot move."
+        )
     span = (high - low) / 2
     return np.where(np.isfinite(span), span, np.nan)
+
+
+def _refuse_out_of_range(
+    linear: Linearization, driven: Sequence[str], at: Mapping[str, Any], u_min: object, u_max: object
+) -> None:
+    """Refuse a given operating point that the limits of the controls exclude."""
+    columns = linear.columns(driven)
+    low, high = (as_vector(name, of, len(columns), finite=False) for name, of in (("u_min", u_min), ("u_max", u_max)))
+    for j, least, most in zip(columns, low, high, strict=True):
+        if (
+            linear.inputs[j].partition("[")[0] in {name.partition("[")[0] for name in at}
+            and not least <= linear.u[j] <= most
+        ):
+            raise ModelError(
+                f"The operating point has {linear.inputs[j]} = {linear.u[j]:g}, but u_min and u_max limit it to {least:g} ... "
+                f"{most:g}. Change at= or the limits."
+            )
 
 
 def _positive(name: str, value: object, size: int) -> Floats:

@@ -115,12 +115,35 @@ def test_an_fmu_that_saves_no_state_is_made_anew_for_each_experiment(monkeypatch
     assert saved.y[0] + (saved.C @ saved.start).item() == pytest.approx(0.6, abs=0.05)
 
 
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"u_min": 3.0, "u_max": 3.0}, r"u_min \[3.0\] and u_max \[3.0\] leave a control no range"),
+        (
+            {"at": {"u": 120.0}, "u_min": 0.0, "u_max": 100.0},
+            r"has u = 120, but u_min and u_max limit it to 0 \.\.\. 100",
+        ),
+    ],
+)
+def test_limits_that_exclude_the_operating_point_are_refused(settings, words):
+    system = control.nlsys(
+        lambda t, x, u, params: 0.1 * (u - x), lambda t, x, u, params: x, inputs=["u"], outputs=["y"], states=["x"]
+    )
+    with pytest.raises(ModelError, match=words):
+        design(cosim.StateSpace(system, initial=[0.0]), measured="y", actuated="u", dt=0.1, **settings)
+
+
 def test_outputs_may_have_different_numbers_of_sensors():
     """As the model with a row of C for each; a loop and a scenario have the same numbers."""
     tank = control.ss(
         [[-0.1, 0.0], [0.02, -0.05]], 0.1 * np.eye(2), np.eye(2), 0, inputs=["valve", "heater"], outputs=["h", "T"]
     )
-    settings = {"measured": ["h", "T"], "actuated": ["valve", "heater"], "dt": 1.0, "noise": {"valve": 0.1, "heater": 0.2}}
+    settings = {
+        "measured": ["h", "T"],
+        "actuated": ["valve", "heater"],
+        "dt": 1.0,
+        "noise": {"valve": 0.1, "heater": 0.2},
+    }
     model = design(tank, **settings, sensors=(1, 3), sensor_std=(0.01, 0.2)).model
     np.testing.assert_array_equal(model.matrix("C"), np.eye(2)[[0, 1, 1, 1]])
     np.testing.assert_array_equal(np.sqrt(np.diag(model.matrix("sensor_covariance"))), [0.01, 0.2, 0.2, 0.2])
