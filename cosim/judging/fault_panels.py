@@ -47,11 +47,11 @@ def _draw_deviation(axis: Axes, *, signals: LoopSignals, sensors: list[SensorSig
         values = expected[sensor.index]
         shown = np.where(values > most, np.nan, values)
         drawn.append(shown)
-        axis.plot(*thin(signals.time, shown), **_line(sensor))
+        axis.plot(*thin(signals.time, shown), **_line(signals, sensor))
         missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
         ignored = (~missing & (sensor.precision == 0)) | (values > most)
-        row += _mark(axis, signals.time, sensor, "ignored", row, ignored)
-        row += _mark(axis, signals.time, sensor, "missing", row, missing)
+        row += _mark(axis, signals, sensor, "ignored", row, ignored)
+        row += _mark(axis, signals, sensor, "missing", row, missing)
     axis.set_ylabel("expected standard\n" + with_unit("deviation", unit))
     _logarithmic(axis, drawn, (row + 0.5) * ROW if row else 0.0)
 
@@ -64,12 +64,12 @@ def _expected(sensor: SensorSignals) -> Floats:
     return _given(sensor, expected)
 
 
-def _mark(axis: Axes, time: Floats, sensor: SensorSignals, what: str, row: int, where: Flags) -> int:
+def _mark(axis: Axes, signals: LoopSignals, sensor: SensorSignals, what: str, row: int, where: Flags) -> int:
     """Mark times of a sensor in a row at the top of an axis, with a text; return the number of rows used."""
     if not where.any():
         return 0
-    height = axis.get_xaxis_transform()
-    top, label = 0.97 - ROW * row, f"sensor {sensor.index} {what}"
+    time, height = signals.time, axis.get_xaxis_transform()
+    top, label = 0.97 - ROW * row, f"{signals.sensor_name(sensor.index)} {what}"
     style: dict[str, Any] = {"color": colour_of(sensor.index), "transform": height, "label": label}
     if what == "ignored":  # a bar, with a tick for a single sample, which has no length
         bar: dict[str, Any] = {"lw": 5, "solid_capstyle": "butt", "marker": "|", "ms": 5}
@@ -149,7 +149,7 @@ def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
         assert sensor.probability is not None
         infers_dropout = "DroppedOut" in sensor.kinds  # a missing sample then says something, too
         probability = sensor.probability if infers_dropout else _given(sensor, sensor.probability)
-        axis.plot(*thin(signals.time, probability), **_line(sensor))
+        axis.plot(*thin(signals.time, probability), **_line(signals, sensor))
     for j, actuator in enumerate(signals.actuators):
         # Black, as for inputs, because the colours belong to the sensors.
         style: dict[str, Any] = {"color": BLACK, "ls": LINES[j % len(LINES)], "lw": 1.3, "zorder": 3}
@@ -198,11 +198,11 @@ def _draw_beta(axis: Axes, signals: LoopSignals) -> None:
     rated = _with_beta(signals)
     for sensor in rated:
         assert sensor.beta is not None
-        axis.plot(*thin(signals.time, _given(sensor, sensor.beta)), **_line(sensor))
+        axis.plot(*thin(signals.time, _given(sensor, sensor.beta)), **_line(signals, sensor))
     row = 0
     for sensor in signals.sensors:
         if sensor.alarm is not None:
-            row += _mark(axis, signals.time, sensor, "detected", row, sensor.alarm)
+            row += _mark(axis, signals, sensor, "detected", row, sensor.alarm)
     units = {sensor.unit for sensor in rated}
     unit = units.pop() if len(units) == 1 else None
     axis.set_ylabel(with_unit("beta", f"({unit})²" if unit else None))
@@ -257,9 +257,9 @@ def _given(sensor: SensorSignals, values: Floats) -> Floats:
     return values if sensor.missing is None else np.where(sensor.missing, np.nan, values)
 
 
-def _line(sensor: SensorSignals) -> dict[str, Any]:
+def _line(signals: LoopSignals, sensor: SensorSignals) -> dict[str, Any]:
     i = sensor.index
-    return {"color": colour_of(i), "ls": LINES[i % len(LINES)], "lw": 1.3, "label": f"sensor {i}"}
+    return {"color": colour_of(i), "ls": LINES[i % len(LINES)], "lw": 1.3, "label": signals.sensor_name(i)}
 
 
 __all__ = ["detection_panels", "deviation_panels", "draw_detection", "draw_shades", "name_faults"]

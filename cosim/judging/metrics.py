@@ -19,7 +19,7 @@ follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,8 @@ class Detection:
         The score of the AUC: ``"fault_probability"`` or ``"beta"``.
     precision_healthy, precision_faulty : float
         Mean precision without and with the fault, in one over the unit squared.
+    name : str
+        The sensor's name: its number, and of several quantities the one that it measures.
     """
 
     sensor: int
@@ -86,6 +88,7 @@ class Detection:
     ranked_by: str | None
     precision_healthy: float
     precision_faulty: float
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -281,7 +284,10 @@ def figures(signals: LoopSignals) -> Figures:
     return Figures(
         tracking={q.name: errors_by_phase(_difference(q.truth, q.reference), faulty) for q in signals.quantities},
         belief={q.name: errors_by_phase(_difference(q.belief, q.truth), faulty) for q in signals.quantities},
-        sensors=tuple(detection(sensor, signals.time) for sensor in signals.sensors),
+        sensors=tuple(
+            replace(detection(sensor, signals.time), name=signals.sensor_name(sensor.index))
+            for sensor in signals.sensors
+        ),
         inputs=tuple(input_faults(each) for each in signals.inputs),
         actuators=tuple(actuator_faults(each, signals.time) for each in signals.actuators),
     )

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.result import Result
 
 BLACK, BLUE = "#000000", "#0072B2"
-SENSOR_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
+SENSOR_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#882255", "#999933", "#6E7F80")
 LINES = ("-", "--", "-.", ":")
 MARKERS = ("o", "^", "s", "D", "v")
 LONGEST = 24

@@ -207,6 +207,11 @@ class LoopSignals:
         """Whether any sensor or input had a fault; None if one of them was not recorded."""
         return any_of([*(s.faulty for s in self.sensors), *(i.faulty for i in self.inputs)])
 
+    def sensor_name(self, index: int) -> str:
+        """Return the name of a sensor: its number, and of several quantities the one that it measures."""
+        measured = [q.name for q in self.quantities if index in q.sensors] if len(self.quantities) > 1 else []
+        return f"sensor {index} ({measured[0]})" if measured else f"sensor {index}"
+
 
 __all__ = [
     "ALARM", "ActuatorSignals", "ControlSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals",
