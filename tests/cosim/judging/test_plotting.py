@@ -14,6 +14,7 @@ from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision
 from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.judging.fault_panels import _logarithmic
 from bayesftc.cosim.judging.loop_figure import plot_run
+from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.plotting import plot_signals
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
@@ -85,6 +86,15 @@ def test_the_panels_of_a_run(signals, tmp_path):
         figure.savefig(tmp_path / "run.png", dpi=80)
     height, width, _ = imread(tmp_path / "run.png").shape
     assert (width, height) == (640, int(80 * figure.get_figheight()))
+
+
+def test_sensors_of_several_quantities_are_called_by_them(signals):
+    speed = signals.quantities[0]
+    several = replace(signals, quantities=(replace(speed, sensors=(0,)), replace(speed, name="w", sensors=(1,))))
+    *_, deviation, probability = plot_run(several).axes
+    assert {"sensor 0 (v)", "sensor 1 (w)"} <= {*names(deviation)} & {*names(probability)}
+    assert [s["name"] for s in figures(several).to_dict()["sensors"]] == ["sensor 0 (v)", "sensor 1 (w)"]
+    assert [s["name"] for s in figures(signals).to_dict()["sensors"]] == ["sensor 0", "sensor 1"]
 
 
 def test_no_legend_covers_anything(signals):
