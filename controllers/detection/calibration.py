@@ -18,7 +18,7 @@ from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.judging.probabilities import Reliability, reliability
 
 if TYPE_CHECKING:
@@ -280,6 +280,8 @@ def _simulated(
     controller: Mapping[str, Any],
 ) -> tuple[Floats, np.ndarray[Any, np.dtype[np.bool_]]]:
     """Simulate a run; return an output of the controller for each sensor, and whether the sensor was faulty."""
+    if not isinstance(model, LinearModel):
+        raise ModelError(f"calibrate needs a LinearModel, such as controller.model, not {brief(model)}.")
     if steps < 5_000:
         raise ModelError(f"calibrate has steps={steps}; give at least 5000, for enough faults.")
     unknown = set(magnitudes) - {"injection", "drift"}

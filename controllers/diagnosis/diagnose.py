@@ -26,6 +26,8 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.diagram.wiring import find_controller
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.signals import ALARM
 
@@ -114,12 +116,13 @@ def diagnose(
     ----------
     signals : Result
         Must contain the samples and the controls at every step (decimation 1).
-    controller : controller or StateEstimator
-        The block that ran, for its model and its initial belief. For a nonlinear model only `model_suspect` is used.
+    controller : controller, StateEstimator or Diagram
+        The block that ran, for its model and its initial belief; or the closed loop that contains it. For a nonlinear model only
+        `model_suspect` is used.
     y : str, optional
         Name of the signal that was connected to its ``y``; of a closed loop it is known.
     name : str
-        The block's name in the diagram.
+        The block's name in the diagram; of a closed loop it is known.
 
     Returns
     -------
@@ -147,6 +150,9 @@ def diagnose(
     >>> controllers.diagnose(run, controller).kind
     'sign'
     """
+    if isinstance(controller, Diagram):
+        node = find_controller(controller)
+        controller, name = node.block, node.name
     model = checked_model(controller)
     if model is None:
         raise ModelError(f"A diagnosis needs a model, but this {type(controller).__name__} has none.")

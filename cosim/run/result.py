@@ -214,7 +214,7 @@ class Result(Mapping[str, Floats]):
             block, _, port = name.rpartition(".")
             if port == "model_suspect" and (raised := self[name] >= ALARM).any():
                 when = f"t = {self.time[raised.argmax()]:g} s"
-                notes.append(f"model of {block} suspect from {when} (controllers.diagnose says why)")
+                notes.append(f"model of {block} suspect from {when} (controllers.diagnose(result, loop) says why)")
         return notes
 
     def _repr_html_(self) -> str:

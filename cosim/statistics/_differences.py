@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
+TINY = np.finfo(np.float64).tiny
+"""Stands for a standard error of zero."""
+
 ROUNDING = 16 * float(np.finfo(np.float64).eps)
 """Largest relative difference of two means that rounding may cause."""
 
@@ -51,7 +54,7 @@ class Difference(NamedTuple):
         """
         from scipy.special import stdtrit
 
-        half = stdtrit(self.freedom, 0.5 + level / 2) * self.error
+        half = stdtrit(self.freedom, 0.5 + level / 2) * (self.error if self.error > TINY else 0.0)
         return [float(self.mean - half), float(self.mean + half)]
 
 
@@ -67,8 +70,7 @@ def welch(ours: ArrayLike, theirs: ArrayLike) -> Difference:
     means = [sample.mean(axis=-1) for sample in samples]
     runs = [sample.shape[-1] for sample in samples]
     # Variances of the means. They are never zero, so that samples without scatter also have a (huge) statistic.
-    tiny = np.finfo(np.float64).tiny
-    variances = [np.maximum(sample.var(axis=-1, ddof=1) / n, tiny) for sample, n in zip(samples, runs, strict=True)]
+    variances = [np.maximum(sample.var(axis=-1, ddof=1) / n, TINY) for sample, n in zip(samples, runs, strict=True)]
     variance = variances[0] + variances[1]
     # Shares instead of squares, which would underflow for small variances.
     freedom = 1.0 / sum((v / variance) ** 2 / (n - 1) for v, n in zip(variances, runs, strict=True))
@@ -86,7 +88,7 @@ def paired(ours: ArrayLike, theirs: ArrayLike) -> Difference:
     samples = [np.asarray(sample, dtype=np.float64) for sample in (ours, theirs)]
     n = samples[0].shape[-1]
     difference = samples[0] - samples[1]
-    error = np.maximum(difference.std(axis=-1, ddof=1) / n**0.5, np.finfo(np.float64).tiny)
+    error = np.maximum(difference.std(axis=-1, ddof=1) / n**0.5, TINY)
     return _tested(samples[0].mean(axis=-1), samples[1].mean(axis=-1), error, np.float64(n - 1))
 
 

@@ -131,6 +131,11 @@ def test_bad_settings(change, words):
         controllers.calibrate(MODEL, **change)
 
 
+def test_a_loop_is_no_model():
+    with pytest.raises(ModelError, match=r"needs a LinearModel, such as controller\.model, not"):
+        controllers.calibrate(cosim.Diagram(dt=0.1))
+
+
 def test_an_unstable_loop_is_refused():
     servo = controllers.LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], [[1.0, 0.0]], 1e-4, 1e-2, 0.1)
     with pytest.raises(ModelError, match="cannot simulate this loop"):

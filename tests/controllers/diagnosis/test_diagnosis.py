@@ -80,6 +80,7 @@ def test_the_samples_of_a_closed_loop_need_no_name(tmp_path):
     named = loop.simulate(10.0, engine="interpreted", record=["*", "controller.y"])
     finding = controllers.diagnose(named, controller)
     assert "sign" in {finding.kind, *finding.others}
+    assert controllers.diagnose(named, loop) == finding
     for one in (result, cosim.Result.load(tmp_path / "run.npz")):
         assert controllers.diagnose(one, controller) == controllers.diagnose(named, controller)
         assert controllers.check_kalman(one, controller) == controllers.check_kalman(named, controller)
