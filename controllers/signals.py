@@ -1,8 +1,12 @@
 """Names and descriptions of the signals of controllers, estimators and monitors."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from bayesftc.cosim.ports import Port
+
+MOST_NAMES = 12
+"""Largest number of names in a description."""
 
 _SIGNALS = {
     "y": "Samples of the sensors; NaN is a missing one",
@@ -51,6 +55,7 @@ def port(
     feedthrough: bool = True,
     default: float | None = None,
     applied: bool = False,
+    of: Sequence[str] = (),
 ) -> Port:
     """Return the port of a signal of a controller.
 
@@ -60,11 +65,30 @@ def port(
         The signal.
     shape, feedthrough, default
         See `Port`.
-    known : bool
+    applied : bool
         Of an input ``u``: whether it is the input that the plant gets.
+    of : sequence of str
+        Names of the elements in the model, for the description.
     """
     description = "Input of the plant from this sample to the next" if applied else _SIGNALS.get(name, "")
+    if of:
+        shown = [*of[:MOST_NAMES], *["..."] * (len(of) > MOST_NAMES)]
+        first, semicolon, rest = description.partition(";")
+        description = f"{first} ({', '.join(shown)}){semicolon}{rest}"
     return Port(name, shape, feedthrough=feedthrough, default=default, description=description)
+
+
+def named(model: Any, which: str) -> Sequence[str]:
+    """Return the names of a model's ``"sensors"``, ``"controls"`` or ``"states"``; none if it has no names."""
+    names = getattr(model, "names", None)
+    given: Sequence[str] = (
+        ()
+        if names is None
+        else getattr(model, "state_names", names.states)
+        if which == "states"
+        else getattr(names, which)
+    )
+    return () if given[:1] == ("x[0]",) else given
 
 
 def summary_of(block: Any) -> str:

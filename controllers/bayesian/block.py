@@ -24,7 +24,7 @@ from bayesftc.controllers.models.checks import (
 from bayesftc.controllers.models.delays import extended_covariance, extended_rows
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
-from bayesftc.controllers.signals import port, summary_of
+from bayesftc.controllers.signals import named, port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block
@@ -201,7 +201,7 @@ class BayesianBlock(Block, ABC):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``y`` and ``goal``."""
-        return port("y", (self.model.sensors,)), port("goal", (self.goals,))
+        return port("y", (self.model.sensors,), of=named(self.model, "sensors")), port("goal", (self.goals,))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
@@ -220,8 +220,9 @@ class BayesianBlock(Block, ABC):
             "precision": (m,),
             "beta": (m,),
         }
+        names = {"u": named(self.model, "controls"), "x_hat": named(self.model, "states")}
         return (
-            *(port(name, shape) for name, shape in shapes.items()),
+            *(port(name, shape, of=names.get(name, ())) for name, shape in shapes.items()),
             port("fault_probability", (m,)),
             port("model_suspect"),
             *self._posterior_ports,

@@ -16,7 +16,7 @@ from bayesftc.controllers.models.delays import extended_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner, made_once
 from bayesftc.controllers.precision.held import hold_precision
-from bayesftc.controllers.signals import port, summary_of
+from bayesftc.controllers.signals import named, port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.block import Block, Definition
@@ -141,8 +141,8 @@ class StateEstimator(Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``y`` and ``u``."""
-        return port("y", (self.model.sensors,)), port(
-            "u", (self.model.controls,), default=0.0, feedthrough=False, applied=True
+        return port("y", (self.model.sensors,), of=named(self.model, "sensors")), port(
+            "u", (self.model.controls,), default=0.0, feedthrough=False, applied=True, of=named(self.model, "controls")
         )
 
     @property
