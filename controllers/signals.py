@@ -81,13 +81,9 @@ def port(
 def named(model: Any, which: str) -> Sequence[str]:
     """Return the names of a model's ``"sensors"``, ``"controls"`` or ``"states"``; none if it has no names."""
     names = getattr(model, "names", None)
-    given: Sequence[str] = (
-        ()
-        if names is None
-        else getattr(model, "state_names", names.states)
-        if which == "states"
-        else getattr(names, which)
-    )
+    if names is None:
+        return ()
+    given: Sequence[str] = getattr(model, "state_names", names.states) if which == "states" else getattr(names, which)
     return () if given[:1] == ("x[0]",) else given
 
 

@@ -148,6 +148,13 @@ def test_outputs_may_have_different_numbers_of_sensors():
     np.testing.assert_array_equal(model.matrix("C"), np.eye(2)[[0, 1, 1, 1]])
     np.testing.assert_array_equal(np.sqrt(np.diag(model.matrix("sensor_covariance"))), [0.01, 0.2, 0.2, 0.2])
     assert model.names.sensors == ("h", "T", "T", "T")
+    controller = design(tank, **settings)
+    ports = {port.name: port.description for port in controller.inputs + controller.outputs}
+    assert (ports["y"], ports["u"]) == (
+        "Samples of the sensors (h, T); NaN is a missing one",
+        "Control (valve, heater)",
+    )
+    assert ports["x_hat"] == "Mean of the belief about the state"
     covariances = {"process_covariance": model.process_covariance, "sensor_covariance": model.sensor_covariance}
     same = LinearModel.from_control(tank, dt=1.0, sensors=(1, 3), **covariances)
     for name in "ABC":
