@@ -291,10 +291,10 @@ def _simulated(
     _check_hazards(hazards, model)
     deviation = float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
     sizes = {"injection": 3 * deviation, "drift": 5 * deviation / _longer(model.step), **magnitudes}
-    with noted_elsewhere():  # the plant's outputs are all its states, of which the sensors may leave some out
-        loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
     record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
-    with reported(f"Simulating {steps} steps with random faults."):
+    # The plant's outputs are all its states, of which the sensors may leave some out.
+    with reported(f"Simulating {steps} steps with random faults."), noted_elsewhere():
+        loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
         result = loop.simulate(steps * model.step, seed=seed, record=record)
     faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
     return result[record[0]][SKIPPED:], faulty
@@ -318,9 +318,8 @@ def _loop(
     deviation: float,
     settings: Mapping[str, Any],
 ) -> Diagram:
-    import control
-
     from bayesftc import cosim
+    from bayesftc.cosim.blocks.linear_system import LinearSystem, as_rows
 
     n, p = model.states, model.controls
     with warnings.catch_warnings():
@@ -331,15 +330,9 @@ def _loop(
         except UnstableLoopWarning as warning:
             raise ModelError(f"calibrate cannot simulate this loop. {warning}") from None
     names = [f"u{i}" for i in range(p)], [f"x{i}" for i in range(n)]
-    system = control.ss(
-        model.matrix("A"),
-        model.matrix("B"),
-        np.eye(n),
-        np.zeros((n, p)),
-        float(model.step),
-        inputs=names[0],
-        outputs=names[1],
-    )
+    A, B, C, D = map(as_rows, (model.matrix("A"), model.matrix("B"), np.eye(n), np.zeros((n, p))))
+    inputs, outputs = tuple(names[0]), tuple(names[1])
+    system = LinearSystem(A, B, C, D, float(model.step), inputs, outputs)  # python-control takes a second to import
     plant = cosim.StateSpace(system, process_noise=model.matrix("process_covariance"), initial=controller.initial_mean)
     goal: Any = cosim.Sine(amplitude=5 * deviation, period=float(400 * model.step))
     if reference is None:

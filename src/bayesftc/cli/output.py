@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.errors import ResultFileError
 from bayesftc.cosim.judging.metrics import without_nan
 
@@ -118,7 +119,8 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
     text = as_json(numbers) + "\n"
     title = f"{Path(numbers['scenario']).stem}, seed {numbers['seed']}" + (" (stopped early)" if result.stopped else "")
     picture = io.BytesIO()
-    plot_run(signals, title).savefig(picture, dpi=DOTS_PER_INCH, format="png")
+    with reported("Drawing the figure, for some seconds."):
+        plot_run(signals, title).savefig(picture, dpi=DOTS_PER_INCH, format="png")
     with staged(folder) as stage:
         result.save(stage / RESULT)
         (stage / NUMBERS).write_text(text, encoding="utf-8")

@@ -15,6 +15,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli.options import Json, Quiet, RunFolder, Store
 from bayesftc.cli.page import HOST, PORT, Host, OpenPage, PagePort, need_console, serve_page
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.campaign.designs.plan import FAILED
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 
@@ -112,7 +113,8 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
     kept, job = stored.store, stored.job
     diagram, seed = job.diagram(stored.point), stored.seed
     try:
-        result = diagram.simulate(job.duration, seed=seed)
+        with reported(f"Repeating run {stored.number}."):
+            result = diagram.simulate(job.duration, seed=seed)
     except SimulationError as error:
         if error.result is None:
             raise

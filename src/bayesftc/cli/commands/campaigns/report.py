@@ -9,6 +9,7 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.options import Quiet, Store
+from bayesftc.cosim.base.announcing import reported
 
 
 def report(
@@ -31,7 +32,8 @@ def report(
     target = store / "report.html" if out is None else out
     opened = CampaignStore.open(store)
     output.check_folder(target.parent, [target.name], silent=quiet)
-    text = page.report(opened, metric=metric, compare=compare, title=title)
+    with reported("Drawing the report, for some seconds."):
+        text = page.report(opened, metric=metric, compare=compare, title=title)
     with output.staged(target.parent) as stage:
         (stage / target.name).write_text(text, encoding="utf-8")
     if not quiet:
