@@ -71,8 +71,8 @@ class Detection:
         The score of the AUC: ``"fault_probability"`` or ``"beta"``.
     precision_healthy, precision_faulty : float
         Mean precision without and with the fault, in one over the unit squared.
-    name : str
-        The sensor's name: its number, and of several quantities the one that it measures.
+    title : str
+        What tables call the sensor: its number, and of several quantities the one that it measures.
     """
 
     sensor: int
@@ -88,7 +88,7 @@ class Detection:
     ranked_by: str | None
     precision_healthy: float
     precision_faulty: float
-    name: str = ""
+    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ def figures(signals: LoopSignals) -> Figures:
         tracking={q.name: errors_by_phase(_difference(q.truth, q.reference), faulty) for q in signals.quantities},
         belief={q.name: errors_by_phase(_difference(q.belief, q.truth), faulty) for q in signals.quantities},
         sensors=tuple(
-            replace(detection(sensor, signals.time), name=signals.sensor_name(sensor.index))
+            replace(detection(sensor, signals.time), title=signals.sensor_name(sensor.index))
             for sensor in signals.sensors
         ),
         inputs=tuple(input_faults(each) for each in signals.inputs),

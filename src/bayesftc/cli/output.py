@@ -312,7 +312,7 @@ def _errors(numbers: Mapping[str, Any]) -> tuple[str, Table]:
 
 
 def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
-    table = empty_table(*(s["name"] for s in sensors))
+    table = empty_table(*(s["title"] for s in sensors))
     units = {s["unit"] for s in sensors}
     precision = f" ({_inverse_square(units.pop())})" if len(units) == 1 and None not in units else ""
     missing = any(s["missing_share"] for s in sensors)

@@ -93,8 +93,8 @@ def test_sensors_of_several_quantities_are_called_by_them(signals):
     several = replace(signals, quantities=(replace(speed, sensors=(0,)), replace(speed, name="w", sensors=(1,))))
     *_, deviation, probability = plot_run(several).axes
     assert {"sensor 0 (v)", "sensor 1 (w)"} <= {*names(deviation)} & {*names(probability)}
-    assert [s["name"] for s in figures(several).to_dict()["sensors"]] == ["sensor 0 (v)", "sensor 1 (w)"]
-    assert [s["name"] for s in figures(signals).to_dict()["sensors"]] == ["sensor 0", "sensor 1"]
+    assert [s["title"] for s in figures(several).to_dict()["sensors"]] == ["sensor 0 (v)", "sensor 1 (w)"]
+    assert [s["title"] for s in figures(signals).to_dict()["sensors"]] == ["sensor 0", "sensor 1"]
 
 
 def test_no_legend_covers_anything(signals):
