@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 ALIKE = "All sensors disagree with the model in the same way"
 ALONE = " No quantity has a second sensor, so a sensor fault may look the same."
 
+_ESTIMATED = "LinearModel.with_disturbance; disturbance in design and in a scenario"
+
 UNMOVED = (
     "the quantity moves differently from the model, or the recording has long gaps. Fit the model to a stretch that moves as the "
     "rest does (bayesftc monitor --fit --from --to)."
@@ -90,8 +92,7 @@ def _limit(values: Sequence[float], model: LinearModel) -> str:
 def _load(values: Sequence[float], model: LinearModel) -> str:
     pushed = ", ".join(f"{value:.3g}" for value in values)
     return (
-        f"a constant load acts, as large as a control of {pushed}. Estimate it (LinearModel.with_disturbance), or add it to the "
-        "model."
+        f"a constant load acts, as large as a control of {pushed}. Estimate it ({_ESTIMATED}), or add it to the model."
     )
 
 
@@ -99,8 +100,8 @@ def _onset(values: Sequence[float], model: LinearModel) -> str:
     pushed = ", ".join(f"{value:.3g}" for value in values[1:])
     return (
         f"a load or an offset of the actuator begins {values[0]:.4g} s after the first sample, about as large as a control of "
-        f"{pushed}. If such loads belong to normal operation, measure them, or estimate them (LinearModel.with_disturbance; "
-        "disturbance in design and in a scenario, larger if it is already there)."
+        f"{pushed}. If such loads belong to normal operation, measure them, or estimate them ({_ESTIMATED}, larger if it is "
+        "already there)."
     )
 
 
