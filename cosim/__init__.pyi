@@ -136,5 +136,6 @@ from .ports import Port as Port
 from .run.online import Online as Online
 from .run.result import Result as Result
 from .run.session import RunState as RunState, Session as Session
+from .run.summary import RunSummary as RunSummary
 from .ssp.system import open_ssp as open_ssp, save_ssp as save_ssp
 from .stepping.differentiation import jacobian as jacobian

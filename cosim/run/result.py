@@ -22,7 +22,7 @@ import numpy as np
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.paths import is_file
 from bayesftc.cosim.diagram.roles import LoopRoles, known_roles, units_of
-from bayesftc.cosim.errors import ResultFileError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, ResultFileError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import labels, without_brackets
 from bayesftc.cosim.types import Floats
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from bayesftc.cosim.diagram.diagram import Diagram
     from bayesftc.cosim.judging.notebook import NotebookAnimation
+    from bayesftc.cosim.run.summary import RunSummary
 
 FORMAT = "bayesftc-result-1"
 
@@ -280,6 +281,28 @@ class Result(Mapping[str, Floats]):
         columns = [self[name].reshape(len(self._recording), -1) for name in chosen]
         names = [label for name in chosen for label in labels(name, self[name].shape[1:])]
         return np.hstack([np.empty((len(self._recording), 0)), *columns]).T, names
+
+    def summary(self) -> RunSummary:
+        """Return the figures of a closed loop as tables: tracking and belief errors by phase, and the detection by sensor.
+
+        ``print(result.summary())`` prints what ``bayesftc run`` prints; a notebook shows it as tables.
+
+        Raises
+        ------
+        ModelError
+            If the diagram is no closed loop.
+        """
+        from bayesftc.cosim.judging.metrics import figures
+        from bayesftc.cosim.judging.roles import signals_of
+        from bayesftc.cosim.run.summary import RunSummary, tables_of
+
+        if (roles := self.roles) is None:
+            raise ModelError(
+                "The run is not one of a closed loop, so it has no tracking errors and no faults to detect."
+            )
+        signals = signals_of(roles, self)
+        numbers = {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
+        return RunSummary(tables_of(numbers), self._notes())
 
     def plot(self, signals: Iterable[str] | None = None) -> Figure:
         """Return the figure of a closed loop: signals, belief, control, expected noise and faults of its sensors.

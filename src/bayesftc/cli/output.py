@@ -9,7 +9,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.errors import ResultFileError
 from bayesftc.cosim.judging.metrics import without_nan
+from bayesftc.cosim.run.summary import DASH as DASH, tables_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -26,48 +27,9 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.result import Result
 
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
-DASH = "–"
-TRACKING = "The tracking error uses the reference at the same instant."
-ACTUATORS = "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control."
 DOTS_PER_INCH = 150
 PERIOD = 10.0
 """Seconds between two progress lines, which replace the bar where there is no terminal."""
-
-SENSOR_ROWS = (
-    ("share of time in fault", "fault_share", "{:.1%}"),
-    ("samples missing (share of all)", "missing_share", "{:.1%}"),
-    ("faults", "faults", "{:.0f}"),
-    ("faults seen as missing samples", "seen_as_missing", "{:.0f}"),
-    ("faults missed", "missed", "{:.0f}"),
-    ("mean detection delay (s)", "delay", "{:.2f}"),
-    ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
-    ("AUC", "auc", "{:.3f}"),
-    ("mean precision without fault{}", "precision_healthy", "{:.3g}"),
-    ("mean precision in fault{}", "precision_faulty", "{:.3g}"),
-)
-INPUT_ROWS = (
-    ("share of time in fault", "fault_share", "{:.1%}"),
-    ("faults", "faults", "{:.0f}"),
-    ("received - sent in fault (root mean square)", "deviation", "{:.4g}"),
-)
-ACTUATOR_ROWS = (
-    ("mean fault probability", "mean_probability", "{:.4f}"),
-    ("alarms (share of time)", "alarm_share", "{:.1%}"),
-    ("faults missed", "missed", "{:.0f}"),
-    ("mean detection delay (s)", "delay", "{:.2f}"),
-    ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
-    ("AUC", "auc", "{:.3f}"),
-    ("kind during alarms, mostly", "kind", "{}"),
-    ("mean size of that kind", "size", "{:.4g}"),
-)
-OF_INPUTS = (
-    ("inputs", "Faults between the controller and the plant", INPUT_ROWS, ""),
-    ("actuators", "Actuator faults that the controller estimates", ACTUATOR_ROWS, ACTUATORS),
-)
-"""The tables with a column for each input of the plant: key of the numbers, heading, rows, and a sentence below."""
-MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
-"""Rows that are shown only if a sensor has missing samples."""
-PHASES = (("overall", "whole run"), ("before", "before faults"), ("during", "during"), ("after", "after"))
 
 
 def check_folder(folder: Path, names: Collection[str] = (RESULT, FIGURE, NUMBERS), *, silent: bool = False) -> None:
@@ -271,20 +233,15 @@ def print_report(numbers: Mapping[str, Any]) -> None:
     console = terminal()
     title = f"{numbers['scenario']}: {numbers['duration']:g} s, {numbers['steps']} steps, seed {numbers['seed']}"
     console.print(Text(title), soft_wrap=True)
-    tables = [(*_sensors(numbers["sensors"]), "")]
-    for what, heading, rows, sentence in OF_INPUTS:
-        if numbers[what]:
-            tables.append((heading, _by_name(numbers[what], rows), sentence))
-    if numbers["tracking"]:
-        tables.insert(0, (*_errors(numbers), f"{TRACKING} {numbers.get('law', '')}".rstrip()))
-    if "kalman" in numbers:
-        tables.append((*_kalman(numbers["kalman"]), numbers["kalman"]["verdict"]))
-    for heading, table, sentence in tables:
-        console.print()
-        console.print(Text(heading, style="bold"))
-        console.print(table)
-        if sentence:
-            console.print(Text(sentence))
+    for figures in tables_of(numbers):
+        law = numbers.get("law", "") if figures.key == "errors" else ""
+        _print_table(console, figures.heading, figures.columns, figures.texts(), f"{figures.remark} {law}".strip())
+    if check := numbers.get("kalman"):
+        kinds = {"relative": "difference", "absolute": "absolute"}
+        values = {what: [check[f"{what}_{kind}"] for kind in kinds.values()] for what in ("mean", "covariance")}
+        rows = ((what, *(DASH if v is None else f"{v:.2e}" for v in of)) for what, of in values.items())
+        heading = f"Largest differences from filterpy's Kalman filter over {check['steps']} samples"
+        _print_table(console, heading, tuple(kinds), rows, check["verdict"])
     if numbers.get("model"):
         console.print()
         console.print(Text("The model", style="bold"))
@@ -300,47 +257,19 @@ def say_written(folder: Path) -> None:
     say(f"\nWritten to {folder}: {RESULT}, {FIGURE}, {NUMBERS}")
 
 
-def _errors(numbers: Mapping[str, Any]) -> tuple[str, Table]:
-    table = empty_table(*(label for _, label in PHASES))
-    for what in ("tracking", "belief"):
-        for name, errors in numbers[what].items():
-            unit = numbers["units"].get(name)
-            row = [_number(errors[phase], "{:.4g}") for phase, _ in PHASES]
-            table.add_row(f"{what} of {name}{f' ({unit})' if unit else ''}", *row)
-    heading = "Root-mean-square errors (tracking: true value - reference; belief: estimate - true value)"
-    return heading, table
+def _print_table(
+    console: Console, heading: str, columns: Sequence[str], rows: Iterable[Sequence[str]], remark: str
+) -> None:
+    from rich.text import Text
 
-
-def _sensors(sensors: list[dict[str, Any]]) -> tuple[str, Table]:
-    table = empty_table(*(s["title"] for s in sensors))
-    units = {s["unit"] for s in sensors}
-    precision = f" ({_inverse_square(units.pop())})" if len(units) == 1 and None not in units else ""
-    missing = any(s["missing_share"] for s in sensors)
-    for label, key, form in SENSOR_ROWS:
-        if key in MISSING_ROWS and not missing:
-            continue
-        of_beta = key == "auc" and any(s["ranked_by"] == "beta" for s in sensors)
-        table.add_row("AUC of beta" if of_beta else label.format(precision), *(_number(s[key], form) for s in sensors))
-    return "Faults and their detection", table
-
-
-def _inverse_square(unit: str) -> str:
-    return f"1/{unit}²" if unit.isalpha() else f"1/({unit})²"
-
-
-def _by_name(columns: list[dict[str, Any]], rows: Iterable[tuple[str, str, str]]) -> Table:
-    """Return a table with a column for each input of the plant."""
-    table = empty_table(*(f"{c['name']} ({c['unit']})" if c["unit"] else c["name"] for c in columns))
-    for label, key, form in rows:
-        table.add_row(label, *(_number(c[key], form) for c in columns))
-    return table
-
-
-def _kalman(check: Mapping[str, Any]) -> tuple[str, Table]:
-    table = empty_table("relative", "absolute")
-    for what in ("mean", "covariance"):
-        table.add_row(what, *(_number(check[f"{what}_{kind}"], "{:.2e}") for kind in ("difference", "absolute")))
-    return f"Largest differences from filterpy's Kalman filter over {check['steps']} samples", table
+    table = empty_table(*columns)
+    for row in rows:
+        table.add_row(*row)
+    console.print()
+    console.print(Text(heading, style="bold"))
+    console.print(table)
+    if remark:
+        console.print(Text(remark))
 
 
 def empty_table(*columns: str) -> Table:
@@ -381,7 +310,3 @@ def sayer() -> tuple[Console, Callable[..., None]]:
 
     console = terminal()
     return console, lambda sentence, style="": console.print(Text(sentence, style=style), soft_wrap=True)
-
-
-def _number(value: float | str | None, form: str) -> str:
-    return DASH if value is None else form.format(value)

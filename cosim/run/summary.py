@@ -1,0 +1,201 @@
+"""The figures of a run of a closed loop as tables: errors by phase, detection by sensor, faults of inputs and actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+DASH = "–"
+TRACKING = "The tracking error uses the reference at the same instant."
+ERRORS = "Root-mean-square errors (tracking: true value - reference; belief: estimate - true value)"
+PHASES = {"overall": "whole run", "before": "before faults", "during": "during", "after": "after"}
+Row = tuple[str, str, str]
+"""A label, the key of its numbers, and their format."""
+
+SENSOR_ROWS: Sequence[Row] = (
+    ("share of time in fault", "fault_share", "{:.1%}"),
+    ("samples missing (share of all)", "missing_share", "{:.1%}"),
+    ("faults", "faults", "{:.0f}"),
+    ("faults seen as missing samples", "seen_as_missing", "{:.0f}"),
+    ("faults missed", "missed", "{:.0f}"),
+    ("mean detection delay (s)", "delay", "{:.2f}"),
+    ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
+    ("AUC", "auc", "{:.3f}"),
+    ("mean precision without fault", "precision_healthy", "{:.3g}"),
+    ("mean precision in fault", "precision_faulty", "{:.3g}"),
+)
+MISSING_ROWS = frozenset({"missing_share", "seen_as_missing"})
+"""Rows that are shown only if a sensor has missing samples."""
+INPUT_ROWS: Sequence[Row] = (
+    ("share of time in fault", "fault_share", "{:.1%}"),
+    ("faults", "faults", "{:.0f}"),
+    ("received - sent in fault (root mean square)", "deviation", "{:.4g}"),
+)
+ACTUATOR_ROWS: Sequence[Row] = (
+    ("mean fault probability", "mean_probability", "{:.4f}"),
+    ("alarms (share of time)", "alarm_share", "{:.1%}"),
+    ("faults missed", "missed", "{:.0f}"),
+    ("mean detection delay (s)", "delay", "{:.2f}"),
+    ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
+    ("AUC", "auc", "{:.3f}"),
+    ("kind during alarms, mostly", "kind", "{}"),
+    ("mean size of that kind", "size", "{:.4g}"),
+)
+ACTUATORS = "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control."
+
+
+@dataclass(frozen=True)
+class FiguresTable:
+    """A table of the figures of a run.
+
+    Attributes
+    ----------
+    key : str
+        ``"errors"``, ``"sensors"``, ``"inputs"`` or ``"actuators"``.
+    heading : str
+        What it shows.
+    columns : tuple of str
+        Names of its columns.
+    rows : tuple
+        For each row its label, its numbers (None for one that does not exist), and their format.
+    remark : str
+        A sentence below it.
+    """
+
+    key: str
+    heading: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[Any, ...], str], ...]
+    remark: str = ""
+
+    def texts(self) -> Iterator[tuple[str, ...]]:
+        """Yield each row as texts: its label, then its numbers."""
+        for label, values, form in self.rows:
+            yield label, *(DASH if value is None else form.format(value) for value in values)
+
+    def frame(self) -> pd.DataFrame:
+        """Return the numbers as a pandas table."""
+        import pandas as pd
+
+        numbers = [[float("nan") if value is None else value for value in values] for _, values, _ in self.rows]
+        return pd.DataFrame(numbers, index=[label for label, *_ in self.rows], columns=list(self.columns))
+
+
+def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
+    """Yield the tables of a run's figures.
+
+    Parameters
+    ----------
+    numbers : mapping
+        Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, and ``units``, the unit of each quantity.
+    """
+    if numbers["tracking"]:
+        rows = [
+            (
+                f"{what} of {_with_unit(name, numbers['units'].get(name))}",
+                tuple(errors[phase] for phase in PHASES),
+                "{:.4g}",
+            )
+            for what in ("tracking", "belief")
+            for name, errors in numbers[what].items()
+        ]
+        yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), TRACKING)
+    sensors = numbers["sensors"]
+    yield FiguresTable(
+        "sensors", "Faults and their detection", tuple(s["title"] for s in sensors), tuple(_of_sensors(sensors))
+    )
+    for key, heading, listed, remark in (
+        ("inputs", "Faults between the controller and the plant", INPUT_ROWS, ""),
+        ("actuators", "Actuator faults that the controller estimates", ACTUATOR_ROWS, ACTUATORS),
+    ):
+        if found := numbers[key]:
+            rows = [(label, tuple(each[name] for each in found), form) for label, name, form in listed]
+            columns = tuple(_with_unit(each["name"], each["unit"]) for each in found)
+            yield FiguresTable(key, heading, columns, tuple(rows), remark)
+
+
+def _of_sensors(sensors: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, tuple[Any, ...], str]]:
+    units = {s["unit"] for s in sensors}
+    unit = units.pop() if len(units) == 1 else None
+    missing = any(s["missing_share"] for s in sensors)
+    for label, key, form in SENSOR_ROWS:
+        if key in MISSING_ROWS and not missing:
+            continue
+        title = label
+        if key.startswith("precision") and unit:
+            title = f"{label} (1/{unit if unit.isalpha() else f'({unit})'}²)"
+        elif key == "auc" and any(s["ranked_by"] == "beta" for s in sensors):
+            title = "AUC of beta"
+        yield title, tuple(s[key] for s in sensors), form
+
+
+def _with_unit(name: str, unit: str | None) -> str:
+    return f"{name} ({unit})" if unit else name
+
+
+class RunSummary(Mapping[str, "pd.DataFrame"]):
+    """The figures of a run of a closed loop, as tables of pandas; printed, it is what ``bayesftc run`` prints.
+
+    ``summary["errors"]`` has the root-mean-square errors by quantity and phase, ``summary["sensors"]`` the detection of faults by
+    sensor. Where there are any, ``summary["inputs"]`` has the faults of the plant's inputs, and ``summary["actuators"]`` the
+    actuator faults that the controller infers. `bayesftc.cosim.Result.summary` makes it.
+
+    Parameters
+    ----------
+    tables : iterable of FiguresTable
+        The tables.
+    notes : sequence of str
+        Remarks on the run.
+
+    Examples
+    --------
+    >>> from bayesftc.scenario import load_scenario
+    >>> summary = load_scenario("cruise_control").simulate(duration=8.0).summary()
+    >>> list(summary)
+    ['errors', 'sensors']
+    >>> summary["sensors"].loc["share of time in fault", "sensor 0"].round(2)
+    np.float64(0.25)
+    """
+
+    def __init__(self, tables: Iterable[FiguresTable], notes: Sequence[str] = ()):
+        self._tables, self.notes = {each.key: each for each in tables}, tuple(notes)
+
+    def __getitem__(self, name: str) -> pd.DataFrame:
+        return self._tables[name].frame()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._tables)
+
+    def __len__(self) -> int:
+        return len(self._tables)
+
+    def __repr__(self) -> str:
+        blocks = [f"{each.heading}\n{_aligned(each)}" for each in self._tables.values()]
+        return "\n\n".join([*blocks, *self.notes])
+
+    def _repr_html_(self) -> str:
+        """Return the tables for notebooks."""
+        from bayesftc.cosim.base.html import table
+
+        shown = [table(each.heading, each.texts(), ("", *each.columns)) for each in self._tables.values()]
+        return "\n".join([*shown, *(f"<p>{escape(note)}</p>" for note in self.notes)])
+
+
+def _aligned(table: FiguresTable) -> str:
+    """Return a table as text: labels to the left, numbers to the right."""
+    rows = [("", *table.columns), *table.texts()]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(
+            [row[0].ljust(widths[0]), *(text.rjust(w) for text, w in zip(row[1:], widths[1:], strict=True))]
+        ).rstrip()
+        for row in rows
+    )
+
+
+__all__ = ["FiguresTable", "RunSummary", "tables_of"]
