@@ -14,7 +14,7 @@ from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.diagram.contract import checked
 from bayesftc.cosim.diagram.memory import Slots, arrange, bind
-from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.run.interrupts import import_engine
 
 if TYPE_CHECKING:
@@ -26,6 +26,10 @@ Step = Callable[[float, int], None]
 """A step function of time in seconds and of the step count."""
 
 
+MOST_SHOWN = 60
+"""Most characters of an output where all are shown."""
+
+
 class Outputs(dict[str, Any]):
     """The outputs of one step, by attribute (``out.u``) or by name (``out["u"]``)."""
 
@@ -33,6 +37,12 @@ class Outputs(dict[str, Any]):
         if name in self:
             return self[name]
         raise AttributeError(f"The block has no output {name!r}; {did_you_mean(name, self)}")
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self]
+
+    def __repr__(self) -> str:
+        return f"Outputs({', '.join(f'{name}={brief(value, MOST_SHOWN)}' for name, value in self.items())})"
 
 
 class Online:
@@ -82,6 +92,10 @@ class Online:
         made = compiled_step if compiled and self._definition.compiled else plain_step
         self._calls = [made(k, self._slots, self._memory) for k in kernels]
         self._k = 0
+
+    def __repr__(self) -> str:
+        names = ", ".join(f"{name}=..." for name in self._inputs)
+        return f"<Step of {self._title} at {show(self._step)} s: step({names}) returns {', '.join(self._outputs)}>"
 
     def __call__(self, *unnamed: Any, **inputs: Any) -> Outputs:
         """Make one step; every input without a start value must be given, all of them by name."""

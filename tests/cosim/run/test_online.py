@@ -59,6 +59,9 @@ def test_outputs(step):
     assert kept.tolist() == [1.0, 2.0]  # what was handed out does not change
     with pytest.raises(AttributeError, match="The block has no output 'las'; did you mean 'last'"):
         out.las  # noqa: B018
+    assert {"u", "last", "items"} <= set(dir(out))  # what a console completes
+    assert repr(out).startswith("Outputs(u=")
+    assert repr(step).startswith("<Step of ")
 
 
 def test_missing_samples(step):
