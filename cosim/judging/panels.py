@@ -6,9 +6,13 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -16,6 +20,8 @@ MOST_POINTS = 20_000
 """A line with more points than this is thinned, because no print shows more."""
 MOST_ROWS = 3
 """If the names of faults need more rows than this, the faults are only shaded."""
+ROW = 0.2
+"""Height of those rows in inches."""
 LETTER = 0.0115
 """Width of a letter of those names, as a share of the panel's width."""
 WIDTH, PANEL = 8.0, 2.1
@@ -92,21 +98,26 @@ def with_unit(name: str, unit: str | None) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def name_spans(axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str, str]], what: str) -> None:
+def name_spans(
+    axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str, str]], what: str | None, height: float = PANEL
+) -> None:
     """Write names above spans of time, each with its begin, end and colour, in as many rows as necessary.
 
-    If there are too many rows, write one note with the number of shaded ``what`` instead.
+    If there are too many rows, write one note with the number of shaded ``what`` instead; without ``what``, leave out names for
+    which there is no room, or that stand beside it already. The panel has a `height` in inches.
     """
     style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
     first, last = (float(time[0]), float(time[-1])) if len(time) else (0.0, 0.0)
-    rows: list[float] = []  # the end of the last name in each row
+    rows: list[tuple[float, str]] = []  # the end of the last name in each row, and this name
     names = []
     for begin, end, text, colour in sorted(spans):
         half = 0.5 * LETTER * (last - first) * (len(text) + 2)
         middle = max(min(0.5 * (begin + end), last - half), min(first + half, 0.5 * (first + last)))
-        row = next((i for i, until in enumerate(rows) if until <= middle - half), len(rows))
-        rows[row : row + 1] = [middle + half]
-        names.append((middle, 1.02 + 0.1 * row, text, colour))
+        row = next((i for i, (until, _) in enumerate(rows) if until <= middle - half), len(rows))
+        if what is None and (row == MOST_ROWS or any(name == text for _, name in rows[:row])):
+            continue
+        rows[row : row + 1] = [(middle + half, text)]
+        names.append((middle, 1.02 + (0.04 + ROW * row) / height, text, colour))
     if len(rows) > MOST_ROWS:
         axis.text(first, 1.02, f"shaded: {len(names)} {what}, in the colour of their sensor", color="0.3", **style)
         return
@@ -125,9 +136,27 @@ def legend(axis: Axes) -> None:
                 handle.set_alpha(1.0)
 
 
-def finish(axes: list[Axes], time: Floats) -> None:
-    """Label the time below the lowest panel, limit all panels to it, and align their labels."""
-    axes[-1].set_xlabel("time (s)")
+def as_dates(time: Floats, origin: datetime) -> Floats:
+    """Return times in seconds from an instant as matplotlib's dates, by the clock of the instant."""
+    from matplotlib.dates import date2num
+
+    return np.asarray(float(date2num(origin.replace(tzinfo=None))) + time / 86400.0)  # type: ignore[no-untyped-call]
+
+
+def finish(axes: list[Axes], time: Floats, origin: datetime | None = None) -> None:
+    """Label the time below the lowest panel, limit all panels to it, and align their labels.
+
+    With the `origin` of `as_dates`, the times are those dates.
+    """
+    label = "time (s)"
+    if origin is not None:
+        from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+        locator, zone = AutoDateLocator(), origin.tzname()
+        axes[-1].xaxis.set_major_locator(locator)
+        axes[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
+        label = f"time ({zone})" if zone else "time"
+    axes[-1].set_xlabel(label)
     if len(time) > 1:
         axes[-1].set_xlim(float(time[0]), float(time[-1]))
     axes[0].figure.align_ylabels(axes)  # type: ignore[union-attr]

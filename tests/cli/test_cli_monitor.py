@@ -209,13 +209,14 @@ def test_the_columns_of_a_fit_are_explained_and_gaps_named(drive, tmp_path):
     whole = RUNNER.invoke(app, arguments)
     for word in ("Noise:", "Lasting errors:", "Bias:", "Resolution:", "fine:", "Repeats:", "Missing:"):
         assert word in whole.output
-    assert "Gaps" not in whole.output
+    assert "gap" not in whole.output
     table = pd.read_csv(drive)
     table[(table.t < 9.95) | (table.t > 14.95)].to_csv(drive, index=False)
     done = RUNNER.invoke(app, [*arguments, "--overwrite"])
     assert done.exit_code == 0, done.output
-    sentence = "no sensor has a sample in 8 % of the steps, 5 s in all, the longest time from 9.9 to 15 s."
-    assert f"Gaps are not counted as missing: {sentence}" in done.output
+    assert "The gaps (8% of the steps) are not counted as missing." in done.output
+    named = "The recording has a gap, in which no sensor has a sample: from 9.90 to 15.00 s (50 samples). A gap is no fault."
+    assert named in done.output
 
 
 @pytest.mark.usefixtures("undrawn")

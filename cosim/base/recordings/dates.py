@@ -1,8 +1,9 @@
-"""Dates as times: a column of ISO 8601 dates becomes seconds."""
+"""Dates as times: a column of ISO 8601 dates becomes seconds, and seconds become dates again in texts."""
 
 from __future__ import annotations
 
 import re
+from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,9 @@ from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
+
+LONG = 600.0
+"""Seconds between two dates beyond which their texts have no decimals."""
 
 _DATE = re.compile(r"\s*\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*")
 
@@ -38,7 +42,8 @@ def as_seconds(cells: Any, source: str, origin: pd.Timestamp | None = None) -> t
     source : str
         The file and the column, for the message to the user.
     origin : pandas.Timestamp, optional
-        The instant; by default the whole second of the first date, of which the user is informed.
+        The instant; by default the whole second of the first date, of which the user is informed. It has the first date's
+        difference from UTC, if any.
     """
     import pandas as pd
 
@@ -47,10 +52,52 @@ def as_seconds(cells: Any, source: str, origin: pd.Timestamp | None = None) -> t
     )
     dates = pd.to_datetime(texts, format="ISO8601", utc=True, errors="coerce")
     if origin is None:
-        origin = dates.dropna().iloc[0].floor("s")
-        shown = str(origin.tz_localize(None))
-        inform(f"The dates in {source} are read as seconds from {shown}.")
-    return np.asarray((dates - origin) / pd.Timedelta(1, "s"), dtype=np.float64), origin
+        first = int(np.argmax(dates.notna()))
+        offset = pd.Timestamp(texts.iloc[first]).utcoffset()
+        origin = dates.iloc[first].floor("s").tz_convert(None if offset is None else timezone(offset))
+        inform(f"The dates in {source} are read as seconds from {origin.tz_localize(None)}.")
+    instant = origin.tz_localize("UTC") if origin.tz is None else origin
+    return np.asarray((dates - instant) / pd.Timedelta(1, "s"), dtype=np.float64), origin
 
 
-__all__ = ["are_dates", "as_seconds"]
+def date_at(origin: datetime, seconds: float) -> datetime:
+    """Return the date that is some seconds after an instant, to the microsecond."""
+    return origin + timedelta(microseconds=round(seconds * 1e6))
+
+
+def time_text(seconds: float, origin: datetime | None, digits: int | None = None) -> str:
+    """Return a time as text: seconds, or a date. By default a date has no more decimals than necessary, at most three."""
+    if origin is None:
+        return f"{seconds:g} s" if digits is None else f"{seconds:.{digits}f} s"
+    return _text(date_at(origin, seconds), digits)
+
+
+def span_text(start: float, end: float, origin: datetime | None, digits: int | None = None) -> str:
+    """Return two times as text, as ``0 to 59.9 s``, or two dates; the second one has no day if it is that of the first.
+
+    By default dates that are more than `LONG` seconds apart have no decimals.
+    """
+    if origin is None:
+        return f"{start:g} to {end:g} s" if digits is None else f"{start:.{digits}f} to {end:.{digits}f} s"
+    digits = 0 if digits is None and end - start > LONG else digits
+    first, last = (time_text(seconds, origin, digits) for seconds in (start, end))
+    return f"{first} to {last.removeprefix(first[: len('2026-01-01 ')])}"
+
+
+def _text(date: datetime, digits: int | None) -> str:
+    kept = 3 if digits is None else digits
+    unit = 10 ** (6 - kept)
+    date += timedelta(microseconds=round(date.microsecond / unit) * unit - date.microsecond)
+    decimals = f"{date.microsecond:06}"[:kept]
+    decimals = decimals.rstrip("0") if digits is None else decimals
+    return date.strftime("%Y-%m-%d %H:%M:%S") + (f".{decimals}" if decimals else "")
+
+
+def seconds_of(moment: datetime, origin: datetime) -> float:
+    """Return the seconds from an instant to a date; without a time zone the date has that of the instant."""
+    if origin.tzinfo is not None and moment.tzinfo is None:
+        moment = moment.replace(tzinfo=origin.tzinfo)
+    return (moment - origin) / timedelta(seconds=1)
+
+
+__all__ = ["are_dates", "as_seconds", "date_at", "seconds_of", "span_text", "time_text"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
+from datetime import datetime
 from itertools import islice
 from os import PathLike, fspath
 from pathlib import Path
@@ -50,6 +51,11 @@ class Tables:
         self._read: dict[Path, tuple[list[str], pd.DataFrame]] = {}
         self._forms: dict[Path, CsvForm] = {}
         self._origin: pd.Timestamp | None = None  # of all dates, so that files fit together
+
+    @property
+    def origin(self) -> datetime | None:
+        """The instant from which the dates that were read count in seconds; None if no times were dates."""
+        return None if self._origin is None else self._origin.to_pydatetime()
 
     def files(self) -> list[Path]:
         """Return all CSV files, including those in folders."""

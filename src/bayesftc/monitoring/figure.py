@@ -6,14 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import finish, legend, make_panels, name_spans, thin, with_unit
+from bayesftc.cosim.judging.panels import ROW, as_dates, finish, legend, make_panels, name_spans, thin, with_unit
 from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, colour_of
+from bayesftc.monitoring.fit.units import bare_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from bayesftc.cosim.types import Floats
+    from bayesftc.monitoring.alarms import ActuatorEvent, FaultEvent
+    from bayesftc.monitoring.gaps import Gap
+    from bayesftc.monitoring.recording import Recording
     from bayesftc.monitoring.run import Monitored
 
 
@@ -26,7 +30,7 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
 
     Parameters
     ----------
-    found : Monitored
+    monitored : Monitored
         The results. Alarms are shaded in the colour of their sensor; those of actuators are hatched.
     figure : Figure, optional
         An empty figure to draw on.
@@ -34,61 +38,86 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
     plant = monitored.model.states - monitored.model.disturbances
     rows = monitored.model.quantities[:, :plant]
     quantities, of = np.unique(rows, axis=0, return_inverse=True)
-    units = monitored.recording.units
-    heights = [MAIN] * len(quantities) + [STRIP] * len(units) + [MAIN]
+    recording = monitored.recording
+    clock, sensors = _Clock(recording), [bare_name(sensor) for sensor in recording.sensors]
+    time, units = clock(monitored.time), recording.units
+    named = {event.sensor for event in monitored.events if event.kind}
+    strips = [STRIP + ROW * (sensor in named) for sensor in recording.sensors]
+    heights = [MAIN] * len(quantities) + strips + [MAIN]
     figure, axes = make_panels(heights, figure)
     belief = monitored.x_hat[:, :plant] @ rows.T
     for q, axis in enumerate(axes[: len(quantities)]):
         members = [i for i, quantity in enumerate(of.reshape(-1)) if quantity == q]
-        axis.plot(*thin(monitored.time, belief[:, members[0]]), color=BLACK, lw=1.2, label="belief")
-        what = monitored.recording.sensors[members[0]] if len(quantities) > 1 else ""
+        axis.plot(*thin(time, belief[:, members[0]]), color=BLACK, lw=1.2, label="belief")
+        what = sensors[members[0]] if len(quantities) > 1 else ""
         axis.set_ylabel(with_unit("\n".join(["belief", *filter(None, [what])]), units[members[0]]))
     for i, axis in enumerate(axes[len(quantities) : -1]):
-        _dots(axis, monitored, i, monitored.recording.y[:, i] - belief[:, i])
+        _dots(axis, i, time, recording.y[:, i] - belief[:, i])
         axis.axhline(0.0, color="0.4", lw=0.8, zorder=0)
-        axis.set_ylabel(monitored.recording.sensors[i] + (f"\n({units[i]})" if units[i] else ""), fontsize=8)
-    for i, sensor in enumerate(monitored.recording.sensors):
+        axis.set_ylabel(sensors[i] + (f"\n({units[i]})" if units[i] else ""), fontsize=8)
+    for i, sensor in enumerate(sensors):
         style: dict[str, Any] = {"color": colour_of(i), "ls": LINES[i % len(LINES)]}
-        axes[-1].plot(*thin(monitored.time, monitored.fault_probability[:, i]), lw=1.3, label=sensor, **style)
+        axes[-1].plot(*thin(time, monitored.fault_probability[:, i]), lw=1.3, label=sensor, **style)
     for j, name in enumerate(monitored.actuators):
         style = {"color": BLACK, "ls": LINES[j % len(LINES)]}
-        shown = thin(monitored.time, monitored.actuator_fault_probability[:, j])
+        shown = thin(time, monitored.actuator_fault_probability[:, j])
         axes[-1].plot(*shown, lw=1.3, label=f"actuator {name}", **style)
     axes[-1].set_ylim(-0.04, 1.04)
     axes[-1].set_ylabel("fault probability")
-    for axis in axes:
-        for event in monitored.events:
-            axis.axvspan(
-                event.start,
-                event.end,
-                color=colour_of(monitored.recording.sensors.index(event.sensor)),
-                alpha=0.12,
-                lw=0,
-            )
-        for alarm in monitored.actuator_events:
-            axis.axvspan(alarm.start, alarm.end, fc="none", ec="0.8", hatch="///", lw=0, zorder=0)
-    if monitored.events or monitored.actuator_events:
-        axes[0].fill_between([], [], color="0.88", lw=0, label="shaded: an alarm")
+    spans = [_Span(clock, event, recording.sensors.index(event.sensor)) for event in monitored.events]
+    _shade(axes, clock, monitored, spans)
     axes[len(quantities)].plot([], [], ".", color="0.4", label="samples minus\nbelief")
     for axis in (*axes[: len(quantities) + 1], axes[-1]):
         legend(axis)
-    names = [
-        (
-            e.start,
-            e.end,
-            f"{e.sensor}: {e.kind}" if e.kind else e.sensor,
-            colour_of(monitored.recording.sensors.index(e.sensor)),
-        )
-        for e in monitored.events
-    ]
-    names += [(e.start, e.end, f"{e.actuator}: {e.kind}", "0.35") for e in monitored.actuator_events]
-    name_spans(axes[0], monitored.time, names, "alarms")
-    finish(axes, monitored.time)
+    names = [(s.start, s.end, ": ".join(filter(None, [sensors[s.sensor], s.kind])), s.colour) for s in spans]
+    names += [(*clock.ends(e), f"{e.actuator}: {e.kind}", "0.35") for e in monitored.actuator_events]
+    name_spans(axes[0], time, names, "alarms", MAIN)
+    for i, axis in enumerate(axes[len(quantities) : -1]):
+        kinds = [(s.start, s.end, s.kind, s.colour) for s in spans if s.kind and s.sensor == i]
+        name_spans(axis, time, kinds, None, STRIP)
+    finish(axes, time, recording.origin)
     return figure
 
 
-def _dots(axis: Axes, monitored: Monitored, i: int, values: Floats) -> None:
+class _Clock:
+    """The places of times on the axis: seconds, or matplotlib's dates if the recording has dates."""
+
+    def __init__(self, recording: Recording):
+        self._origin = recording.origin
+
+    def __call__(self, time: Floats) -> Floats:
+        return time if self._origin is None else as_dates(time, self._origin)
+
+    def ends(self, event: FaultEvent | ActuatorEvent | Gap) -> tuple[float, float]:
+        start, end = self(np.array([event.start, event.end])).tolist()
+        return start, end
+
+
+class _Span:
+    """The place of an alarm on the axis, the number of its sensor, and its kind."""
+
+    def __init__(self, clock: _Clock, event: FaultEvent, sensor: int):
+        self.start, self.end = clock.ends(event)
+        self.sensor, self.kind, self.colour = sensor, event.kind or "", colour_of(sensor)
+
+
+def _shade(axes: list[Axes], clock: _Clock, monitored: Monitored, spans: list[_Span]) -> None:
+    """Shade alarms in all panels, and name what is shaded beside the first."""
+    for axis in axes:
+        for span in spans:
+            axis.axvspan(span.start, span.end, color=span.colour, alpha=0.12, lw=0)
+        for alarm in monitored.actuator_events:
+            axis.axvspan(*clock.ends(alarm), fc="none", ec="0.8", hatch="///", lw=0, zorder=0)
+    if monitored.events or monitored.actuator_events:
+        axes[0].fill_between([], [], color="0.88", lw=0, label="shaded: an alarm")
+    for axis in axes:
+        for gap in monitored.recording.gaps:
+            axis.axvspan(*clock.ends(gap), fc="none", ec="0.75", hatch="...", lw=0, zorder=0)
+    if monitored.recording.gaps:
+        axes[0].fill_between([], [], fc="none", ec="0.75", hatch="...", lw=0, label="dotted: a gap of\nthe recording")
+
+
+def _dots(axis: Axes, i: int, time: Floats, values: Floats) -> None:
     finite = np.isfinite(values)
-    time, shown = thin(monitored.time[finite], values[finite])
     marker = MARKERS[i % len(MARKERS)]
-    axis.plot(time, shown, marker, ms=1.6, mew=0, color=colour_of(i), alpha=0.7)
+    axis.plot(*thin(time[finite], values[finite]), marker, ms=1.6, mew=0, color=colour_of(i), alpha=0.7)

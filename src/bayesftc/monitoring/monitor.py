@@ -26,6 +26,7 @@ from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
 from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.fit.units import column_unit
 from bayesftc.monitoring.models import PlantModel
 from bayesftc.monitoring.precision import default_precision
 from bayesftc.monitoring.recording import Recording, Signal, align
@@ -161,12 +162,16 @@ class Monitor:
             values = tables.column(file, given.column or name, f"the {what} {name!r}")
             try:
                 invalid = (*self.invalid, *given.invalid)
-                return Signal(time, values, bias=given.bias, delay=given.delay, invalid=invalid, **more)
+                more |= {"bias": given.bias, "delay": given.delay, "invalid": invalid, "origin": tables.origin}
+                return Signal(time, values, **more)
             except RecordingError as error:
                 raise RecordingError(f"{file}, the {what} {name!r}: {error}") from None
 
         return (
-            {name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit) for name, s in self.sensors.items()},
+            {
+                name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit or column_unit(s.column or name))
+                for name, s in self.sensors.items()
+            },
             {
                 name: signal(name, i, "input", smooth=i.smooth, resolution=0.0, unit=i.unit)
                 for name, i in self.inputs.items()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from fractions import Fraction
 
 import numpy as np
@@ -13,9 +14,11 @@ from bayesftc.controllers.learning.resolution import find_resolution
 from bayesftc.controllers.models.checks import check_number
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.gaps import Gap, find_gaps
 
 MOST_STEPS = 20_000_000
 """Largest number of steps, two days at 100 samples per second: a longer recording more likely has a wrong unit of time."""
@@ -53,6 +56,8 @@ class Signal:
         Unit of the values, for figures and tables.
     invalid : sequence of float
         Values that a device records in place of a sample, such as ``[-9999, 65535]``. They are left out.
+    origin : datetime, optional
+        The instant of time 0, if the times are known as dates.
 
     Raises
     ------
@@ -78,6 +83,7 @@ class Signal:
     resolution: float | None = None
     unit: str = ""
     invalid: Sequence[float] = ()
+    origin: datetime | None = None
 
     def __repr__(self) -> str:
         return short(self, delay="s", smooth="s")
@@ -108,7 +114,8 @@ class Signal:
         back = np.flatnonzero(np.diff(time) <= 0)
         if len(back):
             raise RecordingError(
-                f"A signal's times do not increase: {time[back[0] + 1]:g} s follows {time[back[0]]:g} s. Sort the recording."
+                f"A signal's times do not increase: {time_text(time[back[0] + 1], self.origin)} follows "
+                f"{time_text(time[back[0]], self.origin)}. Sort the recording."
             )
         if self.resolution is None:
             object.__setattr__(self, "resolution", find_resolution(values))
@@ -155,6 +162,8 @@ class Recording:
         Unit of each sensor; empty if not known.
     inputs, input_units : tuple of str
         Names of the inputs, and the unit of each.
+    origin : datetime or None
+        The instant of time 0, if the times were dates.
 
     Examples
     --------
@@ -177,6 +186,7 @@ class Recording:
     units: tuple[str, ...]
     inputs: tuple[str, ...] = ()
     input_units: tuple[str, ...] = ()
+    origin: datetime | None = None
 
     def __repr__(self) -> str:
         return short(self, start="s", dt="s")
@@ -185,6 +195,14 @@ class Recording:
     def time(self) -> Floats:
         """Times of the steps in seconds."""
         return np.asarray(self.start + np.arange(len(self.y)) * float(self.dt), dtype=np.float64)
+
+    @property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Stretches in which no sensor has a sample, because the logger stood still."""
+        time = self.time
+        return tuple(
+            Gap(float(time[before]), float(time[after]), missed) for before, after, missed in find_gaps(self.y)
+        )
 
 
 def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float | str | Fraction) -> Recording:
@@ -223,7 +241,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     step = rational_step(dt, "The monitor's sample time")
     if not sensors:
         raise RecordingError("There is no sensor to monitor. Name at least one.")
-    start, end = _overlap({**sensors, **inputs}, sensors)
+    origin = next((signal.origin for signal in (*sensors.values(), *inputs.values()) if signal.origin), None)
+    start, end = _overlap({**sensors, **inputs}, sensors, origin)
     if (end - start) / float(step) > MOST_STEPS:
         raise RecordingError(
             f"The recording of {end - start:g} s has more than {MOST_STEPS:,} steps of {show(step)} s. Check the unit of its "
@@ -231,8 +250,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         )
     if end - start < float(step) and any(len(signal.corrected[0]) > 1 for signal in sensors.values()):
         raise RecordingError(
-            f"The recording from {start:g} s, when the last sensor begins, to {end:g} s is shorter than one step of "
-            f"{show(step)} s. Give a smaller dt, about the interval of the fastest sensor."
+            f"The recording from {time_text(start, origin)}, when the last sensor begins, to {time_text(end, origin)} is shorter "
+            f"than one step of {show(step)} s. Give a smaller dt, about the interval of the fastest sensor."
         )
     steps = int(np.rint((end - start) / float(step))) + 1
     y, loss, replaced = np.full((steps, len(sensors)), np.nan), [], []
@@ -252,7 +271,9 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         *((float(signal.resolution or 0.0), signal.unit) for signal in sensors.values()), strict=True
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
-    return Recording(start, step, tuple(sensors), y, u, tuple(loss), resolution, tuple(replaced), units, *of_inputs)
+    return Recording(
+        start, step, tuple(sensors), y, u, tuple(loss), resolution, tuple(replaced), units, *of_inputs, origin
+    )
 
 
 def expected_loss(time: Floats, step: Fraction) -> float:
@@ -261,14 +282,16 @@ def expected_loss(time: Floats, step: Fraction) -> float:
     return float(np.clip(1.0 - float(step) / interval, LEAST_LOSS, MOST_LOSS))
 
 
-def _overlap(signals: Mapping[str, Signal], sensors: Mapping[str, Signal]) -> tuple[float, float]:
+def _overlap(
+    signals: Mapping[str, Signal], sensors: Mapping[str, Signal], origin: datetime | None
+) -> tuple[float, float]:
     """Return the time from which every sensor has samples, and the end of the last one."""
     spans = {name: (float(s.corrected[0][0]), float(s.corrected[0][-1])) for name, s in signals.items()}
     late, early = max(spans, key=lambda name: spans[name][0]), min(spans, key=lambda name: spans[name][1])
     if spans[late][0] > spans[early][1]:
         raise RecordingError(
-            f"The recordings of {early!r} ({spans[early][0]:g} to {spans[early][1]:g} s) and {late!r} ({spans[late][0]:g} to "
-            f"{spans[late][1]:g} s) do not overlap. Check that all times are in seconds from the same instant."
+            f"The recordings of {early!r} ({span_text(*spans[early], origin)}) and {late!r} ({span_text(*spans[late], origin)}) "
+            "do not overlap. Check that all times are in seconds from the same instant."
         )
     return max(spans[name][0] for name in sensors), max(spans[name][1] for name in sensors)
 

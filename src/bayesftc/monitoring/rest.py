@@ -42,8 +42,12 @@ def at_rest(y: Floats) -> Flags:
     return rest
 
 
-def held(signals: Mapping[str, Floats], names: Iterable[str], y: Floats, rest: Flags) -> dict[str, Floats]:
+def held(
+    signals: Mapping[str, Floats], names: Iterable[str], y: Floats, rest: Flags, silent: Flags | None = None
+) -> dict[str, Floats]:
     """Return the signals, some of which keep their values from before a rest until it ends for their sensor.
+
+    They also keep them at steps that say nothing of any sensor.
 
     Parameters
     ----------
@@ -55,12 +59,15 @@ def held(signals: Mapping[str, Floats], names: Iterable[str], y: Floats, rest: F
         Samples.
     rest : ndarray, steps
         From `at_rest`.
+    silent : ndarray, steps, optional
+        Steps that say nothing, as those in a gap of the recording.
     """
     steps, kept = np.arange(len(y)), {name: signals[name].copy() for name in names}
     for i, column in enumerate(y.T):
         count = np.cumsum(np.isfinite(column))
         before = np.maximum.accumulate(np.where(rest, count, -SETTLES - 1))
-        last = np.maximum.accumulate(np.where(count - before <= SETTLES, 0, steps))
+        kept_here = count - before <= SETTLES if silent is None else silent | (count - before <= SETTLES)
+        last = np.maximum.accumulate(np.where(kept_here, 0, steps))
         for values in kept.values():
             values[:, i] = values[last, i]
     return {**signals, **kept}

@@ -27,6 +27,7 @@ from bayesftc.monitoring.alarms import (
     actuator_events,
     sensor_events,
 )
+from bayesftc.monitoring.gaps import in_gaps
 from bayesftc.monitoring.precision import default_precision
 from bayesftc.monitoring.recording import Recording
 from bayesftc.monitoring.rest import at_rest, held
@@ -63,7 +64,7 @@ class Monitored:
         Alarms in the order of their start.
     rest : ndarray, steps
         Whether all sensors repeat their values at once, as in a parked car: then the quantity or the logger is at rest, which is
-        no fault. Meanwhile the fault probabilities of sensors keep their values.
+        no fault. Meanwhile the fault probabilities of sensors keep their values, as in the gaps of the recording.
     why_no_probability : str or None
         Why there are no probabilities, as a sentence.
     actuators : tuple of str
@@ -119,12 +120,16 @@ class Monitored:
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row for each step: the time ``t``, and for each sensor its fault probability and kind.
 
-        The columns have the sensors' names; with modes there are also columns with ``_kind``, the most probable mode. The names
-        of actuators' columns begin with ``actuator_``.
+        If the times of the recording were dates, ``date`` has those of the steps. The other columns have the sensors' names; with
+        modes there are also columns with ``_kind``, the most probable mode. The names of actuators' columns begin with
+        ``actuator_``.
         """
         import pandas as pd
 
         columns: dict[str, Any] = {"t": self.time}
+        if self.recording.origin is not None:
+            since = pd.to_timedelta(np.rint(self.time * 1e6), unit="us")
+            columns["date"] = pd.Timestamp(self.recording.origin) + since
         for i, sensor in enumerate(self.recording.sensors):
             columns[sensor] = self.fault_probability[:, i]
             if self.kinds:
@@ -210,7 +215,8 @@ def monitor_recording(
     judged = judged_names(precision)
     names = signal_names(precision)
     rest = at_rest(recording.y)
-    signals = held(estimate(estimator, recording.y, recording.u, names, compiled), judged, recording.y, rest)
+    signals = estimate(estimator, recording.y, recording.u, names, compiled)
+    signals = held(signals, judged, recording.y, rest, in_gaps(recording.y))
     alarm = alarm or Alarm()
     monitored = Monitored(
         recording,

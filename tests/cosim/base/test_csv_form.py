@@ -1,11 +1,14 @@
 """CSV files with other separators, decimal commas and dates, wherever a recording is read."""
 
+from datetime import UTC, datetime, timedelta, timezone
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from bayesftc import cosim, monitoring
 from bayesftc.cosim.base.recordings.csv_form import CsvForm, form_of
+from bayesftc.cosim.base.recordings.dates import date_at, seconds_of, span_text, time_text
 from bayesftc.cosim.base.recordings.table_files import read_table_file
 from bayesftc.cosim.errors import RecordingError
 
@@ -101,6 +104,38 @@ def test_files_with_dates_have_one_origin(tmp_path):
     later = write(tmp_path / "b.csv", times=[date.replace("T10:00", "T10:01") for date in DATES])
     signals = monitoring.redundant_signals([first, later])[1]
     assert np.asarray(signals["b_left"].time)[0] - np.asarray(signals["left"].time)[0] == 60.0
+
+
+@pytest.mark.parametrize(("zone", "hours"), [("", None), ("Z", 0), ("+02:00", 2), ("-0330", -3.5)])
+def test_dates_keep_the_clock_of_the_first_one(tmp_path, zone, hours):
+    dates = ["", *(date + zone for date in DATES)]  # a row without a date has no sample, either
+    cells = [f"{date},{left},{left}" for date, left in zip(dates, ["", *LEFT], strict=True)]
+    (tmp_path / "drive.csv").write_text("\n".join(["t,left,right", *cells]), encoding="utf-8")
+    signals = monitoring.redundant_signals([tmp_path / "drive.csv"])[1]
+    clock = None if hours is None else timezone(timedelta(hours=hours))
+    assert signals["left"].origin == datetime(2026, 5, 1, 10, tzinfo=clock)
+    assert signals["left"].origin.utcoffset() == (None if hours is None else timedelta(hours=hours))
+    np.testing.assert_array_equal(signals["left"].time, TIMES)
+    recording = monitoring.align(signals, {}, 0.5)
+    assert recording.origin == signals["left"].origin
+
+
+def test_seconds_become_dates_again_in_texts():
+    origin = datetime(2026, 12, 31, 23, 59, 5, tzinfo=timezone(timedelta(hours=1)))
+    assert time_text(12.5, None) == "12.5 s"
+    assert time_text(12.5, None, 2) == "12.50 s"
+    assert [time_text(t, origin) for t in (0.0, 0.816, 54.9999)] == [
+        "2026-12-31 23:59:05",
+        "2026-12-31 23:59:05.816",
+        "2027-01-01 00:00:00",
+    ]
+    assert [time_text(0.999, origin, digits) for digits in (0, 2)] == ["2026-12-31 23:59:06", "2026-12-31 23:59:06.00"]
+    assert span_text(0.0, 59.9, None) == "0 to 59.9 s"
+    assert span_text(0.0, 4.25, origin) == "2026-12-31 23:59:05 to 23:59:09.25"
+    assert span_text(0.25, 900.25, origin) == "2026-12-31 23:59:05 to 2027-01-01 00:14:05"
+    for moment in (datetime(2027, 1, 1), datetime(2026, 12, 31, 23, tzinfo=UTC)):
+        assert seconds_of(moment, origin) == 55.0
+    assert date_at(origin, 55.0) == datetime(2027, 1, 1, tzinfo=origin.tzinfo)
 
 
 def test_time_zones_and_a_column_of_another_name(tmp_path):

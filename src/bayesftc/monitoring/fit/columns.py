@@ -5,17 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
+from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.settings import FIT
-from bayesftc.monitoring.fit.units import check_one_unit, column_unit
+from bayesftc.monitoring.fit.units import bare_name, check_one_unit, column_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
 
 
@@ -56,7 +58,7 @@ def redundant_signals(
     paths : path, or sequence of path
         Files, or folders with files.
     names : sequence of str
-        Columns that are sensors; by default all.
+        Columns that are sensors, with or without the unit in brackets at the end; by default all.
 
     Returns
     -------
@@ -83,29 +85,39 @@ def redundant_signals(
     tables = Tables(paths)
     places: dict[str, Place] = {}
     signals: dict[str, Signal] = {}
-    columns: list[str] = []
-    for file in tables.files():
-        header = tables.numeric(file)
-        time = _time_column(tables, file, header)
-        columns += [name for name in header if name != time]
+    headers = {file: tables.numeric(file) for file in tables.files()}
+    times_of = {file: _time_column(tables, file, header) for file, header in headers.items()}
+    columns = [name for file, header in headers.items() for name in header if name != times_of[file]]
+    chosen = {_column(name, columns) for name in names} or set(columns)
+    for file, header in headers.items():
+        time = times_of[file]
         for column in header:
-            if column == time or (names and column not in names):
+            if column == time or column not in chosen:
                 continue
             name = column if column not in places else f"{file.stem}_{column}"
             places[name] = Place(file.name, column, time)
             times = tables.times(file, time)
             samples = tables.column(file, column, "a sensor")
             try:
-                signals[name] = Signal(times, samples, unit=column_unit(column))
+                signals[name] = Signal(times, samples, unit=column_unit(column), origin=tables.origin)
             except RecordingError as error:
                 raise RecordingError(f"{file}, the column {column!r}: {error}") from None
-    missing = [name for name in names if name not in columns]
-    if missing:
-        raise RecordingError(f"There is no column {missing[0]!r} with numbers; {did_you_mean(missing[0], columns)}")
     if not signals:
         raise RecordingError("There is no column besides the times. Give a file with two or more sensors.")
     check_one_unit(places[name].column for name in signals)
     return places, signals
+
+
+def _column(name: str, columns: Sequence[str]) -> str:
+    """Return the column of this name, or the only one with this name before a unit in brackets."""
+    if name in columns:
+        return name
+    found = sorted({column for column in columns if bare_name(column) == name})
+    if not found:
+        raise RecordingError(f"There is no column {name!r} with numbers; {did_you_mean(name, columns)}")
+    if len(found) > 1:
+        raise RecordingError(f"{name!r} can be {' or '.join(map(repr, found))}. Give the whole name of the column.")
+    return found[0]
 
 
 def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
@@ -153,15 +165,15 @@ def _short(value: float) -> Fraction:
     return next((n for n in numbers if abs(float(n) - value) < 1e-4 * value), Fraction(f"{value:.9e}"))
 
 
-def stretch_of(recording: Recording, start: float | None, stop: float | None) -> slice:
+def stretch_of(recording: Recording, start: float | datetime | None, stop: float | datetime | None) -> slice:
     """Return the steps between two times.
 
     Parameters
     ----------
     recording : Recording
         The recording.
-    start, stop : float or None
-        Times in seconds; None for the recording's start or end.
+    start, stop : float, datetime or None
+        Times in seconds, or dates if those of the recording are; None for the recording's start or end.
 
     Returns
     -------
@@ -171,7 +183,7 @@ def stretch_of(recording: Recording, start: float | None, stop: float | None) ->
     Raises
     ------
     RecordingError
-        If there is no step between them.
+        If there is no step between them, or if one is a date but the recording has none.
 
     Examples
     --------
@@ -183,13 +195,30 @@ def stretch_of(recording: Recording, start: float | None, stop: float | None) ->
     slice(10, 21, None)
     """
     time = recording.time
-    first = 0 if start is None else int(np.searchsorted(time, start))
-    last = len(time) if stop is None else int(np.searchsorted(time, stop, side="right"))
+    first = 0 if start is None else int(np.searchsorted(time, _seconds(recording, "--from", start)))
+    last = len(time) if stop is None else int(np.searchsorted(time, _seconds(recording, "--to", stop), side="right"))
     if first >= last:
         raise RecordingError(
-            f"The recording, from {time[0]:g} to {time[-1]:g} s, has no samples between --from and --to. Choose times in it."
+            f"The recording, from {span_text(time[0], time[-1], recording.origin)}, has no samples between --from and --to. "
+            "Choose times in it."
         )
     return slice(first, last)
+
+
+def _seconds(recording: Recording, option: str, moment: float | datetime) -> float:
+    """Return a time in seconds of the recording."""
+    if not isinstance(moment, datetime):
+        return moment
+    span = span_text(recording.time[0], recording.time[-1], recording.origin)
+    if recording.origin is None:
+        raise RecordingError(
+            f"{option} is a date, but the times of the recording are {span}. Give {option} in seconds."
+        )
+    if recording.origin.tzinfo is None and moment.tzinfo is not None:
+        raise RecordingError(
+            f"{option} has a time zone, but the dates of the recording, {span}, have none. Leave it out."
+        )
+    return seconds_of(moment, recording.origin)
 
 
 def recorded(signals: Mapping[str, Signal]) -> Recording:

@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Mapping
 
+from bayesftc.cosim.base.recordings.dates import span_text
 from bayesftc.monitoring.fit.columns import Place
 from bayesftc.monitoring.fit.fit import FittedModel
 from bayesftc.monitoring.fit.settings import FIT
@@ -48,19 +49,19 @@ def as_model_file(
     >>> places = {name: monitoring.Place("tank.csv", f"T_{name}", "time") for name in "ab"}
     >>> text = monitoring.as_model_file(monitoring.fit_model(recording), recording, places)
     >>> text.splitlines()[2], text.splitlines()[6]
-    ('dt = 0.1  # sample time in s', 'kind = "RandomWalk"  # a level that changes at random')
+    ('dt = 0.1  # sample time in s', 'kind = "RandomWalk"  # a quantity that changes at random')
     """
     units = dict(zip(recording.sensors, recording.units, strict=True))
     several = len({place.file for place in places.values()}) > 1
     time = next(iter(places.values())).time
     lines = [
-        f"# Fitted by bayesftc monitor --fit to {recording.time[0]:g} to {recording.time[-1]:g} s{_healthy(recording, stretch)}.",
+        f"# Fitted by bayesftc monitor --fit to {_span(recording, slice(None))}{_healthy(recording, stretch)}.",
         "",
         f"dt = {float(recording.dt):.10g}  # sample time in s",
         f"time = {_text(time)}  # the column of times",
         "",
         "[model]",
-        *_plant(fitted),
+        *_plant(fitted, recording.units[0] if len(set(recording.units)) == 1 else ""),
     ]
     for name, sensor in fitted.sensors.items():
         place = places[name]
@@ -96,18 +97,28 @@ def _healthy(recording: Recording, stretch: slice) -> str:
     within = recording.time[stretch]
     if len(within) == len(recording.time):
         return ""
-    return f", with healthy sensors from {within[0]:g} to {within[-1]:g} s"
+    return f", with healthy sensors from {_span(recording, stretch)}"
 
 
-def _plant(fitted: FittedModel) -> list[str]:
+def _span(recording: Recording, stretch: slice) -> str:
+    within = recording.time[stretch]
+    return span_text(within[0], within[-1], recording.origin)
+
+
+def _plant(fitted: FittedModel, unit: str) -> list[str]:
     kind, std = type(fitted.plant).__name__, _number(fitted.plant.std)
     if not isinstance(fitted.plant, ConstantRate):
-        return [f'kind = "{kind}"  # a level that changes at random', f"std = {std}  # of its change in one second"]
+        of = f", in {unit}" if unit else ""
+        return [
+            f'kind = "{kind}"  # a quantity that changes at random',
+            f"std = {std}  # of its change in one second{of}",
+        ]
     spread = max(FIT.uncertain * fitted.spread, fitted.plant.std)
+    of = f", in {unit}/s" if unit else ""
     return [
-        f'kind = "{kind}"  # a level whose rate changes at random',
-        f"std = {std}  # of the rate's change in one second",
-        f"initial_mean = [{_number(fitted.level)}, 0.0]  # level and rate before the first sample",
+        f'kind = "{kind}"  # a quantity whose rate changes at random',
+        f"std = {std}  # of the rate's change in one second{of}",
+        f"initial_mean = [{_number(fitted.level)}, 0.0]  # quantity and rate before the first sample",
         f"initial_std = [{_number(spread)}, {_number(max(fitted.rate, fitted.plant.std))}]",
     ]
 

@@ -20,6 +20,11 @@ def column_unit(name: str) -> str:
     return bracket[1] if bracket and parse(bracket[1]) is not None else ""
 
 
+def bare_name(name: str) -> str:
+    """Return a column's name without the unit in brackets at its end."""
+    return _BRACKET.sub("", name).rstrip() if column_unit(name) else name
+
+
 def check_one_unit(names: Iterable[str]) -> None:
     """Refuse columns of different units.
 

@@ -2,36 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from bayesftc.cli import output
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
-from bayesftc.monitoring import ActuatorEvent, FaultEvent
+from bayesftc.cosim.base.recordings.dates import span_text, time_text
+from bayesftc.monitoring import ActuatorEvent, FaultEvent, Recording
 
 IN_NOISE = tuple(mode.__name__ for mode in FAULT_MODES if mode.size_in_noise)
 """Modes whose sizes are multiples of the sensor's noise."""
 
+DAY = len("2026-01-01")
 
-def print_faults(events: Sequence[FaultEvent | ActuatorEvent], units: Mapping[str, str]) -> None:
-    """Print the table of alarms, with the unit of each sensor and input by its name."""
+
+def print_faults(
+    events: Sequence[FaultEvent | ActuatorEvent], units: Mapping[str, str], recording: Recording | None = None
+) -> None:
+    """Print the table of alarms, with the unit of each sensor and input by its name, and dates if the recording has any."""
     console, say = output.sayer()
     if not events:
         say("No fault was found.")
         return
-    table = output.empty_table("kind", "onset (s)", "alarm (s)", "size")
+    clock = Clock(recording)
+    table = output.empty_table("kind", *clock.titles("onset", "alarm"), "size")
     for event in sorted(events, key=lambda event: isinstance(event, ActuatorEvent)):
-        kind, span = event.kind or output.DASH, f"{event.start:.2f} to {event.end:.2f}"
+        kind, span = event.kind or output.DASH, clock.span(event.start, event.end)
         if isinstance(event, FaultEvent):
-            onset = output.DASH if event.onset is None else f"{event.onset:.2f}"
+            onset = output.DASH if event.onset is None else clock.time(event.onset)
             table.add_row(event.sensor, kind, onset, span, _size(event, units[event.sensor]))
         else:
             unit = "" if kind == "LostEffect" else units.get(event.actuator, "")
             table.add_row(f"actuator {event.actuator}", kind, output.DASH, span, _size(event, unit))
-    say("\nFaults", "bold")
+    say(f"\nFaults{clock.day}", "bold")
     console.print(table)
     say("Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
     if any(isinstance(event, ActuatorEvent) for event in events):
         say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")
+
+
+class Clock:
+    """The texts of times in a table: seconds, dates, or the times of a single day, which stands above the table.
+
+    Parameters
+    ----------
+    recording : Recording, optional
+        Its origin says whether there are dates.
+    """
+
+    def __init__(self, recording: Recording | None):
+        self._origin = None if recording is None else recording.origin
+        self._digits, self._dropped, self.day = 2, "", ""
+        if recording is None or self._origin is None:
+            return
+        self._digits = 0 if recording.dt >= 1 else 2  # of dates
+        first, last = (time_text(float(t), self._origin, 0)[:DAY] for t in recording.time[[0, -1]])
+        if first == last:
+            self.day, self._dropped = f" on {first}", f"{first} "
+
+    def titles(self, *names: str) -> Iterator[str]:
+        """Give the titles of columns with times."""
+        return (name if self._origin else f"{name} (s)" for name in names)
+
+    def time(self, seconds: float) -> str:
+        """Return a time without a unit."""
+        return time_text(seconds, self._origin, self._digits).removeprefix(self._dropped).removesuffix(" s")
+
+    def span(self, start: float, end: float) -> str:
+        """Return two times without a unit."""
+        return self.whole_span(start, end).removeprefix(self._dropped).removesuffix(" s")
+
+    def whole_span(self, start: float, end: float) -> str:
+        """Return two times with a unit, or with their day."""
+        return span_text(start, end, self._origin, self._digits)
 
 
 def _size(event: FaultEvent | ActuatorEvent, unit: str) -> str:

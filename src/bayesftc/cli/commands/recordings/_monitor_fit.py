@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.errors import ResultFileError
@@ -23,19 +26,32 @@ from bayesftc.monitoring import (
     stretch_of,
 )
 from bayesftc.monitoring.fit.doubtful import doubtful_sensors, lasting_errors
+from bayesftc.monitoring.gaps import in_gaps
 
 MODEL = "model.toml"
-LONG = 10
-"""Steps without a sample of any sensor beyond which they are a gap of the recording."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The part of a recording that a model is fitted to: times in seconds and columns, by default everything."""
+    """The part of a recording that a model is fitted to: times (seconds or dates) and columns, by default everything."""
 
-    start: float | None = None
-    stop: float | None = None
+    start: float | datetime | None = None
+    stop: float | datetime | None = None
     sensors: tuple[str, ...] = ()
+
+
+def as_moment(option: str, text: str | None) -> float | datetime | None:
+    """Return the time of an option, in seconds or as a date."""
+    if text is None:
+        return None
+    for read in (float, datetime.fromisoformat):
+        with suppress(ValueError):
+            return read(text.strip())
+    raise typer.BadParameter(
+        f"{text!r} is neither a number of seconds nor a date. Write {option} 12.5, or {option} 2026-05-01T10:00:12 if the times "
+        "of the recording are dates.",
+        param_hint=option,
+    )
 
 
 def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: bool) -> tuple[FittedModel, Recording]:
@@ -88,7 +104,7 @@ def fit_notes(fitted: FittedModel) -> list[str]:
     return [
         f"The errors of {name} last, and are {ratio:.0f} times its noise and far above those of the other sensors. If {name} has "
         "failed in this recording, the model expects the fault: its alarm ends too early, or there is none. Name a stretch "
-        "without faults with --from and --to, in seconds, or fit a file that has only that stretch."
+        "without faults with --from and --to, or fit a file that has only that stretch."
         for name, ratio in doubtful_sensors(fitted).items()
     ]
 
@@ -97,7 +113,8 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     """Print the fitted model."""
     console, say = output.sayer()
     say("Fitted model", "bold")
-    say(_motion(fitted))
+    unit = next(iter(recording.units)) if len(set(recording.units)) == 1 else ""
+    say(_motion(fitted, unit))
     table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")
     errors = lasting_errors(fitted)
     for name, sensor in fitted.sensors.items():
@@ -109,6 +126,8 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     for each in fitted.errors:
         if each.common:
             say(f"{' and '.join(each.sensors or ())} have common errors of std {float(np.max(each.std)):.3g}.")
+    if unit:
+        say(f"Noise, lasting errors, bias and resolution are in {unit}.")
     say(
         "Noise: standard deviation from sample to sample. Lasting errors: standard deviation of errors that persist over many "
         "samples. Bias: difference from the typical sensor."
@@ -130,24 +149,15 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
 
 def _gaps(recording: Recording) -> str:
     """Return a sentence about the gaps in which all sensors lack samples, which no typical part has; empty without them."""
-    sampled = np.flatnonzero(np.isfinite(recording.y).any(axis=1))
-    usual = max(LONG, *(3 * int(np.median(np.diff(np.flatnonzero(np.isfinite(y))))) for y in recording.y.T))
-    lengths, dt = np.diff(sampled) - 1, float(recording.dt)
-    gaps = lengths[lengths > usual]
-    if not len(gaps):
-        return ""
-    longest = int(np.argmax(lengths))
-    first, last = recording.time[sampled[longest]], recording.time[sampled[longest + 1]]
-    share = gaps.sum() / len(recording.y)
-    return (
-        f"Gaps are not counted as missing: no sensor has a sample in {100 * share:.0f} % of the steps, {gaps.sum() * dt:.4g} s "
-        f"in all, the longest time from {first:.10g} to {last:.10g} s."
-    )
+    silent = int(in_gaps(recording.y).sum())
+    return f"The gaps ({silent / len(recording.y):.0%} of the steps) are not counted as missing." if silent else ""
 
 
-def _motion(fitted: FittedModel) -> str:
-    std = f"{fitted.plant.std:.3g}"
+def _motion(fitted: FittedModel, unit: str) -> str:
+    change = f"{fitted.plant.std:.3g} {unit}".rstrip()
     if not fitted.moves:
-        return f"No motion is visible above the noise. The level may change by {std} in one second (RandomWalk)."
-    what = "level changes" if type(fitted.plant) is RandomWalk else "rate of the level changes"
-    return f"The {what} by {std} in one second ({type(fitted.plant).__name__})."
+        return f"No motion is visible above the noise. The quantity may change by {change} in one second (RandomWalk)."
+    if type(fitted.plant) is RandomWalk:
+        return f"The quantity changes by {change} in one second (RandomWalk)."
+    rate = f"{fitted.plant.std:.3g} {unit}/s" if unit else f"{fitted.plant.std:.3g} per second"
+    return f"The rate of the quantity changes by {rate} in one second (ConstantRate)."

@@ -12,18 +12,30 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.commands.recordings._faults import print_faults
-from bayesftc.cli.commands.recordings._monitor_fit import MODEL, Fit, fit_files, fit_notes, fitted_summary, print_fit
+from bayesftc.cli.commands.recordings._faults import Clock, print_faults
+from bayesftc.cli.commands.recordings._monitor_fit import (
+    MODEL,
+    Fit,
+    as_moment,
+    fit_files,
+    fit_notes,
+    fitted_summary,
+    print_fit,
+)
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder, check_numbers
 from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort
 from bayesftc.controllers import ModelMismatchWarning
+from bayesftc.cosim.base.recordings.dates import date_at, span_text
 from bayesftc.cosim.judging.metrics import without_nan
-from bayesftc.monitoring import Monitored, load_monitor
+from bayesftc.monitoring import ActuatorEvent, FaultEvent, Gap, Monitored, Recording, load_monitor
 from bayesftc.monitoring.csv import Tables
 
 if TYPE_CHECKING:
     from bayesftc.controllers import ModelFinding
 
+NAMED = 5
+"""Largest number of gaps that are printed with their times."""
+DATES = "%Y-%m-%dT%H:%M:%S.%f%z"
 FILES = PROBABILITIES, FAULTS, FIGURE = "probabilities.csv", "faults.json", "figure.png"
 
 
@@ -46,11 +58,20 @@ def monitor(
         ),
     ] = False,
     start: Annotated[
-        float | None, typer.Option("--from", metavar="S", help="All sensors are healthy from this time on, for --fit.")
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="TIME",
+            help="All sensors are healthy from this time on, for --fit: seconds, or a date such as 2026-05-01T10:00.",
+        ),
     ] = None,
-    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="And up to this time.")] = None,
+    stop: Annotated[str | None, typer.Option("--to", metavar="TIME", help="And up to this time.")] = None,
     sensors: Annotated[
-        list[str] | None, typer.Option("--sensor", help="Fit only this column; repeat the option for more columns.")
+        list[str] | None,
+        typer.Option(
+            "--sensor",
+            help="Fit only this column, with or without the unit in brackets; repeat the option for more columns.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -107,12 +128,12 @@ def monitor(
         raise typer.BadParameter("--overwrite replaces the model file that --fit writes: add --fit, or leave it out.")
     if not fit and (sensors or start is not None or stop is not None):
         raise typer.BadParameter("--from, --to and --sensor choose what to fit: add --fit.")
+    part = Fit(as_moment("--from", start), as_moment("--to", stop), tuple(sensors or ()))
     if out is not None:
         output.check_folder(out, FILES, silent=True)
     model = model or (out or Path()) / MODEL
     fitted = None
     if fit:
-        part = Fit(start, stop, tuple(sensors or ()))
         fitted, fitted_to = fit_files(recording, part, model, overwrite=overwrite)
         if not (json or quiet):
             print_fit(fitted, fitted_to, part, model)
@@ -152,8 +173,9 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None) -> dict[str, An
     return {
         "start": float(monitored.time[0]),
         "end": float(monitored.time[-1]),
+        **_dates(recording, start=monitored.time[0], end=monitored.time[-1]),
         "sensors": sensors,
-        "faults": [asdict(event) for event in monitored.events],
+        "faults": [_with_dates(event, recording) for event in monitored.events],
         "actuators": {
             name: {
                 "mean_probability": float(monitored.actuator_fault_probability[:, j].mean()),
@@ -161,11 +183,30 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None) -> dict[str, An
             }
             for j, name in enumerate(monitored.actuators)
         },
-        "actuator_faults": [asdict(event) for event in monitored.actuator_events],
+        "actuator_faults": [_with_dates(event, recording) for event in monitored.actuator_events],
         "why_no_probability": monitored.why_no_probability,
+        "gaps": [_with_dates(gap, recording) for gap in recording.gaps],
         "rest": float(monitored.rest.sum() * float(monitored.recording.dt)),
         "model": None if mismatch is None else dict(without_nan(asdict(mismatch))),
     }
+
+
+def _dates(recording: Recording, **times: float | None) -> dict[str, str | None]:
+    """Return the date of each time, with ``_date`` after its name; nothing for a recording without dates."""
+    origin = recording.origin
+    if origin is None:
+        return {}
+    return {
+        f"{name}_date": None if time is None else date_at(origin, float(time)).isoformat(timespec="milliseconds")
+        for name, time in times.items()
+    }
+
+
+def _with_dates(stretch: FaultEvent | ActuatorEvent | Gap, recording: Recording) -> dict[str, Any]:
+    """Return an alarm or a gap as plain data."""
+    numbers = asdict(stretch)
+    times = {name: numbers[name] for name in ("start", "end", "onset") if name in numbers}
+    return numbers | _dates(recording, **times)
 
 
 def _write(folder: Path, monitored: Monitored, numbers: dict[str, Any]) -> None:
@@ -175,22 +216,44 @@ def _write(folder: Path, monitored: Monitored, numbers: dict[str, Any]) -> None:
     plot_monitored(monitored).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
     table, text = monitored.to_pandas(), output.as_json(numbers) + "\n"
     with output.staged(folder) as stage:
-        table.to_csv(stage / PROBABILITIES, index=False, float_format="%.9g")
+        table.to_csv(stage / PROBABILITIES, index=False, float_format="%.9g", date_format=DATES)
         (stage / FAULTS).write_text(text, encoding="utf-8")
         (stage / FIGURE).write_bytes(picture.getbuffer())
 
 
+def _gaps(recording: Recording) -> str:
+    """Return a sentence about the gaps of a recording: the longest ones, in the order of time."""
+    gaps = recording.gaps
+    longest = sorted(sorted(gaps, key=lambda gap: gap.samples)[-NAMED:], key=lambda gap: gap.start)
+    clock = Clock(recording)
+    named = [f"from {clock.whole_span(gap.start, gap.end)} ({gap.samples} samples)" for gap in longest]
+    begin = "The recording has a gap" if len(gaps) == 1 else f"The recording has {len(gaps)} gaps"
+    lead = ". The longest:" if len(gaps) > NAMED else ":"
+    return (
+        f"{begin}, in which no sensor has a sample{lead} {', '.join(named)}. A gap is no fault. The fault "
+        "probabilities keep their values in it."
+    )
+
+
+def _zone(recording: Recording) -> str:
+    """Return the time zone of a recording's dates, in brackets; empty without one."""
+    zone = None if recording.origin is None else recording.origin.tzname()
+    return f" ({zone})" if zone else ""
+
+
 def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -> None:
     console, say = output.sayer()
+    recording = monitored.recording
     say(
-        f"{numbers['start']:g} to {numbers['end']:g} s, {len(monitored.time)} steps of {float(monitored.recording.dt):g} s\n"
+        f"{span_text(numbers['start'], numbers['end'], recording.origin)}{_zone(recording)}, {len(monitored.time)} steps of "
+        f"{float(recording.dt):g} s\n"
     )
     sensors = output.empty_table("samples", "per second", "left out", "mean probability", "alarms")
     for name, row in numbers["sensors"].items():
         mean = "{:.4f}".format(row["mean_probability"])
         sensors.add_row(name, str(row["samples"]), f"{row['rate']:.4g}", str(row["replaced"]), mean, str(row["alarms"]))
     console.print(sensors)
-    if any(monitored.recording.replaced):
+    if any(recording.replaced):
         say(
             "Left out: samples that a later sample of the same sensor in the same step replaces. A shorter dt keeps more."
         )
@@ -205,11 +268,12 @@ def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -
             f"For {numbers['rest']:g} s all sensors repeat their values at once: the quantity or the logger is at rest. The "
             "fault probabilities keep their values in this time."
         )
+    if recording.gaps:
+        say(_gaps(recording))
     if monitored.why_no_probability:
         say(f"There is no fault probability: {monitored.why_no_probability}")
     else:
-        recording = monitored.recording
         units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
-        print_faults((*monitored.events, *monitored.actuator_events), dict(units))
+        print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording)
     if folder is not None:
         say(f"\nWritten to {folder}: {PROBABILITIES}, {FAULTS}, {FIGURE}")
