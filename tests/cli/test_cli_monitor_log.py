@@ -163,6 +163,21 @@ def test_the_fitted_motion_has_a_unit(table, tmp_path):
     assert "degC/s in one second (ConstantRate)." in done.stdout
 
 
+def test_a_model_that_blames_sensors_that_agree_is_suspected(table, tmp_path):
+    arguments = write(tmp_path, table)
+    model = tmp_path / "model.toml"
+    model.write_text(model.read_text(encoding="utf-8").replace("std = 0.05", "std = 0.002"), encoding="utf-8")
+    done = invoke(*arguments)
+    assert "Suspect the model, not the sensors: " in done.stdout
+    assert "This ends with std = 0.0" in done.stdout
+    assert "bayesftc monitor --fit finds such numbers in a recording." in done.stdout
+    (note,) = json.loads(invoke(*arguments, "--json").stdout)["notes"]
+    assert note in done.stdout
+    right = json.loads(invoke(*write(tmp_path, table), "--json").stdout)
+    assert right["faults"]
+    assert right["notes"] == []
+
+
 def silent(table, first, last, sensors=SENSORS):
     table = table.copy()
     table.loc[first : last - 1, list(sensors)] = np.nan

@@ -39,8 +39,6 @@ LIMITED = 0.3
 """Share of a run at a limit of a control from which a run ends with a note."""
 MANY_FALSE_ALARMS = 0.05
 """Share of a sensor's fault-free time in alarm from which a run ends with a hint."""
-SCATTER = 1.3
-"""Noise of a sensor relative to the model's from which it explains false alarms."""
 COMPARED = 20_000
 """Samples over which a run with our SER baseline is compared with filterpy's: less than a second."""
 UNKNOWN = "The comparison with filterpy has no result, because one of its numbers is not finite."
@@ -270,16 +268,12 @@ def _scatter(signals: LoopSignals, sensor: int, controller: Block) -> str:
     covariance = getattr(getattr(controller, "model", None), "sensor_covariance", None)
     if of.samples is None or of.faulty is None or truth is None or covariance is None:
         return ""
-    errors = (of.samples - truth)[~of.faulty]
-    errors = errors[np.isfinite(errors)]
+    from bayesftc.controllers.diagnosis.scatter import scatter
+
     expected = float(np.sqrt(np.asarray(covariance)[sensor, sensor]))
-    if not len(errors) or (std := float(np.sqrt(np.mean(errors * errors)))) < SCATTER * expected:
-        return ""
-    unit = f" {of.unit}" if of.unit else ""
-    return (
-        f"Its healthy samples differ from the true values by {std:.3g}{unit} (root mean square), but the model expects "
-        f"{expected:.3g}{unit}: the square root of its sensor_covariance."
-    )
+    errors = (of.samples - truth)[~of.faulty]
+    subject = "Its healthy samples differ from the true values"
+    return scatter(errors, expected, of.unit, subject, "the square root of its sensor_covariance")
 
 
 def _in_time(pace: Mapping[str, float]) -> str:

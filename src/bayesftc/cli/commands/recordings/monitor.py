@@ -27,7 +27,17 @@ from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBes
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.cosim.base.recordings.dates import date_at, span_text
 from bayesftc.cosim.judging.metrics import without_nan
-from bayesftc.monitoring import ActuatorEvent, FaultEvent, Gap, Monitored, Recording, load_monitor
+from bayesftc.monitoring import (
+    ActuatorEvent,
+    FaultEvent,
+    FittedModel,
+    Gap,
+    Monitor,
+    Monitored,
+    Recording,
+    load_monitor,
+    suspect_model,
+)
 from bayesftc.monitoring.csv import Tables
 
 if TYPE_CHECKING:
@@ -145,7 +155,9 @@ def monitor(
     if mismatch is not None:
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
     monitored = loaded.run(samples)
+    suspicion = None if mismatch and loaded.inputs else suspect_model(loaded, monitored)
     numbers = summary(monitored, mismatch) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
+    numbers["notes"] = [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted)}".rstrip()]
     if out is not None:
         _write(out, monitored, numbers)
     if json:
@@ -154,6 +166,13 @@ def monitor(
         _print(monitored, numbers, out)
     if fitted is not None and not quiet:
         output.say_notes(fit_notes(fitted))
+
+
+def _remedy(monitor: Monitor, fitted: FittedModel | None) -> str:
+    """Return a sentence about the fit of a better model; empty for a model with inputs, which is not fitted."""
+    if fitted is not None:
+        return "Fit a stretch in which the sensors are healthy, with --from and --to."
+    return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
 
 
 def summary(monitored: Monitored, mismatch: ModelFinding | None) -> dict[str, Any]:
@@ -275,5 +294,7 @@ def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -
     else:
         units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
         print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording)
+    for note in numbers["notes"]:
+        say(f"\n{note}")
     if folder is not None:
         say(f"\nWritten to {folder}: {PROBABILITIES}, {FAULTS}, {FIGURE}")

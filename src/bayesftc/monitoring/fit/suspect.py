@@ -1,0 +1,288 @@
+"""Whether the model is wrong, and not the sensors that a monitor blames: sensors that agree rarely fail at the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.controllers.diagnosis.scatter import SCATTER, excess, scatter
+from bayesftc.controllers.estimation.innovation import steady_covariance
+from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.switching.fault_modes import DroppedOut, Frozen
+from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.fit.moments import MAD
+from bayesftc.monitoring.models import Matrices
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.judging.signals import Flags
+    from bayesftc.monitoring.monitor import Monitor
+    from bayesftc.monitoring.recording import Recording
+    from bayesftc.monitoring.run import Monitored
+
+LEAST_SAMPLES = 20
+"""Least number of pairs of samples of two sensors that are blamed at the same time."""
+
+LEAST_SHARE = 0.02
+"""Least share of a recording in which sensors that agree are blamed at the same time."""
+
+AGREE = 1.5
+"""Root mean square of the difference of two sensors, relative to the model's, up to which they agree."""
+
+MOST_TIME = 0.5
+"""Share of a recording above which a sensor is blamed most of the time; then most of the sensors must be."""
+
+REMAINING = 0.1
+"""Share of the blame that may remain with another setting: some of the faults may be real."""
+
+FACTORS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+"""Factors of a setting that are tried."""
+
+MOST_STEPS = 20_000
+"""Largest number of steps over which they are tried."""
+
+ELSEWHERE = (Frozen.__name__, DroppedOut.__name__)
+"""Kinds of faults that no model of the motion explains."""
+
+
+@dataclass(frozen=True)
+class ModelSuspicion:
+    """A reason to suspect the model of a monitor, and not the sensors that it blames; see `suspect_model`.
+
+    Attributes
+    ----------
+    sensors : tuple of str
+        The sensors that are blamed together.
+    share : float
+        Share of the recording in which they are blamed.
+    ratio : float
+        Root mean square of their innovations in this time, relative to the standard deviation that the model predicts.
+    setting : str
+        ``"motion"`` or ``"noise"``, if a larger value of it ends the blame; else empty.
+    factor : float
+        How much larger it must be; else 1.
+    sentence : str
+        All this, and what to do.
+
+    Examples
+    --------
+    See `suspect_model`.
+    """
+
+    sensors: tuple[str, ...]
+    share: float
+    ratio: float
+    setting: str
+    factor: float
+    sentence: str
+
+    def __repr__(self) -> str:
+        return short(self)
+
+
+def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | None:
+    """Say whether the model is suspect, because it makes a monitor blame sensors that agree with each other.
+
+    It is, if redundant sensors agree within the noise of the model, but are blamed at the same time: the monitor then runs again
+    with more motion, up to the least factor with which this ends. It may be, if most sensors are blamed for most of the time:
+    then their noise, or biases, are compared with the model's. Frozen sensors and dropouts do not count.
+
+    Parameters
+    ----------
+    monitor : Monitor
+        The monitor.
+    monitored : Monitored
+        What its `run` returned.
+
+    Returns
+    -------
+    ModelSuspicion or None
+        None without such a reason.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> rng, t = np.random.default_rng(0), 1.0 * np.arange(600)
+    >>> noise, y = 0.1 * rng.standard_normal((600, 3)), 20.0 + 3.0 * np.sin(t / 50)
+    >>> recording = monitoring.align({name: monitoring.Signal(t, y + noise[:, i]) for i, name in enumerate("abc")}, {}, dt=1)
+    >>> sensors = {name: monitoring.Sensor(std=0.1) for name in "abc"}
+    >>> monitor = monitoring.Monitor(1, monitoring.RandomWalk(std=0.001), sensors)  # it changes by more in a second
+    >>> suspicion = monitoring.suspect_model(monitor, monitor.run(recording))
+    >>> suspicion.setting, suspicion.factor
+    ('motion', 300.0)
+    """
+    blame = _Blame(monitor, monitored)
+    if not blame.sensors:
+        return None
+    setting, factor = _remedy(monitor, monitored, blame)
+    ratio = max(excess(errors, expected)[0] for errors, expected in blame.innovations())
+    return ModelSuspicion(
+        tuple(monitored.recording.sensors[i] for i in blame.sensors),
+        blame.share,
+        ratio,
+        setting,
+        factor,
+        _sentence(monitor, monitored, blame, setting, factor),
+    )
+
+
+class _Blame:
+    """Which sensors are blamed together, when, and whether they agree."""
+
+    def __init__(self, monitor: Monitor, monitored: Monitored):
+        self.model, self.y = monitored.model, monitored.recording.y
+        self.innovation = monitored.innovation
+        blamed: Flags = _blamed(monitored, monitor.alarm.threshold)
+        self.apart = _differences(monitor, monitored.recording, self.model)
+        self.agreeing = self._agreeing(blamed)
+        self.sensors = sorted({i for pair in self.agreeing for i in pair})
+        self.when: Flags = np.zeros(len(blamed), dtype=bool)
+        for i, j in self.agreeing:
+            self.when |= blamed[:, i] & blamed[:, j]
+        often = [int(i) for i in np.flatnonzero(blamed.mean(axis=0) > MOST_TIME)]
+        if not self.sensors and len(often) > 1 and 2 * len(often) > len(blamed.T):
+            self.sensors, self.when = often, blamed[:, often].sum(axis=1) > 1
+        self.share = float(self.when.mean())
+
+    def _agreeing(self, blamed: Flags) -> list[tuple[int, int]]:
+        """Return the pairs of sensors that agree with each other while both are blamed."""
+        pairs = []
+        for (i, j), expected in self.apart.items():
+            together = blamed[:, i] & blamed[:, j]
+            difference = (self.y[:, i] - self.y[:, j])[together]
+            difference = difference[np.isfinite(difference)]
+            enough = len(difference) >= LEAST_SAMPLES and together.mean() >= LEAST_SHARE
+            if enough and excess(difference, expected)[0] <= AGREE:
+                pairs.append((i, j))
+        return pairs
+
+    def difference(self, i: int, j: int) -> Floats:
+        """Return the differences of two sensors, where both have a sample."""
+        difference = self.y[:, i] - self.y[:, j]
+        return difference[np.isfinite(difference)]
+
+    @property
+    def spread(self) -> float:
+        """How far a typical pair of sensors scatters about its median difference, relative to the model."""
+        pairs = [(self.difference(*pair), expected) for pair, expected in self.apart.items()]
+        ratios = [MAD * float(np.median(np.abs(d - np.median(d)))) / expected for d, expected in pairs if len(d)]
+        return float(np.median(ratios)) if ratios else 0.0
+
+    def innovations(self) -> Iterator[tuple[Floats, float]]:
+        """Give for each of the sensors its innovations while it is blamed, and their standard deviation by the model."""
+        C, R = self.model.matrix("C"), self.model.matrix("sensor_covariance")
+        try:
+            variances = np.diag(C @ steady_covariance(self.model) @ C.T + R)
+        except ModelError:
+            variances = np.diag(R)
+        for i in self.sensors:
+            yield self.innovation[self.when, i], float(np.sqrt(variances[i]))
+
+
+def _blamed(monitored: Monitored, threshold: float) -> Flags:
+    """Return the steps at which each sensor is blamed for a fault that a wrong model can look like."""
+    blamed = np.nan_to_num(monitored.fault_probability) >= threshold
+    blamed &= ~monitored.rest[:, None]
+    if monitored.kinds:
+        kind = np.nan_to_num(monitored.mode_probability).argmax(axis=2)
+        blamed &= ~np.isin(kind, [monitored.kinds.index(name) for name in ELSEWHERE if name in monitored.kinds])
+    return np.asarray(blamed)
+
+
+def _differences(monitor: Monitor, recording: Recording, model: LinearModel) -> dict[tuple[int, int], float]:
+    """Return for each pair of sensors of one quantity the standard deviation of their difference by the model."""
+    C, R = model.matrix("C"), model.matrix("sensor_covariance")
+    plant = model.states - model.disturbances
+    errors = monitor.start(recording, model)[1][plant:, plant:]
+    expected = {}
+    for group in model.alike:
+        for i, j in combinations(group, 2):
+            row = C[i, plant:] - C[j, plant:]
+            expected[i, j] = float(np.sqrt(row @ errors @ row + R[i, i] + R[j, j] - 2 * R[i, j]))
+    return expected
+
+
+def _remedy(monitor: Monitor, monitored: Monitored, blame: _Blame) -> tuple[str, float]:
+    """Return the setting whose larger value ends the blame, and the least factor; nothing if there is none."""
+    recording = monitored.recording
+    begin = 0
+    if monitor.initial_std is None and len(recording.y) > MOST_STEPS:
+        begin = max(int(np.flatnonzero(blame.when)[0]) - LEAST_SAMPLES, 0)
+    part = slice(begin, begin + MOST_STEPS)
+    recording = replace(recording, start=float(recording.time[begin]), y=recording.y[part], u=recording.u[part])
+    most = REMAINING * float(blame.when[part].sum())
+    tried = [("motion", factor) for factor in FACTORS]
+    if not blame.agreeing:  # then no motion, which they have in common, is the reason
+        tried = [("noise", float(f"{blame.spread:.2g}"))] if blame.spread > SCATTER else []
+    for setting, factor in tried:
+        other = _with(monitor, setting, factor)
+        if other is not None and _Blame(other, other.run(recording)).when.sum() <= most:
+            return setting, factor
+    return "", 1.0
+
+
+def _with(monitor: Monitor, setting: str, factor: float) -> Monitor | None:
+    """Return the monitor with more motion or noise; None if its model has no number for it."""
+    if setting == "noise":
+        return replace(monitor, sensors={n: replace(s, std=factor * s.std) for n, s in monitor.sensors.items()})
+    plant: Any = monitor.plant
+    if isinstance(plant, Matrices):
+        covariance = (factor * factor * np.asarray(plant.process_covariance, dtype=np.float64)).tolist()
+        return replace(monitor, plant=replace(plant, process_covariance=covariance))
+    return replace(monitor, plant=replace(plant, std=factor * plant.std)) if hasattr(plant, "std") else None
+
+
+def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: str, factor: float) -> str:
+    names, units = monitored.recording.sensors, monitored.recording.units
+    listed = [names[i] for i in blame.sensors]
+    who = f"{', '.join(listed[:-1])} and {listed[-1]}"
+    share = f"for {blame.share:.0%} of the recording"
+    if blame.agreeing:
+        said = [
+            f"Suspect the model, not the sensors: {who} agree with each other, but are blamed at the same time, {share}."
+        ]
+    else:
+        said = [f"The model may be wrong instead of the sensors: {who} are blamed at the same time, {share}."]
+    (i, (errors, expected)), *_ = zip(blame.sensors, blame.innovations(), strict=True)
+    if setting == "noise":
+        (i, j), expected = next(iter(blame.apart.items()))
+        errors, subject = (
+            blame.difference(i, j),
+            f"Apart from their mean, {names[i]} and {names[j]} differ from each other",
+        )
+        said.append(scatter(errors - np.median(errors), expected, units[i], subject, "from the std of both"))
+    else:
+        subject, source = f"{names[i]} then differs from its prediction", "from the motion and the noise of all sensors"
+        said.append(scatter(errors, expected, units[i], subject, source))
+    return " ".join(filter(None, [*said, _advice(monitor, monitored, blame, setting, factor)]))
+
+
+def _advice(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: str, factor: float) -> str:
+    plant: Any = monitor.plant
+    if setting == "motion" and isinstance(plant, Matrices):
+        return f"This ends if the process_covariance in [model] is {factor**2:.3g} times as large."
+    if setting == "motion":
+        return f"This ends with std = {factor * plant.std:.3g} in [model] instead of {plant.std:.3g}, {factor:g} times as large."
+    if setting == "noise":
+        return f"This ends if the std of every sensor is {factor:g} times as large."
+    if blame.agreeing:
+        return "No larger motion ends this: another kind of [model] may fit, or [[errors]] that these sensors have in common."
+    names, units = monitored.recording.sensors, monitored.recording.units
+    apart = {pair: float(np.median(blame.difference(*pair))) for pair in blame.apart if len(blame.difference(*pair))}
+    if not apart:
+        return ""
+    i, j = max(apart, key=lambda pair: abs(apart[pair]) / blame.apart[pair])
+    unit = f" {units[i]}" if units[i] else ""
+    return (
+        f"{names[i]} and {names[j]} differ by {abs(apart[i, j]):.3g}{unit} in the median: if that is no fault, give the bias of "
+        "each sensor, or [[errors]] that last."
+    )
+
+
+__all__ = ["ModelSuspicion", "suspect_model"]

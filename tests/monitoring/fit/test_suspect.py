@@ -1,0 +1,145 @@
+"""A wrong model, which makes a monitor blame healthy sensors, is told from sensors that have failed."""
+
+import re
+
+import numpy as np
+import pytest
+
+from bayesftc.controllers.bayesian import recorded
+from bayesftc.controllers.diagnosis.scatter import scatter
+from bayesftc.monitoring import (
+    ConstantRate,
+    Matrices,
+    Monitor,
+    RandomWalk,
+    Sensor,
+    Signal,
+    align,
+    suspect_model,
+)
+from bayesftc.monitoring.fit import suspect
+
+STEPS = 600
+
+
+@pytest.fixture(autouse=True)
+def compiled(monkeypatch):
+    """Run compiled: each search runs the monitor several times."""
+    monkeypatch.setattr(recorded, "SHORT", 0)
+
+
+def samples(seed=0, sensors=3, walk=0.03, noise=0.1):
+    """Return redundant samples of a random walk, one a second."""
+    rng = np.random.default_rng(seed)
+    level = 20.0 + np.cumsum(walk * rng.standard_normal(STEPS))
+    return level[:, None] + noise * rng.standard_normal((STEPS, sensors))
+
+
+def found(y, plant=None, std=0.1):
+    """Return what is suspected of a monitor of these samples."""
+    names = [f"T{i}" for i in range(y.shape[1])]
+    signals = {name: Signal(np.arange(float(len(y))), y[:, i], unit="degC") for i, name in enumerate(names)}
+    sensors = {name: Sensor(std=std, unit="degC") for name in names}
+    more = {"initial_mean": [20.0, 0.0], "initial_std": [1.0, 1e-3]} if isinstance(plant, ConstantRate) else {}
+    monitor = Monitor(1, plant or RandomWalk(std=0.03), sensors, **more)
+    monitored = monitor.run(align(signals, {}, 1))
+    return monitored, suspect_model(monitor, monitored)
+
+
+@pytest.mark.parametrize(
+    ("plant", "words"),
+    [
+        (RandomWalk(std=0.003), r"std = 0\.0(15|3) in \[model\] instead of 0\.003, (5|10) times as large\."),
+        (ConstantRate(std=1e-6), r"std = .* in \[model\] instead of 1e-06, .* times as large\."),
+        (Matrices([[1.0]], [[9e-6]]), r"the process_covariance in \[model\] is (25|100) times as large\."),
+    ],
+)
+def test_a_motion_that_is_too_small_is_named_with_what_it_needs(plant, words):
+    monitored, suspicion = found(samples(), plant)
+    assert len({event.sensor for event in monitored.events}) > 1
+    assert (suspicion.setting, suspicion.ratio > 2) == ("motion", True)
+    assert suspicion.sentence.startswith("Suspect the model, not the sensors: ")
+    assert "agree with each other, but are blamed at the same time" in suspicion.sentence
+    assert "then differs from its prediction by" in suspicion.sentence
+    assert "degC (root mean square), but the model expects 0.1" in suspicion.sentence
+    assert re.search(words, suspicion.sentence)
+    assert (
+        found(samples(), suspect._with(Monitor(1, plant, {"a": Sensor(std=1)}), "motion", suspicion.factor).plant)[1]
+        is None
+    )
+
+
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_noise_that_is_too_small_is_named_with_what_it_needs(sensors):
+    _, suspicion = found(samples(sensors=sensors), std=0.02)
+    assert suspicion.setting == "noise"
+    assert suspicion.factor == pytest.approx(5.0, rel=0.15)
+    assert suspicion.sentence.startswith("The model may be wrong instead of the sensors: ")
+    assert re.search(
+        "T0 and T1 differ from each other by 0.1[34].* degC .*expects 0.0283 degC: from the std", suspicion.sentence
+    )
+    assert found(samples(sensors=sensors), std=0.02 * suspicion.factor)[1] is None
+
+
+def test_biases_that_the_model_lacks_are_named():
+    _, suspicion = found(samples() + np.array([1.0, -0.7, 0.0]))
+    assert suspicion.setting == ""
+    assert suspicion.sentence.startswith("The model may be wrong instead of the sensors: T0 and T1 are blamed")
+    assert "T0 and T1 differ by 1." in suspicion.sentence
+    assert "give the bias of each sensor" in suspicion.sentence
+
+
+def jump(y):
+    y[60:, 1] += 2.0
+
+
+def drift(y):
+    y[60:, 1] += 0.02 * np.arange(STEPS - 60)
+
+
+def freeze(y):
+    y[60:, :-1] = y[60, 0]  # of three sensors two, which then agree
+
+
+def silence(y):
+    y[60:, :-1] = np.nan
+
+
+def noisier(y):
+    y[60:, 0] += 0.5 * np.random.default_rng(5).standard_normal(STEPS - 60)
+
+
+@pytest.mark.sampled(6)
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("sensors", [2, 3])
+@pytest.mark.parametrize("fault", [None, jump, drift, freeze, silence, noisier])
+def test_a_right_model_is_not_suspected_if_sensors_fail(fault, sensors, seed):
+    y = samples(seed, sensors)
+    if fault:
+        fault(y)
+    monitored, suspicion = found(y)
+    assert bool(monitored.events) == bool(fault)
+    assert suspicion is None
+
+
+def test_a_long_recording_is_searched_where_the_blame_is(monkeypatch):
+    monkeypatch.setattr(suspect, "MOST_STEPS", 200)
+    y = samples()
+    y[:300] = 20.0 + (y[:300] - y[:300].mean(axis=1, keepdims=True))  # at rest at first
+    lengths = []
+    run = Monitor.run
+    monkeypatch.setattr(
+        Monitor, "run", lambda self, recording: (lengths.append(len(recording.y)), run(self, recording))[1]
+    )
+    _, suspicion = found(y, RandomWalk(std=0.003))
+    assert suspicion.setting == "motion"
+    assert set(lengths[1:]) == {200}
+
+
+def test_errors_are_compared_with_what_is_expected():
+    errors = np.array([3.0, -3.0, np.nan])
+    assert scatter(errors, 1.0, "m", "It differs", "its std") == (
+        "It differs by 3 m (root mean square), but the model expects 1 m: its std."
+    )
+    assert scatter(errors, 2.9, None, "It differs", "its std") == ""
+    assert scatter(np.array([np.nan]), 1.0, "m", "It differs", "its std") == ""
