@@ -620,19 +620,36 @@ def test_a_shell_completes_commands_and_options(line, found):
 
 
 def test_example(bayesftc_, tmp_path):
-    listed = {line.split()[0]: line for line in bayesftc_("example").output.splitlines()}
+    listed = {line.split()[0]: line for line in bayesftc_("example").output.splitlines() if line}
     assert {"tracking", "model", "wheel_speed", *shipped_scenarios()} <= set(listed)
     assert "bayesftc campaign tracking.toml" in listed["tracking"]
     assert "bayesftc monitor faulty_wheel_speed.csv --fit" in listed["faulty_wheel_speed"]
-    assert bayesftc_("example", "faulty_wheel_speed").output != bayesftc_("example", "wheel_speed").output
+    assert bayesftc_("example", "faulty_wheel_speed").stdout != bayesftc_("example", "wheel_speed").stdout
     for name in ("tracking", "model", "gnss_speed", "imu", "wheel_speed"):
         file = tmp_path / listed[name].split()[-1] if name in {"tracking", "model"} else tmp_path / f"{name}.csv"
-        file.write_text(bayesftc_("example", name).output, encoding="utf-8")
+        file.write_text(bayesftc_("example", name).stdout, encoding="utf-8")
     assert load_campaign(tmp_path / "tracking.toml").runs == 24 * 25
     assert len(load_monitor(tmp_path / "model.toml").read([tmp_path]).y) > 1000
     (tmp_path / "car.toml").write_text(bayesftc_("example", "cruise_control").output)
     assert bayesftc_("run", "car.toml", "-q", "--duration", "0.1", "--engine", "interpreted").exit_code == 0
     assert bayesftc_("example", "cruise").exit_code == 3
+
+
+def test_files_that_are_used_together_are_named(bayesftc_, tmp_path, monkeypatch):
+    """The commands of the list make a folder in which the monitor's model works."""
+    monkeypatch.chdir(tmp_path)
+    *_, last = bayesftc_("example").output.split("\n\n")
+    assert last.startswith("gnss_speed.csv, imu.csv, model.toml, wheel_speed.csv are used together, all in one folder:")
+    for line in last.strip().splitlines()[1:]:
+        _, command, name, _, file = line.split()
+        printed = bayesftc_(command, name)
+        (tmp_path / file).write_text(printed.stdout, encoding="utf-8")
+        others = {
+            other for other in ("gnss_speed", "imu", "model", "wheel_speed") if f"example {other} >" in printed.stderr
+        }
+        assert others == {"gnss_speed", "imu", "model", "wheel_speed"} - {name}
+    assert bayesftc_("monitor", ".", "--model", "model.toml").exit_code == 0
+    assert bayesftc_("example", "cruise_control").stderr == ""
 
 
 @pytest.mark.slow

@@ -30,6 +30,9 @@ USES = {
 }
 """The command that uses a file of each kind, once the file is in the current folder."""
 
+TOGETHER = ("monitor's model", "recording")
+"""Kinds of files that are used together, those of one folder."""
+
 NOUNS = {"wires": "file of wires", "monitor's model": "model file"}
 """The names in messages of files whose kind is no word before "file"."""
 
@@ -59,6 +62,16 @@ def shipped_scenarios() -> dict[str, Path]:
 def use_of(kind: str, name: str, file: Path) -> str:
     """Return the command that uses a shipped file, once it is in the current folder."""
     return USES[kind].format(name=name, file=file.name)
+
+
+def used_with(name: str) -> list[str]:
+    """Return the names of the shipped files that are used together with one, all in one folder; none for most."""
+    shipped = {other: file for kind in TOGETHER for other, file in shipped_files(kind).items()}
+    return [
+        other
+        for other, file in shipped.items()
+        if name in shipped and file.parent == shipped[name].parent and other != name
+    ]
 
 
 def find_scenario(path: str | os.PathLike[str], kind: str = "scenario") -> Path:

@@ -6,14 +6,18 @@ from typing import Annotated
 
 import typer
 
+from bayesftc.cli import output
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
-from bayesftc.scenario._files import KINDS, shipped_files, use_of
+from bayesftc.scenario._files import KINDS, shipped_files, use_of, used_with
 
 
 def example(
     name: Annotated[str | None, typer.Argument(help="A shipped file; without a name all are listed.")] = None,
 ) -> None:
-    """Print a shipped file's text, or the names, kinds and uses of all."""
+    """Print a shipped file's text, or the names, kinds and uses of all.
+
+    Files that are used together are named on stderr.
+    """
     shipped = {kind: shipped_files(kind) for kind in KINDS}
     every = {file_name: file for files in shipped.values() for file_name, file in files.items()}
     if name is None:
@@ -22,7 +26,16 @@ def example(
             for file_name, file in files.items():
                 use = use_of(kind, file_name, file)
                 typer.echo(f"{file_name:{widest[0]}}  {kind:{widest[1]}}  {use}")
+        groups = {tuple(sorted([file_name, *others])) for file_name in every if (others := used_with(file_name))}
+        for group in sorted(groups):
+            commands = "\n".join(f"  bayesftc example {file_name} > {every[file_name].name}" for file_name in group)
+            typer.echo(
+                f"\n{', '.join(every[each].name for each in group)} are used together, all in one folder:\n{commands}"
+            )
         return
     if name not in every:
         raise ScenarioError(f"There is no shipped file {name!r}; {did_you_mean(name, every)}")
     typer.echo(every[name].read_text(encoding="utf-8"), nl=False)
+    if others := used_with(name):
+        commands = ", ".join(f"bayesftc example {other} > {every[other].name}" for other in others)
+        output.say_notes([f"{every[name].name} is used together with other files, all in one folder: {commands}."])
