@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +26,9 @@ LETTER = 0.0115
 """Width of a letter of those names, as a share of the panel's width."""
 WIDTH, PANEL = 8.0, 2.1
 """Width of a figure and usual height of a panel in inches."""
+
+Span = tuple[float, float, str, str]
+"""Begin and end of something in a figure, its name and its colour."""
 
 
 def shown_figure() -> Figure:
@@ -98,31 +101,51 @@ def with_unit(name: str, unit: str | None) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-def name_spans(
-    axis: Axes, time: Floats, spans: Iterable[tuple[float, float, str, str]], what: str | None, height: float = PANEL
-) -> None:
-    """Write names above spans of time, each with its begin, end and colour, in as many rows as necessary.
+def name_spans(axis: Axes, time: Floats, spans: Sequence[Span], what: str) -> None:
+    """Write names above spans of time in as many rows as necessary.
 
-    If there are too many rows, write one note with the number of shaded ``what`` instead; without ``what``, leave out names for
-    which there is no room, or that stand beside it already. The panel has a `height` in inches.
+    If there are too many rows, write one note with the number of shaded ``what`` instead.
     """
-    style: dict[str, Any] = {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
+    if have_room(time, spans):
+        write_names(axis, time, spans, PANEL)
+        return
+    first = float(time[0]) if len(time) else 0.0
+    axis.text(first, 1.02, f"shaded: {len(spans)} {what}, in the colour of their sensor", color="0.3", **_style(axis))
+
+
+def have_room(time: Floats, spans: Sequence[Span]) -> bool:
+    """Return whether the names of all spans have room above a panel."""
+    return max((row for row, *_ in _placed(time, spans)), default=0) < MOST_ROWS
+
+
+def write_names(axis: Axes, time: Floats, spans: Sequence[Span], height: float) -> None:
+    """Write names above spans of time on a panel with a height in inches, in one row or a few.
+
+    A name is left out where the same one stands beside it already, or where there is no room.
+    """
+    kept = [span for span in _placed(time, spans, once=True) if span[0] < MOST_ROWS]
+    for row, middle, text, colour in kept:
+        axis.text(middle, 1.02 + (0.04 + ROW * row) / height, text, ha="center", color=colour, **_style(axis))
+
+
+def _style(axis: Axes) -> dict[str, Any]:
+    return {"fontsize": 8, "va": "bottom", "transform": axis.get_xaxis_transform(), "clip_on": False}
+
+
+def _placed(time: Floats, spans: Sequence[Span], *, once: bool = False) -> list[tuple[int, float, str, str]]:
+    """Return the row, the middle, the text and the colour of each name; with `once` not those that stand beside equal ones."""
     first, last = (float(time[0]), float(time[-1])) if len(time) else (0.0, 0.0)
     rows: list[tuple[float, str]] = []  # the end of the last name in each row, and this name
-    names = []
+    placed = []
     for begin, end, text, colour in sorted(spans):
         half = 0.5 * LETTER * (last - first) * (len(text) + 2)
         middle = max(min(0.5 * (begin + end), last - half), min(first + half, 0.5 * (first + last)))
         row = next((i for i, (until, _) in enumerate(rows) if until <= middle - half), len(rows))
-        if what is None and (row == MOST_ROWS or any(name == text for _, name in rows[:row])):
+        if once and any(name == text for _, name in rows[:row]):
             continue
         rows[row : row + 1] = [(middle + half, text)]
-        names.append((middle, 1.02 + (0.04 + ROW * row) / height, text, colour))
-    if len(rows) > MOST_ROWS:
-        axis.text(first, 1.02, f"shaded: {len(names)} {what}, in the colour of their sensor", color="0.3", **style)
-        return
-    for middle, height, text, colour in names:
-        axis.text(middle, height, text, ha="center", color=colour, **style)
+        placed.append((row, middle, text, colour))
+    return placed
 
 
 def legend(axis: Axes) -> None:

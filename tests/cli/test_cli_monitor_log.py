@@ -2,6 +2,7 @@
 
 import json
 from datetime import datetime, timedelta
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -262,12 +263,29 @@ def test_the_figure_has_dates_gaps_bare_names_and_the_kinds_of_faults(table, tmp
     ticks = [tick.get_text() for tick in last.get_xticklabels()]
     assert "08:30" in ticks
     assert [axis.get_ylabel() for axis in figure.axes[:3]] == ["belief (degC)", "TT-1\n(degC)", "TT-2\n(degC)"]
-    assert [[text.get_text() for text in axis.texts] for axis in figure.axes[:4]] == [
-        ["TT-2: Offset"],
-        [],
-        ["Offset"],
-        [],
-    ]
+    assert [[text.get_text() for text in axis.texts] for axis in figure.axes[:4]] == [["TT-2: Offset"], [], [], []]
     labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert labels == ["belief", "shaded: an alarm", "dotted: a gap of\nthe recording"]
     assert [text.get_text() for text in last.get_legend().get_texts()] == ["TT-1", "TT-2", "TT-3"]
+
+
+def test_many_faults_have_their_kinds_above_their_sensor(table, tmp_path):
+    for k in range(6):
+        table.loc[60 + 40 * k : 80 + 40 * k, SENSORS[0]] += 2.0
+    for k in range(3):
+        table = silent(table, 250 + 25 * k, 260 + 25 * k, SENSORS[2:])
+    arguments = write(tmp_path, table)
+    monitor = load_monitor(arguments[-1])
+    monitored = monitor.run(monitor.read([arguments[1]]))
+    figure = monitored.plot()
+    figure.draw_without_rendering()
+    assert [text.get_text() for text in figure.axes[0].texts] == [
+        f"shaded: {len(monitored.events)} alarms, in the colour of their sensor"
+    ]
+    for i, sensor in enumerate(SENSORS):
+        texts = figure.axes[1 + i].texts
+        assert {text.get_text() for text in texts} == {
+            event.kind for event in monitored.events if event.sensor == sensor
+        }
+        boxes = [text.get_window_extent() for text in texts]
+        assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))

@@ -6,7 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import ROW, as_dates, finish, legend, make_panels, name_spans, thin, with_unit
+from bayesftc.cosim.judging.panels import (
+    ROW,
+    as_dates,
+    finish,
+    have_room,
+    legend,
+    make_panels,
+    name_spans,
+    thin,
+    with_unit,
+    write_names,
+)
 from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, colour_of
 from bayesftc.monitoring.fit.units import bare_name
 
@@ -41,8 +52,11 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
     recording = monitored.recording
     clock, sensors = _Clock(recording), [bare_name(sensor) for sensor in recording.sensors]
     time, units = clock(monitored.time), recording.units
-    named = {event.sensor for event in monitored.events if event.kind}
-    strips = [STRIP + ROW * (sensor in named) for sensor in recording.sensors]
+    spans = [_Span(clock, event, recording.sensors.index(event.sensor)) for event in monitored.events]
+    names = [(s.start, s.end, ": ".join(filter(None, [sensors[s.sensor], s.kind])), s.colour) for s in spans]
+    names += [(*clock.ends(e), f"{e.actuator}: {e.kind}", "0.35") for e in monitored.actuator_events]
+    many = not have_room(time, names)  # then each sensor has the kinds of its faults above its own panel
+    strips = [STRIP + ROW * (many and any(s.kind and s.sensor == i for s in spans)) for i in range(len(sensors))]
     heights = [MAIN] * len(quantities) + strips + [MAIN]
     figure, axes = make_panels(heights, figure)
     belief = monitored.x_hat[:, :plant] @ rows.T
@@ -64,17 +78,15 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
         axes[-1].plot(*shown, lw=1.3, label=f"actuator {name}", **style)
     axes[-1].set_ylim(-0.04, 1.04)
     axes[-1].set_ylabel("fault probability")
-    spans = [_Span(clock, event, recording.sensors.index(event.sensor)) for event in monitored.events]
     _shade(axes, clock, monitored, spans)
     axes[len(quantities)].plot([], [], ".", color="0.4", label="samples minus\nbelief")
     for axis in (*axes[: len(quantities) + 1], axes[-1]):
         legend(axis)
-    names = [(s.start, s.end, ": ".join(filter(None, [sensors[s.sensor], s.kind])), s.colour) for s in spans]
-    names += [(*clock.ends(e), f"{e.actuator}: {e.kind}", "0.35") for e in monitored.actuator_events]
-    name_spans(axes[0], time, names, "alarms", MAIN)
-    for i, axis in enumerate(axes[len(quantities) : -1]):
-        kinds = [(s.start, s.end, s.kind, s.colour) for s in spans if s.kind and s.sensor == i]
-        name_spans(axis, time, kinds, None, STRIP)
+    name_spans(axes[0], time, names, "alarms")
+    if many:
+        for i, axis in enumerate(axes[len(quantities) : -1]):
+            kinds = [(s.start, s.end, s.kind, s.colour) for s in spans if s.kind and s.sensor == i]
+            write_names(axis, time, kinds, STRIP)
     finish(axes, time, recording.origin)
     return figure
 
