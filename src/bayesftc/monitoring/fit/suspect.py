@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -71,7 +72,16 @@ class ModelSuspicion:
 
     Examples
     --------
-    See `suspect_model`.
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> rng, t = np.random.default_rng(0), 1.0 * np.arange(600)
+    >>> noise = 0.1 * rng.standard_normal((600, 2))
+    >>> recording = monitoring.align({name: monitoring.Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("ab")}, {}, dt=1)
+    >>> sensors = {name: monitoring.Sensor(std=0.02) for name in "ab"}  # they have more noise than the model knows
+    >>> monitor = monitoring.Monitor(1, monitoring.RandomWalk(std=0.01), sensors)
+    >>> suspicion = monitoring.suspect_model(monitor, monitor.run(recording))
+    >>> suspicion.setting, round(suspicion.factor)
+    ('noise', 5)
     """
 
     sensors: tuple[str, ...]
@@ -222,8 +232,9 @@ def _remedy(monitor: Monitor, monitored: Monitored, blame: _Blame) -> tuple[str,
         tried = [("noise", float(f"{blame.spread:.2g}"))] if blame.spread > SCATTER else []
     for setting, factor in tried:
         other = _with(monitor, setting, factor)
-        if other is not None and _Blame(other, other.run(recording)).when.sum() <= most:
-            return setting, factor
+        with suppress(ModelError):  # of a number whose square is too large
+            if other is not None and _Blame(other, other.run(recording)).when.sum() <= most:
+                return setting, factor
     return "", 1.0
 
 
@@ -251,7 +262,10 @@ def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: st
         said = [f"The model may be wrong instead of the sensors: {who} are blamed at the same time, {share}."]
     (i, (errors, expected)), *_ = zip(blame.sensors, blame.innovations(), strict=True)
     if setting == "noise":
-        (i, j), expected = next(iter(blame.apart.items()))
+        own = {
+            pair: expected for pair, expected in blame.apart.items() if set(pair) <= set(blame.sensors)
+        } or blame.apart
+        (i, j), expected = next(iter(own.items()))
         errors, subject = (
             blame.difference(i, j),
             f"Apart from their mean, {names[i]} and {names[j]} differ from each other",
