@@ -215,6 +215,21 @@ def test_a_sensor_that_drops_out_is_a_fault_also_beside_a_gap(table, tmp_path):
     assert [gap["samples"] for gap in report["gaps"]] == [60]
 
 
+@pytest.mark.parametrize(("late", "dropped"), [(1, False), (2, False), (12, True)])
+def test_a_sensor_may_come_back_a_little_later(table, tmp_path, late, dropped):
+    logged = silent(silent(table, 100, 160), 160, 160 + late, SENSORS[2:])
+    report = json.loads(invoke(*write(tmp_path, logged), "--json").stdout)
+    kinds = [fault["kind"] for fault in report["faults"] if fault["sensor"] == SENSORS[2]]
+    assert kinds == ["DroppedOut"] * dropped
+
+
+def test_a_sample_missing_soon_after_a_gap_is_no_dropout(table, tmp_path):
+    report = json.loads(
+        invoke(*write(tmp_path, silent(silent(table, 100, 160), 161, 162, SENSORS[:1])), "--json").stdout
+    )
+    assert [fault["kind"] for fault in report["faults"]] == ["Offset"]
+
+
 def test_a_fault_before_a_gap_goes_on_in_it(table, tmp_path):
     report = json.loads(invoke(*write(tmp_path, silent(table, 350, 400)), "--json").stdout)
     before, after = report["faults"]  # the learner has forgotten it in so long a gap

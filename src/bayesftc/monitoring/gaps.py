@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,13 @@ from bayesftc.cosim.types import Floats
 LEAST = 3
 """Least number of samples in a row that all sensors miss: the learner infers a dropout from about as many."""
 
+SETTLES = 3
+"""Samples of a sensor after a gap in which the learner may still believe in a dropout."""
+
 CHANCE = 0.01
 """Largest number of gaps in a recording to be expected of samples that are lost one by one."""
+
+Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 
 @dataclass(frozen=True)
@@ -56,26 +62,49 @@ def find_gaps(y: Floats) -> list[tuple[int, int, int]]:
     y : ndarray, steps x sensors
         Samples; NaN where there is none.
     """
-    there = np.isfinite(y)
-    steps = [np.flatnonzero(column) for column in there.T if column.any()]
-    usual = [float(np.median(np.diff(own))) if len(own) > 1 else 1.0 for own in steps]
-    sampled = np.flatnonzero(there.any(axis=1))
-    if len(steps) < 2 or len(sampled) < 2:
+    own = [steps for steps in map(np.flatnonzero, np.isfinite(y).T) if len(steps)]
+    sampled = np.flatnonzero(np.isfinite(y).any(axis=1))
+    if len(own) < 2 or len(sampled) < 2:
         return []
+    usual = list(map(_interval, own))
     missed = np.rint(np.diff(sampled) / max(usual)).astype(int) - 1
     share = float(np.mean(missed > 0))  # of samples after which the next one is missing
     gaps = []
     for k in np.flatnonzero(missed >= LEAST):
         before, count = int(sampled[k]), int(missed[k])
-        silent = sum(bool(np.any(np.abs(own - before) <= LEAST * each)) for own, each in zip(steps, usual, strict=True))
+        silent = sum(bool(np.any(np.abs(steps - before) <= LEAST * n)) for steps, n in zip(own, usual, strict=True))
         if silent > 1 and len(sampled) * share**count < CHANCE:
             gaps.append((before, int(sampled[k + 1]), count))
     return gaps
 
 
 def in_gaps(y: Floats) -> Flags:
-    """Return the steps of all gaps."""
-    inside = np.zeros(len(y), dtype=bool)
+    """Return the steps of all gaps for each sensor, and those of missing samples soon after them.
+
+    The learner takes the next missing sample after a gap for a dropout that goes on.
+
+    Parameters
+    ----------
+    y : ndarray, steps x sensors
+        Samples; NaN where there is none.
+
+    Returns
+    -------
+    ndarray, steps x sensors
+        Whether a gap explains that the sensor has no sample.
+    """
+    missing = np.isnan(y)
+    inside: Flags = np.zeros(y.shape, dtype=bool)
     for before, after, _ in find_gaps(y):
         inside[before + 1 : after] = True
+        for i, column in enumerate(missing.T):
+            steps = np.flatnonzero(~column)
+            third = steps[steps >= after][SETTLES - 1 : SETTLES]
+            soon = slice(after, min([after + round((LEAST + SETTLES) * _interval(steps)), *map(int, third)]))
+            inside[soon, i] = column[soon]
     return inside
+
+
+def _interval(steps: Indices) -> float:
+    """Return the usual number of steps between two samples."""
+    return float(np.median(np.diff(steps))) if len(steps) > 1 else 1.0

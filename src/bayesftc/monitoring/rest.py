@@ -47,7 +47,7 @@ def held(
 ) -> dict[str, Floats]:
     """Return the signals, some of which keep their values from before a rest until it ends for their sensor.
 
-    They also keep them at steps that say nothing of any sensor.
+    They also keep them at steps that say nothing of it.
 
     Parameters
     ----------
@@ -59,14 +59,14 @@ def held(
         Samples.
     rest : ndarray, steps
         From `at_rest`.
-    silent : ndarray, steps, optional
-        Steps that say nothing, as those in a gap of the recording.
+    silent : ndarray, steps x sensors, optional
+        Steps that say nothing of a sensor, as those in a gap of the recording.
     """
     steps, kept = np.arange(len(y)), {name: signals[name].copy() for name in names}
     for i, column in enumerate(y.T):
         count = np.cumsum(np.isfinite(column))
         before = np.maximum.accumulate(np.where(rest, count, -SETTLES - 1))
-        kept_here = count - before <= SETTLES if silent is None else silent | (count - before <= SETTLES)
+        kept_here = count - before <= SETTLES if silent is None else silent[:, i] | (count - before <= SETTLES)
         last = np.maximum.accumulate(np.where(kept_here, 0, steps))
         for values in kept.values():
             values[:, i] = values[last, i]

@@ -149,7 +149,7 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
 
 def _gaps(recording: Recording) -> str:
     """Return a sentence about the gaps in which all sensors lack samples, which no typical part has; empty without them."""
-    silent = int(in_gaps(recording.y).sum())
+    silent = int(in_gaps(recording.y).all(axis=1).sum())
     return f"The gaps ({silent / len(recording.y):.0%} of the steps) are not counted as missing." if silent else ""
 
 
