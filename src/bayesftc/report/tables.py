@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 ROWS = 60
 """Largest number of rows of a table; the store has all."""
-WORST, REASONS, METRICS, CELL = 5, 10, 6, 15
-"""Largest numbers of listed runs, of listed reasons, of metrics with a column, and of values of a factor with rows."""
+WORST, LEVELS, REASONS, METRICS, CELL = 5, 10, 10, 6, 15
+"""Largest numbers of listed runs, of levels with a run of their own in that list, of listed reasons, of metrics with a column, of
+values of a factor with rows."""
 NUMBER = re.compile(r"[-−]?(\d[\d.]*(e[-+]?\d+)?|inf|nan)( ± .*)?|–|< .*|(None|True|False)")
 
 
@@ -98,10 +99,15 @@ def means(contents: Contents) -> Table | None:
 
 
 def worst(contents: Contents) -> Table | None:
-    """Return the runs with the largest metric, each with the command that repeats it."""
+    """Return the runs with the largest metric, and the worst one of each compared level, with the commands that repeat them."""
     if contents.metric is None:
         return None
-    ordered = contents.table.sort_values(contents.metric, ascending=False, na_position="last", kind="stable")
+    valued = contents.table.dropna(subset=contents.metric)
+    ordered = valued.sort_values(contents.metric, ascending=False, kind="stable")
+    chosen = ordered.index[:WORST]
+    if contents.compared is not None:
+        first = ordered.drop_duplicates(contents.compared).index[:LEVELS]
+        chosen = ordered.index[ordered.index.isin(chosen.union(first))]
     rows = [
         [
             str(row["run"]),
@@ -109,14 +115,15 @@ def worst(contents: Contents) -> Table | None:
             text_of(row[contents.metric]),
             command(contents, row["run"]),
         ]
-        for row in ordered.head(WORST).to_dict("records")
-        if row[contents.metric] == row[contents.metric]
+        for row in ordered.loc[chosen].to_dict("records")
     ]
     title = (
-        f"The {len(rows)} runs with the largest {contents.metric}"
+        f"The {min(WORST, len(rows))} runs with the largest {contents.metric}"
         if len(rows) > 1
         else f"The run and its {contents.metric}"
     )
+    if len(rows) > WORST:
+        title += f", and the worst one of each {contents.compared}"
     note = "Failed runs have no value and are not listed." if contents.failed else ""
     return Table(title, ["run", *contents.varied, contents.metric, "repeat with"], rows, note) if rows else None
 

@@ -80,15 +80,16 @@ def test_from_file_to_report_and_replay(bayesftc_, file, tmp_path, same_bits):
     assert not re.search(r'(src|href)="(?!#)', text)  # it needs no other file
     mean = first["metrics"]["rmse"]["mean"]
     assert f"{mean:.4g} ±" in text
-    worst = result_of_worst(tmp_path / "tracking")
-    assert f"bayesftc replay {tmp_path / 'tracking'} {worst}" in text
+    for run in worst_runs(tmp_path / "tracking"):
+        assert f"bayesftc replay {tmp_path / 'tracking'} {run}" in text
 
 
-def result_of_worst(folder):
+def worst_runs(folder):
+    """Return the worst run of all, and that of each learner."""
     import pandas as pd
 
     table = pd.read_parquet(folder / "runs.parquet")
-    return int(table["run"][table["rmse"].idxmax()])
+    return table["run"][[table["rmse"].idxmax(), *table.groupby("controller.precision")["rmse"].idxmax()]]
 
 
 def test_factors_reach_the_scenario_that_the_file_would_say(file, same_bits, tmp_path):
