@@ -72,7 +72,8 @@ def find_gaps(y: Floats) -> list[tuple[int, int, int]]:
     gaps = []
     for k in np.flatnonzero(missed >= LEAST):
         before, count = int(sampled[k]), int(missed[k])
-        silent = sum(bool(np.any(np.abs(steps - before) <= LEAST * n)) for steps, n in zip(own, usual, strict=True))
+        last = [steps[max(int(np.searchsorted(steps, before, side="right")) - 1, 0)] for steps in own]
+        silent = sum(abs(step - before) <= LEAST * interval for step, interval in zip(last, usual, strict=True))
         if silent > 1 and len(sampled) * share**count < CHANCE:
             gaps.append((before, int(sampled[k + 1]), count))
     return gaps
@@ -93,14 +94,17 @@ def in_gaps(y: Floats) -> Flags:
     ndarray, steps x sensors
         Whether a gap explains that the sensor has no sample.
     """
-    missing = np.isnan(y)
+    missing = ~np.isfinite(y)
     inside: Flags = np.zeros(y.shape, dtype=bool)
-    for before, after, _ in find_gaps(y):
+    gaps = find_gaps(y)
+    for before, after, _ in gaps:
         inside[before + 1 : after] = True
-        for i, column in enumerate(missing.T):
-            steps = np.flatnonzero(~column)
-            third = steps[steps >= after][SETTLES - 1 : SETTLES]
-            soon = slice(after, min([after + round((LEAST + SETTLES) * _interval(steps)), *map(int, third)]))
+    for i, column in enumerate(missing.T if gaps else ()):
+        steps = np.flatnonzero(~column)
+        patience = round((LEAST + SETTLES) * _interval(steps))
+        for _, after, _ in gaps:
+            first = int(np.searchsorted(steps, after))
+            soon = slice(after, min([after + patience, *map(int, steps[first + SETTLES - 1 : first + SETTLES])]))
             inside[soon, i] = column[soon]
     return inside
 
