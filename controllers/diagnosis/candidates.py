@@ -18,7 +18,9 @@ from bayesftc.controllers.diagnosis.explanations import (
     lagged,
 )
 from bayesftc.controllers.diagnosis.judge import Explanation, Judge
+from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.estimation.observers import observers
+from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
     from bayesftc.controllers.estimation.observers import Observers
@@ -39,6 +41,9 @@ FACTORS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.4, 1.7, 2.0,
 
 NEAR = (0.87, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.15)
 """Multiples of the best time scale in the fine search."""
+
+NOISES = (0.1, 1.0, 10.0, 100.0, 1000.0)
+"""Additional process noise of the coarse search: its variance in a sample, relative to that of the steady filter's belief."""
 
 TIMES = 24
 """Number of times in the coarse search for the beginning of a load."""
@@ -67,6 +72,59 @@ def explanations(judge: Judge) -> list[Explanation]:
         if x.kind not in best or x.total > best[x.kind].total:
             best[x.kind] = x
     return sorted(best.values(), key=lambda x: -x.total)
+
+
+@lru_cache(maxsize=512)
+def _noisy(
+    model: LinearModel, sets: tuple[tuple[int, ...], ...], states: tuple[int, ...], times: float
+) -> tuple[LinearModel, Observers] | None:
+    """Return the model with more noise on some states, and its observers; None if they do not exist."""
+    moving = model.moving
+    try:
+        P = steady_covariance(moving)
+    except (ModelError, np.linalg.LinAlgError):
+        return None
+    Q = model.matrix("process_covariance").copy()
+    Q[states, states] += times * np.diag(P)[list(states)]
+    changed = replace(model, process_covariance=Q)
+    bank = observers(changed, sets)
+    return None if bank is None else (changed, bank)
+
+
+def noisier(judge: Judge) -> list[Explanation]:
+    """Return the best explanation by more process noise on one state of the plant, or on all; none if there is none."""
+    model = judge.model
+    plant = tuple(range(model.states - model.disturbances))
+    where = [(i,) for i in plant] + [plant] * (len(plant) > 1)
+    coarse = _with_noises(judge, [(states, times) for states in where for times in NOISES])
+    if not coarse:
+        return []
+    states, times, best = max(coarse, key=lambda found: found[2].total)
+    fine = _with_noises(judge, [(states, times * factor) for factor in (10.0**-0.5, 10.0**0.5)])
+    return [max([best, *(x for *_, x in fine)], key=lambda x: x.total)]
+
+
+def _with_noises(
+    judge: Judge, noises: list[tuple[tuple[int, ...], float]]
+) -> list[tuple[tuple[int, ...], float, Explanation]]:
+    """Judge more noise on some states, each with its multiple of the variance of the steady filter's predictions."""
+    model, results = judge.model, []
+    possible = [
+        (states, times, *found)
+        for states, times in noises
+        if (found := _noisy(model, judge.bank.sensors, states, times))
+    ]
+    if not possible:
+        return []
+    models, banks = [m for *_, m, _ in possible], [bank for *_, bank in possible]
+    moved = np.broadcast_to(judge.moved, (len(models), 1, *judge.moved.shape))
+    whites, _ = innovations(models, banks, judge.recording, moved)
+    for (states, times, changed, bank), white in zip(possible, whites, strict=True):
+        added = np.diag(changed.matrix("process_covariance") - model.matrix("process_covariance"))
+        values = (float(states[0] if len(states) == 1 else -1), float(np.sqrt(added[states[0]])))
+        costs = judge.cost(white[:, :1], bank, judge.beginnings(white))
+        results.append((states, times, judge.of("noise", [values], costs, 1 + (len(states) == 1))[0]))
+    return results
 
 
 def _pushed(judge: Judge) -> list[Explanation]:

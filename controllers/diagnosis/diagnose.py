@@ -2,10 +2,11 @@
 
 Observers of disjoint sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a
 lag or a limit; the plant is faster or slower than the model; a load acts all the time, or begins during the run; the plant has
-other dynamics, or nonlinear ones. The measure is the likelihood, with a free scale of the innovations (so that wrong noise has no
-effect), less the cost of the parameters (BIC). An explanation counts only with the evidence of *every* set: an error of one set
-alone is a fault of its sensors. Stretches in which sensors of one quantity disagree are left out. The fault probabilities of the
-precision learner, which a wrong model spoils, are therefore not needed.
+other dynamics, or nonlinear ones; noise moves it that the model does not have. The measure is the likelihood, with a free scale
+of the innovations (so that noise of another size has no effect), less the cost of the parameters (BIC). An explanation counts
+only with the evidence of *every* set: an error of one set alone is a fault of its sensors. Stretches in which sensors of one
+quantity disagree are left out. The fault probabilities of the precision learner, which a wrong model spoils, are therefore not
+needed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
-from bayesftc.controllers.diagnosis.candidates import explanations
+from bayesftc.controllers.diagnosis.candidates import explanations, noisier
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, Explanation, Judge
 from bayesftc.controllers.diagnosis.words import sentence
@@ -71,13 +72,15 @@ class ModelFinding:
         ``"sign"`` or ``"gain"`` of a column of B, ``"dt"`` (the plant is faster or slower), ``"late"`` (a delay or a lag of the
         control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control), ``"nonlinear"`` (far from the
         point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an
-        offset of the actuator that begins during the run), ``"unknown"``.
+        offset of the actuator that begins during the run), ``"noise"`` (more process noise than in the model; only where another
+        kind would count without it, or `model_suspect` was raised), ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
     values : tuple of float
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``dt``: the plant's speed relative
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
-        ``load``: a value for each control, in its unit; ``onset``: seconds from the first sample, then as ``load``; else empty.
+        ``load``: a value for each control, in its unit; ``onset``: seconds from the first sample, then as ``load``; ``noise``:
+        number of the state (-1 for each) and standard deviation in a sample; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str
@@ -165,7 +168,7 @@ def diagnose(
         words = sentence("suspect", (), model.linearised(controller.initial_mean, controller.control_mean))
         return ModelFinding("unknown", words) if raised else None
     samples = samples_of(signals, y, name, reader)
-    result = diagnose_recording(model, samples, signals[f"{name}.u"], controller.initial_mean)
+    result = _finding(model, samples, signals[f"{name}.u"], controller.initial_mean, alone=raised)
     if result is None and raised:
         return ModelFinding("unknown", sentence("unknown", (), model))
     return result
@@ -216,13 +219,20 @@ def diagnose_recording(
     >>> finding.kind, np.round(finding.values, 1).tolist()
     ('sign', [-1.0, 0.0])
     """
+    return _finding(model, y, u, initial_mean, alone=False)
+
+
+def _finding(
+    model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike, *, alone: bool
+) -> ModelFinding | None:
+    """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`."""
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
         if (recorded := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:
             raise ModelError(
                 f"The recording has {recorded} {kind}, but the model has {columns}. Give the samples and controls of the sensors "
                 "and actuators in the model."
             )
-    result = best_explanations(model, y, u, initial_mean)
+    result = best_explanations(model, y, u, initial_mean, alone=alone)
     if not result:
         return None
     best = result[0]
@@ -233,9 +243,9 @@ def diagnose_recording(
 
 @reported("Comparing the samples with the model, for some seconds.")
 def best_explanations(
-    model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0
+    model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0, *, alone: bool = False
 ) -> list[Explanation]:
-    """Return the best explanation of a recording, then those nearly as good; see `diagnose_recording` for the arguments."""
+    """Return the best explanation of a recording, then those nearly as good; see `_finding` for the arguments."""
     bank = observers(model)
     if bank is None:
         return []
@@ -262,6 +272,8 @@ def best_explanations(
         if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
         counting = [x for x in explanations(judge) if x.counts]
+        if counting or alone:
+            counting = sorted(counting + [x for x in noisier(judge) if x.counts], key=lambda x: -x.total)
         near = [x for x in counting if x.total > counting[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
         if near and near[0].kind == "dynamics":  # the simple ones are special cases of it
             near.sort(key=lambda x: x.kind not in SIMPLE)

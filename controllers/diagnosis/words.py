@@ -96,6 +96,16 @@ def _load(values: Sequence[float], model: LinearModel) -> str:
     )
 
 
+def _noise(values: Sequence[float], model: LinearModel) -> str:
+    state, std = values
+    names = None if model.names is None or state < 0 else model.names.states
+    where = f" of {names[int(state)]}" if names and not names[0].startswith("x[") else ""
+    return (
+        f"the plant is moved more at random than process_covariance says, about as by a standard deviation of {std:.2g} in each "
+        f"sample{where}. Say where that noise acts (noise in design and in a scenario), or make process_covariance larger."
+    )
+
+
 def _onset(values: Sequence[float], model: LinearModel) -> str:
     pushed = ", ".join(f"{value:.3g}" for value in values[1:])
     return (
@@ -142,6 +152,7 @@ _WORDS = {
     "limit": _limit,
     "load": _load,
     "onset": _onset,
+    "noise": _noise,
     "nonlinear": _nonlinear,
     "dynamics": _dynamics,
     "unknown": _unknown,

@@ -55,6 +55,21 @@ def test_a_right_model_is_not_blamed_whatever_one_sensor_does(case):
     assert not suspect
 
 
+def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
+    """A car with three times the noise, of which the model has none of its own direction; without more noise nothing is said."""
+    rng = np.random.default_rng(3)
+    A, B = np.array([[1.0, 0.1], [0.0, 0.95]]), np.array([[0.0], [0.1]])
+    model = controllers.LinearModel(A, B, [[1.0, 0.0]] * 2, np.diag([1e-6, 1e-4]), 0.01, dt=0.1)
+    x, u = np.zeros((1500, 2)), np.repeat(rng.choice([-1.0, 1.0], (150, 1)), 10, axis=0)
+    for k in range(1499):
+        x[k + 1] = A @ x[k] + B @ u[k] + rng.standard_normal(2) * [0.3, 0.01]
+    finding = diagnose_recording(model, x[:, :1] + 0.1 * rng.standard_normal((1500, 2)), u)
+    assert finding.kind == "noise"
+    assert finding.values[0] == 0.0
+    assert finding.values[1] == pytest.approx(0.3, rel=0.5)
+    assert "process_covariance" in finding.sentence
+
+
 def test_numbers_of_findings_are_those_of_the_plant():
     def values(wrong):
         return told(next(c for c in cases() if c.name == f"car: {wrong}"), "gamma", 4)[0].values

@@ -108,7 +108,7 @@ MOVED: Mapping[str, frozenset[str]] = {
 WRONG: Mapping[str, Mapping[str, frozenset[str]]] = {
     "car": {**MOVED, **FAR},
     "servo": MOVED,
-    "pendulum": {**MOVED, **FAR},
+    "pendulum": {**MOVED, **FAR, "noisy": frozenset({"noise"})},
     "turbine": FAR,
 }
 """What is wrong with each plant's model, and what it may be called."""
@@ -163,7 +163,7 @@ def _linear(
     plant = cosim.FMU(fmus.path(name))
     return controllers.design(
         plant, measured=measured, goal=goal, actuated=control, sensors=2 * len(measured), sensor_std=std,
-        noise=dict(noise), at=dict(at) or None,
+        noise=dict(noise) or None, at=dict(at) or None,
     )  # fmt: skip
 
 
@@ -173,7 +173,8 @@ def _designed(
     reference: Block, limit: float, bounds: tuple[float, float], at: Mapping[str, float] = {},
 ) -> tuple[Any, ...]:  # fmt: skip
     stds = (std,) * len(measured)
-    first = _linear(name, measured, control, stds, tuple(noise.items()), tuple(at.items()), goal)
+    known = () if case.wrong == "noisy" else tuple(noise.items())  # else the model has noise on the control alone
+    first = _linear(name, measured, control, stds, known, tuple(at.items()), goal)
     model = _wrong(first.model, case)
     controller = replace(
         first, model=model, precision=learner, goal_covariance=accept[0] ** 2, control_covariance=accept[1] ** 2,
