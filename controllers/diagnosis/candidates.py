@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.controllers.diagnosis.changes import changes
 from bayesftc.controllers.diagnosis.explanations import (
     delayed,
     earlier,
@@ -45,12 +46,6 @@ NEAR = (0.87, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.15)
 NOISES = (0.1, 1.0, 10.0, 100.0, 1000.0)
 """Additional process noise of the coarse search: its variance in a sample, relative to that of the steady filter's belief."""
 
-TIMES = 24
-"""Number of times in the coarse search for the beginning of a load."""
-
-LEAST_LOADED = 8
-"""Least number of samples after the beginning of a load."""
-
 LEVELS = tuple(np.linspace(0.1, 0.97, 24))
 """Quantiles of the control's size to try as limits in the coarse search."""
 
@@ -66,7 +61,7 @@ def explanations(judge: Judge) -> list[Explanation]:
     fine = judge.inputs(
         [*_late(judge, coarse), *_early(judge, coarse), *(c for j in controls for c in _limits(judge, j, coarse))]
     )
-    results = coarse + fine + _times(judge) + _pushed(judge) + _begun(judge)
+    results = coarse + fine + _times(judge) + _pushed(judge) + changes(judge)
     best: dict[str, Explanation] = {}
     for x in results:
         if x.kind not in best or x.total > best[x.kind].total:
@@ -155,36 +150,6 @@ def _pushed(judge: Judge) -> list[Explanation]:
     results.append(judge.fitted("nonlinear", responses[:, first:]))
     results.append(judge.fitted("nonlinear", responses))
     return results
-
-
-def _begun(judge: Judge) -> list[Explanation]:
-    """Judge loads that begin during the run, in the direction of the controls or in any: a coarse and a fine search."""
-    model, steps = judge.model, len(judge.recording.u)
-    plant = model.states - model.disturbances
-    directions = np.vstack([model.matrix("B").T, np.eye(model.states)[:plant]])
-
-    def tried(times: Iterable[int]) -> list[Explanation]:
-        late = [(k, (np.arange(steps) >= k).astype(float)) for k in times]
-        if not late:
-            return []
-        results, p = [], model.controls
-        responses = judge.pushes(np.array([np.outer(on, d) for _, on in late for d in directions]))
-        for (k, _), each in zip(late, np.split(responses, len(late), axis=1), strict=True):
-            for chosen in (each[:, :p], each[:, p:]):
-                fit = judge.fitted("onset", chosen, more=1)
-                if np.isfinite(fit.values).all():
-                    moved = np.tensordot(fit.values, chosen, axes=(0, 1)).ravel()
-                    load = np.linalg.lstsq(each[:, :p].swapaxes(0, 1).reshape(p, -1).T, moved, rcond=None)[0]
-                    results.append(replace(fit, values=(k * float(model.step), *map(float, load))))
-        return results
-
-    width = max(1, steps // (TIMES + 1))
-    coarse = tried(range(width, steps - LEAST_LOADED, width))
-    if not coarse:
-        return []
-    best = round(max(coarse, key=lambda x: x.total).values[0] / float(model.step))
-    near = np.unique(np.linspace(max(1, best - width + 1), min(best + width - 1, steps - LEAST_LOADED), 17).round())
-    return coarse + tried(int(k) for k in near)
 
 
 def _features(judge: Judge) -> tuple[list[Floats], list[Floats]]:

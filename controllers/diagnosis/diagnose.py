@@ -72,14 +72,17 @@ class ModelFinding:
         ``"sign"`` or ``"gain"`` of a column of B, ``"dt"`` (the plant is faster or slower), ``"late"`` (a delay or a lag of the
         control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control), ``"nonlinear"`` (far from the
         point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an
-        offset of the actuator that begins during the run), ``"noise"`` (more process noise than in the model; only where another
+        offset of the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run),
+        ``"noise"`` (more process noise than in the model; only where another
         kind would count without it, or `model_suspect` was raised), ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
     values : tuple of float
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``dt``: the plant's speed relative
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
-        ``load``: a value for each control, in its unit; ``onset``: seconds from the first sample, then as ``load``; ``noise``:
+        ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the first
+        sample (infinity: to the last one), then as ``load``; ``loss``: begin, end, effect relative to the model's, and number of
+        the control; ``noise``:
         number of the state (-1 for each) and standard deviation in a sample; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.

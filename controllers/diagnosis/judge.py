@@ -107,15 +107,21 @@ class Judge:
 
     def cost(self, white: Floats, bank: Observers, begin: list[Floats]) -> tuple[Floats, Floats]:
         """Return the negative log-likelihood by set and explanation, and mean squares (sets x H)."""
-        losses, squares = [], []
-        for k, chosen in enumerate(map(list, bank.sensors)):
+        squares = []
+        for k in range(len(bank)):
             with np.errstate(all="ignore"):
-                part = self.free(white, k, begin)
-                square = np.nan_to_num((part**2).mean(axis=1), nan=np.inf)
-            volume = np.log(np.diag(bank.whiten[k])[chosen]).sum() * self.masks[k].sum()
-            losses.append(0.5 * part.shape[1] * np.log(np.maximum(square, 1e-300)) - volume)
-            squares.append(square)
-        return np.array(losses), np.array(squares)
+                squares.append(np.nan_to_num((self.free(white, k, begin) ** 2).mean(axis=1), nan=np.inf))
+        return self.losses(np.array(squares), bank), np.array(squares)
+
+    def losses(self, squares: Floats, bank: Observers | None = None) -> Floats:
+        """Return the negative log-likelihood of mean squares (sets, or sets x H), by observers, by default the model's own."""
+        whiten, sizes = (bank or self.bank).whiten, [mask.sum() for mask in self.masks]
+        each = [
+            0.5 * len(chosen) * size * np.log(np.maximum(square, 1e-300))
+            - np.log(np.diag(whiten[k])[list(chosen)]).sum() * size
+            for k, (chosen, size, square) in enumerate(zip(self.bank.sensors, sizes, squares, strict=True))
+        ]
+        return np.array(each)
 
     def of(
         self, kind: str, values: list[tuple[float, ...]], costs: tuple[Floats, Floats], parameters: int = 1
@@ -154,10 +160,10 @@ class Judge:
         (white,), _ = innovations([self.model], [self.bank], silent, (pushes / scale)[None])
         return np.asarray(white[:, : len(pushes)] * scale[:, 0, 0][:, None, None])
 
-    def fitted(self, kind: str, responses: Floats, more: int = 0) -> Explanation:
-        """Fit the sizes of pushes by least squares, from their responses; `more` is the number of other fitted parameters."""
+    def fitted(self, kind: str, responses: Floats) -> Explanation:
+        """Fit the sizes of pushes by least squares, from their responses."""
         theta, _, costs = self._fit(responses)
-        return self.of(kind, [tuple(map(float, theta))], costs, len(theta) + more)[0]
+        return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
 
     def flipped(self, responses: Floats, control: int) -> list[Explanation]:
         """Fit pushes of which the first is the control's effect; return ``"sign"`` if that effect is clearly reversed."""

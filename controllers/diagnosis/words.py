@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,9 @@ ALIKE = "All sensors disagree with the model in the same way"
 ALONE = " No quantity has a second sensor, so a sensor fault may look the same."
 
 _ESTIMATED = "LinearModel.with_disturbance; disturbance in design and in a scenario"
+
+NO_EFFECT = 0.05
+"""Effect of a control, relative to the model's, below which it counts as none."""
 
 UNMOVED = (
     "the quantity moves differently from the model, or the recording has long gaps. Fit the model to a stretch that moves as the "
@@ -106,12 +110,25 @@ def _noise(values: Sequence[float], model: LinearModel) -> str:
     )
 
 
+def _since(values: Sequence[float]) -> str:
+    if isfinite(values[1]):
+        return f"from {values[0]:.4g} s to {values[1]:.4g} s after the first sample"
+    return f"from {values[0]:.4g} s after the first sample on"
+
+
 def _onset(values: Sequence[float], model: LinearModel) -> str:
-    pushed = ", ".join(f"{value:.3g}" for value in values[1:])
+    pushed = ", ".join(f"{value:.3g}" for value in values[2:])
     return (
-        f"a load or an offset of the actuator begins {values[0]:.4g} s after the first sample, about as large as a control of "
-        f"{pushed}. If such loads belong to normal operation, measure them, or estimate them ({_ESTIMATED}, larger if it is "
-        "already there)."
+        f"a load, or an offset of the actuator, acts {_since(values)}, about as large as a control of {pushed}. If such loads "
+        f"belong to normal operation, measure them, or estimate them ({_ESTIMATED}, larger if it is already there)."
+    )
+
+
+def _loss(values: Sequence[float], model: LinearModel) -> str:
+    effect = f"{values[2]:.2g} times as strongly as in the model" if abs(values[2]) >= NO_EFFECT else "not at all"
+    return (
+        f"{_named(values[3], model)} moves the plant {effect} {_since(values)}. Look for a fault of the actuator. "
+        "SwitchingPrecision can infer such faults (actuator_modes=ACTUATOR_MODES)."
     )
 
 
@@ -152,6 +169,7 @@ _WORDS = {
     "limit": _limit,
     "load": _load,
     "onset": _onset,
+    "loss": _loss,
     "noise": _noise,
     "nonlinear": _nonlinear,
     "dynamics": _dynamics,

@@ -1,5 +1,6 @@
 """Wrong models are noticed: the online check, the diagnosis of a run, and the comparison of step responses before it."""
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -25,7 +26,7 @@ WORDS = {
     "far": "far from the point of linearisation",
     "limit": "limit that the controller does not have",
     "late": "acts late",
-    "loaded": "begins 10",
+    "loaded": "acts from 10 s",
 }
 """What the sentence must say of each way of being wrong."""
 
@@ -68,6 +69,44 @@ def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
     assert finding.values[0] == 0.0
     assert finding.values[1] == pytest.approx(0.3, rel=0.5)
     assert "process_covariance" in finding.sentence
+
+
+@pytest.mark.parametrize(
+    ("faults", "load", "kind", "values", "words"),
+    [
+        (
+            {"voltage": cosim.GainFault(factor=0.5, start=6.0)},
+            0.0,
+            "loss",
+            (6.0, np.inf, 0.5),
+            "from 6.* s after the first",
+        ),
+        (
+            {"voltage": cosim.Stuck(at=0.0, start=6.0, stop=7.0)},
+            0.0,
+            "loss",
+            (6.0, 7.0, 0.0),
+            "the plant not at all from",
+        ),
+        ({"voltage": cosim.Bias(magnitude=2.0, start=6.0)}, 0.0, "onset", (6.0, np.inf, 2.0), "offset of the actuator"),
+        ({}, 0.3, "onset", (6.0, 7.0, 3.0), "a load"),
+    ],
+)
+def test_what_begins_during_a_run_is_dated_and_measured(faults, load, kind, values, words):
+    """A servo whose actuator fails, or on which a load acts for a second: a torque of 0.1 is as large as 1 V of the motor."""
+    servo = cosim.FMU(fmus.path("PositionServo"))
+    controller = controllers.design(
+        servo, measured="angle", actuated="voltage", sensors=2, sensor_std=0.01, noise={"load": 0.02}, acceptable_control=5.0
+    )  # fmt: skip
+    gust = cosim.Table([0.0, 6.0, 6.01, 7.0, 7.01, 20.0], [0.0, 0.0, load, load, 0.0, 0.0])
+    loop = cosim.closed_loop(
+        servo, controller, control="voltage", measured="angle", noise={"load": gust}, sensors=cosim.Sensors(2, 0.01),
+        reference=cosim.Sine(amplitude=0.5, period=4.0), input_faults=faults,
+    )  # fmt: skip
+    finding = controllers.diagnose(loop.simulate(12.0, seed=1), loop)
+    assert finding.kind == kind
+    assert finding.values[:3] == pytest.approx(values, abs=0.15)
+    assert re.search(words, finding.sentence)
 
 
 def test_numbers_of_findings_are_those_of_the_plant():

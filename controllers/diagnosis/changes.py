@@ -1,0 +1,159 @@
+"""Loads, and losses of a control's effect, that begin during a run, and may end again.
+
+Each is a push of the state between two instants. Responses to pushes are linear, so that the one between two instants is the
+difference of two that last to the end. Normal equations of those at all instants therefore judge all pairs of instants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.controllers.diagnosis.judge import Explanation, Judge
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.types import Floats
+
+TIMES = 24
+"""Number of instants in the coarse search."""
+
+FINE = 13
+"""Number of instants about each one of the coarse search."""
+
+LEAST_PUSHED = 8
+"""Least number of samples of a push."""
+
+
+def changes(judge: Judge) -> list[Explanation]:
+    """Return the best load that begins during the run, and the best loss of effect; none without a control."""
+    model, steps = judge.model, len(judge.recording.u)
+    if not np.any(model.B):
+        return []
+    width = max(1, steps // (TIMES + 1))
+    coarse = _Pushes(judge, range(width, steps - LEAST_PUSHED + 1, width))
+    return [
+        _explained(judge, kind, _finer(judge, kind, best, width))
+        for kind in ("onset", "loss")
+        if (best := coarse.best(kind)) is not None
+    ]
+
+
+def _finer(judge: Judge, kind: str, best: _Found, width: int) -> _Found:
+    """Return the best push with instants near those of another one, to the sample."""
+    last = len(judge.recording.u) - LEAST_PUSHED
+    while width > 1:
+        grids = [np.linspace(k - width + 1, k + width - 1, FINE).round().astype(int) for k in best.instants]
+        near = {int(k) for k in np.concatenate(grids) if 1 <= k <= last}
+        best = _Pushes(judge, sorted(near | set(best.instants))).best(kind, best.columns) or best
+        width = max(1, 2 * width // (FINE - 1))
+    return best
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A push: its instants (begin, and end unless it lasts), its columns, their sizes, and its costs.
+
+    ``products`` are those of the responses to pushes along B, and to its own.
+    """
+
+    instants: tuple[int, ...]
+    columns: tuple[int, ...]
+    sizes: Floats
+    products: Floats
+    losses: Floats
+    squares: Floats
+
+    @property
+    def parameters(self) -> int:
+        """Number of fitted parameters."""
+        return len(self.instants) + len(self.sizes)
+
+    @property
+    def load(self) -> Floats:
+        """The push along B with the response most like this one: a value for each control."""
+        p = len(self.products) - len(self.sizes)
+        return _solved(self.products[:p, :p], self.products[:p, p:] @ self.sizes)
+
+
+class _Pushes:
+    """The normal equations of pushes from each of some instants to the end: along B, along each state, and of each control."""
+
+    def __init__(self, judge: Judge, instants: Sequence[int]):
+        model, u = judge.model, judge.recording.u
+        p, plant = model.controls, model.states - model.disturbances
+        B = model.matrix("B").T
+        constant = np.vstack([B, np.eye(model.states)[:plant]])[:, np.newaxis, :] * np.ones((1, len(u), 1))
+        kinds = np.concatenate([constant, u.T[:, :, np.newaxis] * B[:, np.newaxis, :]])
+        late = np.arange(len(u))[:, np.newaxis] >= np.array([[k] for k in instants])[:, :, np.newaxis]
+        self.judge, self.instants, self.each = judge, list(instants), len(kinds)
+        along, states, controls = np.split(np.arange(self.each), [p, p + plant])
+        self.columns = {"onset": [tuple(along), tuple(states)], "loss": [(int(j),) for j in controls]}
+        self.along = along
+        responses = judge.pushes((late[:, np.newaxis] * kinds).reshape(-1, *kinds.shape[1:])) if self.instants else None
+        self.sets = [] if responses is None else [self._equations(responses, k) for k in range(len(judge.bank))]
+
+    def _equations(self, responses: Floats, k: int) -> tuple[Floats, Floats, float, int]:
+        """Return products of the responses with each other and with the innovations, the latter's square, and their number."""
+        with np.errstate(all="ignore"):  # of a plant that is lost; what is not finite explains nothing
+            D, e = (self.judge.free(of, k, self.judge.begin) for of in (responses, self.judge.base))
+            return D @ D.T, D @ e[0], float(e[0] @ e[0]), e.shape[1]
+
+    def best(self, kind: str, columns: tuple[int, ...] | None = None) -> _Found | None:
+        """Return the push of a kind with the most evidence: one that lasts to the end, or one between two instants."""
+        found = [
+            push
+            for group in (self.columns[kind] if columns is None else [columns])
+            for ends in [(i,) for i in range(len(self.instants))] + list(combinations(range(len(self.instants)), 2))
+            if self.instants[ends[-1]] - self.instants[ends[0]] >= LEAST_PUSHED or len(ends) == 1
+            for push in self._judged(ends, group)
+        ]
+        counts = [0.5 * np.log(mask.sum()) for mask in self.judge.masks]
+        return min(found, key=lambda x: float(x.losses.sum() + x.parameters * sum(counts)), default=None)
+
+    def _judged(self, ends: tuple[int, ...], group: tuple[int, ...]) -> Iterator[_Found]:
+        places = np.add.outer(self.each * np.array(ends), [*self.along, *group])
+        pairs, signs = np.ix_(places.ravel(), places.ravel()), np.array([1.0, -1.0])[: len(ends)]
+        each = [G[pairs].reshape(*places.shape, *places.shape) for G, *_ in self.sets]
+        products = [np.einsum("i,iajb,j->ab", signs, of, signs) for of in each]
+        moments = [signs @ b[places] for _, b, *_ in self.sets]
+        whole, right, own = np.sum(products, axis=0), np.sum(moments, axis=0), slice(len(self.along), None)
+        if not (np.isfinite(whole).all() and np.isfinite(right).all()):
+            return
+        sizes = -_solved(whole[own, own], right[own])
+        squares = np.array([
+            (c + 2.0 * sizes @ moment[own] + sizes @ product[own, own] @ sizes) / n
+            for product, moment, (_, _, c, n) in zip(products, moments, self.sets, strict=True)
+        ])  # fmt: skip
+        if (squares > 0.0).all():
+            yield _Found(
+                tuple(self.instants[i] for i in ends), group, sizes, whole, self.judge.losses(squares), squares
+            )
+
+
+def _solved(G: Floats, b: Floats) -> Floats:
+    """Return the solution of normal equations, the smallest of several, in units in which each column has length 1."""
+    if len(G) == 1:
+        return np.asarray(b / G[0] if G[0, 0] > 1e-300 else np.zeros(1))
+    lengths = np.sqrt(np.maximum(np.diag(G), 1e-300))
+    solution: Floats = (
+        np.linalg.pinv(G / np.outer(lengths, lengths), rcond=1e-10, hermitian=True) @ (b / lengths) / lengths
+    )
+    return solution
+
+
+def _explained(judge: Judge, kind: str, found: _Found) -> Explanation:
+    step = float(judge.model.step)
+    begin, end = found.instants[0] * step, found.instants[1] * step if len(found.instants) > 1 else float("inf")
+    if kind == "onset":
+        values = begin, end, *map(float, found.load)
+    else:
+        control = found.columns[0] - (len(judge.model.matrix("B").T) + judge.model.states - judge.model.disturbances)
+        values = begin, end, 1.0 + float(found.sizes[0]), float(control)
+    return judge.of(kind, [values], (found.losses[:, np.newaxis], found.squares[:, np.newaxis]), found.parameters)[0]
+
+
+__all__ = ["changes"]
