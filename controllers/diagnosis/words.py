@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
 ALIKE = "All sensors disagree with the model in the same way"
-ALONE = " No quantity has a second sensor, so a sensor fault may look the same."
 
 _ESTIMATED = "LinearModel.with_disturbance; disturbance in design and in a scenario"
 
@@ -30,14 +29,22 @@ def sentence(
     kind: str, values: Sequence[float], model: LinearModel, others: Sequence[tuple[str, Sequence[float]]] = ()
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well."""
-    rows = model.quantities
-    alone = len(np.unique(rows, axis=0)) == len(rows)
+    alone = _alone(model)
     also = "".join(
         f" Or, nearly as likely by this run: {_WORDS[other](other_values, model)}" for other, other_values in others
     )
     if not np.any(model.B):
-        return f"{ALIKE}: {UNMOVED}{ALONE if alone else ''}"
-    return f"{ALIKE}: {_WORDS[kind](values, model)}{also}{ALONE if alone else ''}"
+        return f"{ALIKE}: {UNMOVED}{alone}"
+    return f"{ALIKE}: {_WORDS[kind](values, model)}{also}{alone}"
+
+
+def _alone(model: LinearModel) -> str:
+    """Return a sentence if a fault of a sensor looks the same, because its quantity has no second one; else nothing."""
+    single = [group[0] for group in model.alike if len(group) == 1]
+    if len(single) == len(model.alike):
+        return " No quantity has a second sensor, so a sensor fault may look the same."
+    names = [f"the only sensor of {model.names.sensors[i]}" if model.names else f"sensor {i}" for i in single]
+    return f" A fault of {' or '.join(names)}, which has no second one, may look the same." if names else ""
 
 
 def _named(j: float, model: LinearModel) -> str:

@@ -1,4 +1,4 @@
-"""Observers of disjoint sets of sensors: an error of all of them is the model's, an error of one is its sensor's.
+"""Observers of sets of sensors, disjoint where possible: an error of all is the model's, an error of one is its sensor's.
 
 Each observer is the steady Kalman filter of one set (a dedicated observer; Clark, IEEE Trans. AES 14, 1978). It uses the applied
 control and the model's sensor covariance. If the model is right and its sensors are healthy, its innovations are therefore white
@@ -65,7 +65,8 @@ class Observers:
 def observers(model: LinearModel, sets: tuple[tuple[int, ...], ...] | None = None) -> Observers | None:
     """Return observers of as many sets as can each see all undamped modes; None if all sensors together cannot.
 
-    Sensors of the same quantity go to different sets, so that each set sees as much of the plant as possible.
+    Sensors of the same quantity go to different sets, so that each set sees as much of the plant as possible. Where a quantity
+    has too few for a second set, as one encoder beside three gyros, sets share them. A fault of a gyro then spoils one set.
 
     Parameters
     ----------
@@ -76,11 +77,20 @@ def observers(model: LinearModel, sets: tuple[tuple[int, ...], ...] | None = Non
     """
     if sets is not None:
         return _of_sets(model, sets)
-    for count in range(min(MOST_SETS, max(map(len, model.alike))), 0, -1):
-        chosen = tuple(tuple(sorted(i for group in model.alike for i in group[k::count])) for k in range(count))
-        if (bank := _of_sets(model, chosen)) is not None:
-            return bank
+    most = min(MOST_SETS, max(map(len, model.alike)))
+    for shared, counts in ((False, range(most, 1, -1)), (True, range(most, 0, -1))):
+        for count in counts:
+            chosen = tuple(
+                tuple(sorted(i for g in model.alike for i in _part(g, k, count, shared))) for k in range(count)
+            )
+            if (bank := _of_sets(model, chosen)) is not None:
+                return bank
     return None
+
+
+def _part(group: tuple[int, ...], k: int, count: int, shared: bool) -> tuple[int, ...]:
+    """Return the sensors of one quantity in the k-th of some sets; where they are too few, they may be in several."""
+    return group[k % len(group) : k % len(group) + 1] if shared and len(group) < count else group[k::count]
 
 
 def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers | None:

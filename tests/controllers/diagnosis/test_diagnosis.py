@@ -198,6 +198,26 @@ def by_numpy(model, y, u, mean):
     return least / (1 + least)
 
 
+def test_sets_share_the_only_sensor_of_a_quantity():
+    """One encoder and three gyros, which see no position: a faulty gyro spoils one set of three, a faulty encoder all."""
+    A, B = np.array([[1.0, 0.1], [0.0, 0.95]]), np.array([[0.0], [0.1]])
+    C = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.0, 1.0]])
+    model = controllers.LinearModel(A, B, C, np.diag([1e-6, 1e-4]), 1e-4, dt=0.1)
+    assert observers(model).sensors == ((0, 1), (0, 2), (0, 3))
+    rng = np.random.default_rng(5)
+    x, u = np.zeros((600, 2)), np.repeat(rng.choice([-1.0, 1.0], (60, 1)), 10, axis=0)
+    for k in range(599):
+        x[k + 1] = A @ x[k] + B @ u[k] + rng.standard_normal(2) * [1e-3, 1e-2]
+    y = x @ C.T + 0.01 * rng.standard_normal((600, 4))
+    drifting = y.copy()
+    drifting[300:, 2] += 0.01 * np.arange(300)
+    assert diagnose_recording(model, y, u) is None
+    assert diagnose_recording(model, drifting, u) is None
+    reversed_ = diagnose_recording(replace(model, B=-B), y, u)
+    assert reversed_.kind == "sign"
+    assert "A fault of sensor 0, which has no second one, may look the same." in reversed_.sentence
+
+
 def test_sets_of_different_sizes_are_judged_each_by_its_own():
     """Two encoders and one tachometer: one set has two sensors, the other one; a right and a wrong model of a mass."""
     A, B, C = np.array([[1.0, 0.02], [0.0, 0.99]]), np.array([[2e-4], [2e-2]]), np.array([[1.0, 0], [1.0, 0], [0, 1.0]])
