@@ -187,19 +187,20 @@ def linearize(
 ) -> Linearization:
     """Linearise a plant about a steady state; `others` are outputs of the model besides the measured ones."""
     check_by_name(noise=noise, at=at)
-    inputs = list(dict.fromkeys([*names_of(actuated, "actuated"), *(noise or {})]))
+    driven = names_of(actuated, "actuated")
+    inputs = list(dict.fromkeys([*driven, *(noise or {})]))
     outputs = list(dict.fromkeys([*names_of(measured, "measured"), *([others] if isinstance(others, str) else others)]))
     if isinstance(plant, str | PathLike):
         plant = FMU(plant)
     if isinstance(plant, FMU):
-        return _of_fmu(plant, inputs, outputs, dt, at or {}, order).seen()
+        return _of_fmu(plant, (inputs, driven), outputs, dt, at or {}, order).seen()
     check_plant(plant)
     block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
     states = _state_names(block.system, len(np.array(block.initial)))
     if order is not None:
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
-        return replace(_of_nonlinear(block, inputs, outputs, dt, at or {}), states=states).seen()
+        return replace(_of_nonlinear(block, (inputs, driven), outputs, dt, at or {}), states=states).seen()
     return replace(
         _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}), states=states
     ).seen()
@@ -290,12 +291,13 @@ def _of_linear(
 
 def _of_nonlinear(
     block: StateSpace,
-    inputs: list[str],
+    driven: tuple[list[str], list[str]],
     outputs: list[str],
     dt: float | str | Fraction | None,
     at: Mapping[str, float | Sequence[float]],
 ) -> Linearization:
-    system = block.system
+    """Linearise a nonlinear system; `driven` are the inputs of the linearisation, and those of them that are actuated."""
+    system, (inputs, actuated) = block.system, driven
     known_inputs = [port.name for port in block.inputs if port.draw is None]
     u = operating(known_inputs, np.zeros(len(known_inputs)), at)
     columns, into = chosen(inputs, known_inputs, "input")
@@ -312,7 +314,7 @@ def _of_nonlinear(
         moves, seen = (f(0.0, z[:n], z[n:], params) for f in (system.dynamics, system.output))
         return np.concatenate([np.ravel(moves), np.ravel(seen)]).astype(np.float64)
 
-    x, u, rate = _rest(residual, x, u, _free(columns, known_inputs, at))
+    x, u, rate = _rest(residual, x, u, _free(actuated, known_inputs, at))
     with np.errstate(over="ignore", invalid="ignore"):  # a result that is not finite is refused
         whole = derivative(both, np.concatenate([x, u]))
     a, b, c, d = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
@@ -350,15 +352,17 @@ def _step(default_step: float | None, dt: float | str | Fraction | None) -> Frac
 
 def _of_fmu(
     fmu: FMU,
-    inputs: list[str],
+    driven: tuple[list[str], list[str]],
     outputs: list[str],
     dt: float | str | Fraction | None,
     at: Mapping[str, float | Sequence[float]],
     order: int | None,
 ) -> Linearization:
-    fmu, step, u, (columns, driven), (rows, measured), into = fmu_ports(fmu, inputs, outputs, dt, at)
+    """Linearise an FMU; `driven` are the inputs of the linearisation, and those of them that are actuated."""
+    inputs, actuated = driven
+    fmu, step, u, (columns, names), (rows, measured), into = fmu_ports(fmu, inputs, outputs, dt, at)
     if fmu.description.exchange is not None and order is None:
-        linear = _of_equations(fmu, u, columns, rows, driven, measured, step, _free(columns, into, at))
+        linear = _of_equations(fmu, u, columns, rows, names, measured, step, _free(actuated, into, at))
         return replace(linear, held=_held(into, at))
     realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
     if realisation.waited and not at:
@@ -369,7 +373,7 @@ def _of_fmu(
         )
     point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
     matrices = realisation.A, realisation.B, realisation.C
-    return Linearization(*matrices, *point, driven, measured, step, held=_held(into, at))
+    return Linearization(*matrices, *point, names, measured, step, held=_held(into, at))
 
 
 def _point(names: Sequence[str], values: Floats) -> str:
@@ -406,10 +410,10 @@ def _of_equations(
     return Linearization(A, B[:, columns], c[rows], x, u[columns], y[rows], start, inputs, outputs, step, following)
 
 
-def _free(columns: Sequence[int], inputs: Sequence[str], at: Mapping[str, Any]) -> list[int]:
-    """Return the actuated inputs that may change for a steady state: those without a given value."""
+def _free(actuated: Sequence[str], inputs: Sequence[str], at: Mapping[str, Any]) -> list[int]:
+    """Return the actuated inputs that may change for a steady state: those without a given value. A noise input may not."""
     given = spread("The operating point", at, inputs)
-    return [j for j in columns if j not in given]
+    return [j for j in chosen(actuated, inputs, "input")[0] if j not in given]
 
 
 def _held(inputs: Sequence[str], at: Mapping[str, Any]) -> tuple[tuple[str, float], ...]:

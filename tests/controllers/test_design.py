@@ -115,6 +115,19 @@ def test_an_fmu_that_saves_no_state_is_made_anew_for_each_experiment(monkeypatch
     assert saved.y[0] + (saved.C @ saved.start).item() == pytest.approx(0.6, abs=0.05)
 
 
+def test_noise_does_not_hold_the_plant_at_its_operating_point():
+    """A hovering drone: the thrust alone carries it, not half of it a gust, even if noise acts on the gust."""
+
+    def rise(t, x, u, params):
+        return np.array([x[1], (u[0] + u[1] - 0.3 * x[1]) / 1.5 - 9.81])
+
+    drone = control.nlsys(rise, lambda t, x, u, p: x[:1], inputs=["thrust", "gust"], outputs=["h"], states=["h", "v"])
+    found = linearize(drone, measured="h", actuated="thrust", noise={"gust": 0.5}, dt=0.02)
+    np.testing.assert_allclose(found.u, [1.5 * 9.81, 0.0], rtol=1e-6)
+    controller = design(drone, measured="h", actuated="thrust", noise={"gust": 0.5}, dt=0.02, sensors=2)
+    np.testing.assert_allclose(controller.model.operating_control, [1.5 * 9.81], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
