@@ -32,7 +32,7 @@ class UnstableLoopWarning(UserWarning):
 
 
 class SteadyTarget(NamedTuple):
-    """An `LQGController`'s steady state: maps to it from goal and state, the known goals, the control prior's mean.
+    """An `LQGController`'s steady state: maps to it from goal and state, the known goals, the control prior's mean and cost.
 
     ``held`` has a row for each known goal, and ``feedforward`` the gains on the goals in between.
     """
@@ -42,6 +42,7 @@ class SteadyTarget(NamedTuple):
     feedforward: Floats
     held: Floats
     u_prior: Floats
+    control_cost: Floats
 
 
 class Densities(NamedTuple):
@@ -229,7 +230,7 @@ class BayesianController(BayesianBlock):
         joint = self.belief == "joint"
         shared = self._shared_parameters(step)
         state, model_parameters, space = estimation(self, model, learner, shared["largest"])
-        parameters = model_parameters | shared | {"GB": G @ B, "prior_precision": prior}
+        parameters = model_parameters | shared | {"GB": G @ B}
         sizes: dict[str, tuple[int, ...]] = {
             "goal_given": (g,),
             "GA": (g, n),
@@ -278,13 +279,14 @@ class BayesianController(BayesianBlock):
     def _target_rule(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         """Return the step function that turns the goal into the target of the next state, its parameters and its state."""
         mean = np.asarray(self.control_mean)
-        constants = {"goal_shift": GB @ mean, "prior_pull": prior @ mean}
+        constants = {"goal_shift": GB @ mean, "prior_precision": prior, "prior_pull": prior @ mean}
         unused = {
             "x_target": np.zeros((1, 1)),
             "u_target": np.zeros((1, 1)),
             "feedforward": np.zeros((1, 1)),
             "held": np.zeros((1, 1)),
             "u_prior": np.zeros(1),
+            "control_cost": np.zeros((1, 1)),
         }
         return target_goal, constants | unused, {}
 

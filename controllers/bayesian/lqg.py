@@ -226,6 +226,8 @@ class LQGController(BayesianController):
         # Each row has the goals of a time, the present one first; NaN before the first sample.
         held = np.vstack([np.full((self.preview, self.goals), np.nan), H @ mean])
         state = {"held": held, "u_prior": np.zeros(p), "prior_pull": np.zeros(p), "goal_shift": np.zeros(len(root))}
+        state["prior_precision"] = np.zeros((p, p))
+        targets["control_cost"] = prior
         targets["feedforward"] = (
             self._scaled[1] * np.hstack([*self._goal_effects]) if self.preview else np.zeros((1, 1))
         )

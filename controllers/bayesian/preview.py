@@ -59,9 +59,10 @@ def target_steady_state(goal, x_hat, actuators, control):
     The goal prior's mean is the steady state of the last known goal, and the control prior's mean the control of the present
     goal's. The goals in between enter the information about the control. Without a preview all of them are the new one. A goal
     that is not finite keeps the last one. The first goal also counts for the times before it. Each control acts with the
-    effectiveness ``works`` and the offset ``load``.
+    effectiveness ``works`` and the offset ``load``. The effect of a control has a cost, not the control: a weaker actuator then
+    gets as much more as it lost, and the loop stays as it was designed.
     """
-    x_target, u_target, feedforward, held, u_prior = control.steady
+    x_target, u_target, feedforward, held, u_prior, control_cost = control.steady
     _, GB, _, prior_precision, prior_pull, goal_shift = control.aim
     works, load, target = actuators.works, actuators.load, control.decision.target
     r, n, p, last = goal.shape[0], x_hat.shape[0], u_prior.shape[0], held.shape[0] - 1
@@ -80,6 +81,8 @@ def target_steady_state(goal, x_hat, actuators, control):
         # A lost effect is compensated by at most five times the control.
         u_prior[j] = (total - load[1, j]) / maximum(works[1, j], 0.2)
     for j in range(p):
+        for i in range(p):
+            prior_precision[j, i] = control_cost[j, i] * maximum(works[1, j], 0.2) * maximum(works[1, i], 0.2)
         total = prior_precision[j, 0] * u_prior[0]
         for i in range(1, p):
             total = total + prior_precision[j, i] * u_prior[i]

@@ -310,6 +310,27 @@ def test_an_actuator_fault_that_is_found_leaves_no_steady_error(arrives, load):
     assert left[2] < 0.2 * left[0]
 
 
+def test_a_lost_effect_that_is_known_leaves_the_loop_as_it_was_designed():
+    """With a fifth of the effect the control is five times as large, although its cost is high."""
+    A, B, C = np.array([[1.0, 0.1], [0.0, 0.95]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]] * 2)
+    model = LinearModel(A, B, C, np.diag([1e-8, 1e-6]), 1e-6, dt=0.1)
+    mode = controllers.LostEffect(time_to_fault=10.0, time_to_recovery=1e6, share=0.8, spread=0.05, walk=0.0)
+    learner = controllers.SwitchingPrecision(actuator_modes=[mode])
+    controller = LQGController(
+        model, learner, goal_covariance=1.0, control_covariance=1.0, initial_covariance=1e-6
+    )  # fmt: skip
+    goal = [np.sign(np.sin(k / 40)) for k in range(600)]
+    runs = []
+    for effect in (1.0, 0.2):
+        step, x, seen, rng = controller.online(compiled=False), np.zeros(2), [], np.random.default_rng(2)
+        for k in range(600):
+            u = step(y=C @ x + 1e-3 * rng.standard_normal(2), goal=[goal[k]]).u
+            x = A @ x + (effect if k >= 100 else 1.0) * B @ u
+            seen.append(x[0])
+        runs.append(np.array(seen))
+    assert np.abs(runs[0] - runs[1])[300:].max() < 0.1 * np.ptp(runs[0][300:])
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
