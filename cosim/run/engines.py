@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -25,6 +26,9 @@ from bayesftc.cosim.types import Floats
 CALLED_COMPILED = 500
 """Steps from which on a loop in Python calls compiled step functions: that of the default controller takes 5 s to compile, and a
 hundredth of the 10 ms of a plain step to call."""
+
+LONG = 2.0
+"""Seconds of steps in Python after which the rest of a run compiles, too."""
 
 Function = Callable[[float, int], int | None]
 """A step function of time and step count, which returns a status that stops the run, 0 or None."""
@@ -276,7 +280,7 @@ class InterpretedEngine:
     """
 
     def __init__(self, run: Run, *, compiles: bool = False):
-        self._run, self._compiles = run, compiles
+        self._run, self._compiles, self._spent = run, compiles, 0.0
         self._evaluate = [self._bind(call) for call in run.schedule.evaluate]
         self._advance = [self._bind(call) for call in run.schedule.advance]
         self._draws = Draws(run)
@@ -310,7 +314,16 @@ class InterpretedEngine:
         return None
 
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
-        """See `Engine.advance`."""
+        """See `Engine.advance`. A run that takes long compiles, however few its steps are."""
+        if self._compiles and self._spent > LONG:
+            self.prepare(CALLED_COMPILED)
+        begun = time.perf_counter()
+        try:
+            return self._steps(begin, end, first=first)
+        finally:
+            self._spent += time.perf_counter() - begun
+
+    def _steps(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         run = self._run
         with np.errstate(all="ignore"):  # once for all steps
             for k in range(begin, end + 1):

@@ -63,6 +63,15 @@ def test_a_short_run_compiles_nothing(compiled):
     assert not compiled
 
 
+def test_a_short_run_that_takes_long_compiles_all_the_same(compiled, monkeypatch):
+    loop = pendulum()
+    plain = loop.simulate(1.0, seed=3)
+    monkeypatch.setattr(engines, "LONG", 0.01)
+    quick = loop.simulate(1.0, seed=3)
+    assert compiled
+    assert_same_bits(quick, plain)
+
+
 def test_in_pieces_after_restore_and_in_time(compiled):
     loop = pendulum()
     whole = loop.simulate(5.0, seed=5, engine="interpreted")["plant.angle"]
