@@ -255,7 +255,7 @@ def _judged(
 ) -> CalibrationReport:
     from sklearn.metrics import roc_auc_score
 
-    quality = reliability(probability, faulty)
+    quality = reliability(probability, faulty, equal="widths")
     return CalibrationReport(
         calibration=calibration,
         auc=float(roc_auc_score(faulty, score)),
@@ -264,7 +264,7 @@ def _judged(
         calibration_error=quality.calibration_error,
         fault_share=float(faulty.mean()),
         samples=len(probability),
-        reliability=reliability(probability, faulty, equal="widths"),
+        reliability=quality,
     )
 
 

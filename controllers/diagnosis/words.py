@@ -69,8 +69,8 @@ def _dt(values: Sequence[float], model: LinearModel) -> str:
     f, dt = values[0], float(model.step)
     return (
         f"the plant is {f:.3g} times as fast as the model. Check dt: A and B fit a sample time of {dt / f:.3g} s, but dt is "
-        f"{dt:.3g} s. If dt is right, check the masses and inertias: {1 / f:.3g} times those of the model would have the same "
-        "effect."
+        f"{dt:.3g} s. If dt is right, check the masses and inertias: of a plant of first order, {1 / f:.3g} times those of the "
+        "model would have the same effect."
     )
 
 

@@ -112,8 +112,13 @@ class Sensors(Block):
         """Set the number of sensors and the matrix from the number of sensors of each signal."""
         for number in counts:
             _check_number("count", number)
-        if self.matrix is not None or self.function is not None or self.signals not in (1, len(counts)):
-            other = "a matrix" if self.matrix is not None else "a function" if self.function is not None else "signals"
+        if self.signals not in (1, len(counts)):
+            raise ModelError(
+                f"Sensors has count={counts}, {len(counts)} number{'s' if len(counts) > 1 else ''} for {self.signals} signals; "
+                "give one for each signal, or one in all without brackets."
+            )
+        if self.matrix is not None or self.function is not None:
+            other = "a matrix" if self.matrix is not None else "a function"
             raise ModelError(
                 f"Sensors has count={counts}, a number for each signal, which does not go with {other}; leave one of them out."
             )

@@ -170,8 +170,8 @@ def closed_loop(
     if len(controller_node["y"]) != len(sensors):
         raise ConnectionError(
             f"The controller has {len(controller_node['y'])} sensors, but the loop has {len(sensors)}. Give the loop "
-            f"sensors=cosim.Sensors(count={len(controller_node['y'])}, std=...), or the controller's model a row of C, or a "
-            "modality, for each sensor of the loop."
+            f"sensors=cosim.Sensors(count={_count_for(controller, sum(map(len, outputs)))}, std=...), or the controller's model "
+            "a row of C, or a modality, for each sensor of the loop."
         )
     diagram.connect(samples, controller_node["y"])
     if sum(map(len, goals)) != len(controller_node["goal"]):
@@ -212,6 +212,14 @@ def closed_loop(
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
     return diagram.build()
+
+
+def _count_for(controller: Block, signals: int) -> int | tuple[int, ...]:
+    """Return the count of `Sensors` for a controller of several quantities: the number of each, if they are not in turn."""
+    count = next(port.size for port in controller.inputs if port.name == "y")
+    groups = getattr(getattr(controller, "model", None), "alike", ())
+    in_turn = tuple(tuple(range(i, count, signals)) for i in range(signals))
+    return count if len(groups) != signals or groups == in_turn else tuple(len(group) for group in groups)
 
 
 def _unread(sensors: Sensors, controller: Block, measured: Sequence[str]) -> Iterator[str]:

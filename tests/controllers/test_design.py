@@ -9,7 +9,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
 from bayesftc.controllers.models.differences import derivative
 from bayesftc.controllers.models.linearization import linearize
-from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError
+from bayesftc.cosim.errors import ConnectionError, ModelError, StepSizeError, UnknownNameError
 from bayesftc.cosim.fmi.running.instance import Instance
 
 
@@ -172,6 +172,9 @@ def test_outputs_may_have_different_numbers_of_sensors():
     same = LinearModel.from_control(tank, dt=1.0, sensors=(1, 3), **covariances)
     for name in "ABC":
         np.testing.assert_allclose(same.matrix(name), model.matrix(name), atol=1e-12)
+    four = design(tank, **settings, sensors=(1, 3), sensor_std=(0.01, 0.2))
+    with pytest.raises(ConnectionError, match=r"sensors=cosim\.Sensors\(count=\(1, 3\), std="):
+        cosim.closed_loop(tank, four, control=["valve", "heater"], measured=["h", "T"], reference=[1.0, 5.0])
     with pytest.raises(ModelError, match=r"3 sensors are not a multiple of 2 .* sensors=\(1, 3\)"):
         design(tank, **settings, sensors=3)
     with pytest.raises(ModelError, match="sensors has 3 numbers for 2 measured outputs"):

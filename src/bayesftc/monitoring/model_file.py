@@ -24,7 +24,16 @@ SECTIONS = ("dt", "time", "invalid", "model", "sensors", "inputs", "errors", "pr
 
 @dataclass(frozen=True)
 class Start:
-    """The initial belief in ``[model]``."""
+    """The initial belief in ``[model]``.
+
+    Attributes
+    ----------
+    initial_mean : number or sequence of number
+        Mean of the quantity, or of each state of a linear model, at the first sample; by default from
+        the first samples.
+    initial_std : number or sequence of number
+        Its standard deviation.
+    """
 
     initial_mean: float | Sequence[float] | None = None
     initial_std: float | Sequence[float] | None = None

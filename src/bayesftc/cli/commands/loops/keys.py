@@ -51,7 +51,7 @@ FILES: dict[str, dict[str, list[Part]]] = {
     },
     "monitor": {
         "above all sections": [Part("bayesftc.monitoring.model_file.Head")],
-        "[model]": [Part("bayesftc.monitoring.PLANT_MODELS")],
+        "[model]": [Part("bayesftc.monitoring.PLANT_MODELS"), Part("bayesftc.monitoring.model_file.Start")],
         "[sensors.NAME]": [Part("bayesftc.monitoring.Sensor")],
         "[inputs.NAME]": [Part("bayesftc.monitoring.Input")],
         "[[errors]]": [Part("bayesftc.monitoring.SensorErrors")],
@@ -93,7 +93,7 @@ def keys(
             console.print(f'\nkind = "{kind}": {summary(cls).replace("`", "")}', soft_wrap=True)
         table = plain_table("key", "value", "default", "meaning")
         for name, *cells, meaning in keys_of(cls, without):
-            table.add_row(name, *(cell.replace("[", r"\[") for cell in (*cells, _first_sentence(meaning))))
+            table.add_row(name, *cells, _first_sentence(meaning))
         console.print(table if table.rows else "No further keys.")
 
 
