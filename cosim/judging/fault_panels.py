@@ -213,11 +213,12 @@ def _draw_beta(axis: Axes, signals: LoopSignals) -> None:
         axis.set_ylabel("detected faults")
 
 
-def draw_shades(axis: Axes, signals: LoopSignals) -> None:
-    """Shade the faults of each sensor in its colour, over the whole height; hatch those of inputs."""
+def draw_shades(axis: Axes, signals: LoopSignals, sensors: Sequence[int] | None = None) -> None:
+    """Shade the faults of some sensors, by default of all, each in its colour over the whole height; hatch those of inputs."""
     over: dict[str, Any] = {"transform": axis.get_xaxis_transform(), "lw": 0, "zorder": 0, "step": "post"}
     for sensor in signals.sensors:
-        if sensor.faulty is not None and sensor.faulty.any():
+        shaded = sensors is None or sensor.index in sensors
+        if shaded and sensor.faulty is not None and sensor.faulty.any():
             style = {"color": colour_of(sensor.index), "alpha": 0.12, **over}
             axis.fill_between(signals.time, 0, 1, where=sensor.faulty, **style)
     for each in signals.inputs:

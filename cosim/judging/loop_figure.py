@@ -6,7 +6,7 @@ they are distinct in black and white. Legends are beside the panels and cover no
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +33,11 @@ MOST_STRIPS = 12
 NORMAL_95 = 1.96
 """Half width in standard deviations of the interval that contains a normal variable with a probability of 95 %."""
 
-_Panels = list[tuple[float, Callable[["Axes"], None]]]
+MOST_SHADED = 2
+"""Largest number of faulty sensors whose faults are shaded in one panel, because the colours of more mix."""
+
+_Panels = list[tuple[float, Callable[["Axes"], None], Sequence[int]]]
+"""Panels: height, function that draws it, and the sensors of which the faults are shaded."""
 
 
 def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | None = None) -> Figure:
@@ -53,8 +57,9 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
 
     If a transient at the start would squeeze a panel, its belief or control is cut off there, with marks and the largest value.
 
-    Present faults are shaded, those of an input hatched, and named at the top. Lines have gaps at missing samples, except
-    probabilities of learners that infer dropouts. Signals that were not recorded are left out.
+    Present faults are named at the top, and shaded in the panels that they concern; those of an input are hatched in all. Lines
+    have gaps at missing samples, except probabilities of learners that infer dropouts. Signals that were not recorded are left
+    out.
 
     Parameters
     ----------
@@ -67,22 +72,23 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     """
     panels: _Panels = []
     for quantity in signals.quantities:
-        panels.append((MAIN, partial(draw_quantity, time=signals.time, quantity=quantity)))
+        panels.append((MAIN, partial(draw_quantity, time=signals.time, quantity=quantity), quantity.sensors))
         panels += _strips(signals, [signals.sensors[i] for i in quantity.sensors], quantity.belief)
     if not signals.quantities:
         panels += _strips(signals, signals.sensors, None)
     for j, control in enumerate(signals.controls):
         received = [each for each in signals.inputs if each.control == j]
-        panels.append((NARROW, partial(_draw_control, time=signals.time, control=control, inputs=received)))
+        panels.append((NARROW, partial(_draw_control, time=signals.time, control=control, inputs=received), ()))
     for each in signals.inputs:
         if each.control is None or each.control >= len(signals.controls):
-            panels.append((NARROW, partial(_draw_input, time=signals.time, each=each)))
-    panels += deviation_panels(signals)
-    panels += detection_panels(signals)
-    drawing, axes = make_panels([height for height, _ in panels], figure)
-    for axis, (_, draw) in zip(axes, panels, strict=True):
+            panels.append((NARROW, partial(_draw_input, time=signals.time, each=each), ()))
+    faulty = [sensor.index for sensor in signals.sensors if sensor.faulty is not None and sensor.faulty.any()]
+    shown = faulty if len(faulty) <= MOST_SHADED else ()
+    panels += [(height, draw, shown) for height, draw in (*deviation_panels(signals), *detection_panels(signals))]
+    drawing, axes = make_panels([height for height, *_ in panels], figure)
+    for axis, (_, draw, shaded) in zip(axes, panels, strict=True):
         draw(axis)
-        draw_shades(axis, signals)
+        draw_shades(axis, signals, shaded)
     name_faults(axes[0], signals)
     for axis in axes:
         legend(axis)
@@ -122,7 +128,8 @@ def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panel
     for number, sensor in enumerate(shown):
         rest = f"\n({len(recorded) - len(shown)} more sensors are not drawn)" if len(recorded) > len(shown) else ""
         label = None if number else f"samples{rest}"
-        panels.append((STRIP, partial(_draw_samples, time=signals.time, sensor=sensor, belief=belief, label=label)))
+        draw = partial(_draw_samples, time=signals.time, sensor=sensor, belief=belief, label=label)
+        panels.append((STRIP, draw, (sensor.index,)))
     return panels
 
 

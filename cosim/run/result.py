@@ -203,11 +203,12 @@ class Result(Mapping[str, Floats]):
     def __repr__(self) -> str:
         rows = len(self._recording)
         end = float(self.time[-1]) if rows else 0.0
-        notes = "".join(f", {note}" for note in self._notes())
+        notes = "".join(f", {note}" for note in self._explained())
         return f"<Result: {len(self)} signals, {rows} rows to t = {end:g} s{notes}>"
 
-    def _notes(self) -> list[str]:
-        """Return what a reader must know of the run: that it stopped, or that its sensors contradict the controller's model."""
+    @property
+    def notes(self) -> list[str]:
+        """What a reader must know of the run: that it stopped, or that its sensors contradict the controller's model."""
         from bayesftc.cosim.judging.signals import ALARM
 
         notes = ["stopped early"] if self.stopped else []
@@ -215,8 +216,13 @@ class Result(Mapping[str, Floats]):
             block, _, port = name.rpartition(".")
             if port == "model_suspect" and (raised := self[name] >= ALARM).any():
                 when = f"t = {self.time[raised.argmax()]:g} s"
-                notes.append(f"model of {block} suspect from {when} (controllers.diagnose(result, loop) says why)")
+                notes.append(f"model of {block} suspect from {when}")
         return notes
+
+    def _explained(self) -> list[str]:
+        """Return the notes, and where to read more."""
+        why = " (controllers.diagnose(result, loop) says why)"
+        return [f"{note}{why if ' suspect from ' in note else ''}" for note in self.notes]
 
     def _repr_html_(self) -> str:
         """Return a table of the signals with their ranges, for notebooks."""
@@ -302,7 +308,7 @@ class Result(Mapping[str, Floats]):
             )
         signals = signals_of(roles, self)
         numbers = {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
-        return RunSummary(tables_of(numbers), self._notes())
+        return RunSummary(tables_of(numbers), self._explained())
 
     def plot(self, signals: Iterable[str] | None = None) -> Figure:
         """Return the figure of a closed loop: signals, belief, control, expected noise and faults of its sensors.
@@ -322,7 +328,7 @@ class Result(Mapping[str, Floats]):
         roles = self.roles if signals is None else None
         if roles is None or not any(name.startswith(f"{roles.controller}.") for name in self):
             return self.plot_signals(signals)
-        return plot_run(signals_of(roles, self), ", ".join(self._notes()), shown_figure())
+        return plot_run(signals_of(roles, self), ", ".join(self._explained()), shown_figure())
 
     def plot_signals(self, signals: Iterable[str] | None = None) -> Figure:
         """Return a figure with one panel for each unit, and one for each signal without a unit.

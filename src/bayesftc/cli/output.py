@@ -79,7 +79,7 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
     from bayesftc.cosim.judging.loop_figure import plot_run
 
     text = as_json(numbers) + "\n"
-    title = f"{Path(numbers['scenario']).stem}, seed {numbers['seed']}" + (" (stopped early)" if result.stopped else "")
+    title = ", ".join([Path(numbers["scenario"]).stem, f"seed {numbers['seed']}", *result.notes])
     picture = io.BytesIO()
     with reported("Drawing the figure, for some seconds."):
         plot_run(signals, title).savefig(picture, dpi=DOTS_PER_INCH, format="png")
