@@ -37,7 +37,7 @@ SIZE = 0.25
 """Relative difference of the responses' sizes from which on there is a warning."""
 
 SHOWN = 1e-3
-"""Least size of a response for a comparison, relative to the largest one."""
+"""Least size of a response for a comparison, in standard deviations of its sensor, relative to the largest one."""
 
 RUNAWAY = 1e6
 """Ratio of the plant's response to the model's from which on it is not a wrong gain."""
@@ -123,7 +123,7 @@ def compare_with_plant(
     Parameters
     ----------
     model : LinearModel
-        The model. Its first sensors measure the given outputs, in their order.
+        The model. The first sensors of its quantities measure the given outputs, in their order.
     plant : Block
         The plant.
     control, measured : str or sequence of str
@@ -164,11 +164,13 @@ def compare_with_plant(
     baseline = _response(model, plant, names, outputs, start)
     if baseline is None or baseline.shape[1] > model.sensors:
         return ()
+    firsts = [group[0] for group in model.alike]
+    sensors = firsts if len(firsts) == baseline.shape[1] else list(range(baseline.shape[1]))
     differences: list[Mismatch] = []
     dead = 0 if model.delays is None else max(model.delays.inputs) + max(model.delays.sensors)
     for j in range(p):
-        expected = _steps(model, j)[:, : baseline.shape[1]]
-        deviations = np.sqrt(np.diag(model.matrix("sensor_covariance")))[: baseline.shape[1]]
+        expected = _steps(model, j)[:, sensors]
+        deviations = np.sqrt(np.diag(model.matrix("sensor_covariance")))[sensors]
         expected = expected[: _useful(expected, dead)]
         reach = float((np.abs(expected) / deviations).max())
         size = STANDARD_DEVIATIONS / reach if reach > 0.0 else 0.0
@@ -184,7 +186,8 @@ def compare_with_plant(
             if response is None:
                 break
             change = response[used] - baseline[used]
-            found = _differences(change, expected * step, name, outputs, delayed=model.delays is not None)
+            visible = (np.abs(expected) / deviations).max(axis=0) > SHOWN * reach
+            found = _differences(change, expected * step, name, outputs, visible, delayed=model.delays is not None)
             if not found:
                 break
         differences += found
@@ -194,14 +197,17 @@ def compare_with_plant(
 
 
 def _differences(
-    response: Floats, expected: Floats, control: str, outputs: Sequence[str], *, delayed: bool
+    response: Floats, expected: Floats, control: str, outputs: Sequence[str], visible: Floats, *, delayed: bool
 ) -> list[Mismatch]:
-    """Return the differences of responses (samples x outputs) from those expected; a model with delays may be the later one."""
+    """Return the differences of the visible responses (samples x outputs) from those expected.
+
+    A model with delays may be the later one.
+    """
     differences = []
     largest = np.abs(expected).max(axis=0)
     for i in range(expected.shape[1]):
         name = outputs[i] if len(outputs) == expected.shape[1] else f"output {i} ({', '.join(outputs)})"
-        if largest[i] <= SHOWN * largest.max() or not np.isfinite(response[:, i]).all():
+        if not visible[i] or not np.isfinite(response[:, i]).all():
             continue
         if np.abs(response[:, i]).max() > RUNAWAY * largest[i]:
             differences.append(Mismatch(control, name, float("inf"), 0, runs_away=True))

@@ -434,6 +434,18 @@ def test_a_nonlinear_plant_is_compared_near_its_operating_point():
         assert [round(each.ratio, 1) for each in found] == ratios
 
 
+def test_each_output_is_compared_with_a_sensor_of_its_own():
+    """Of three sensors the first two measure the first output; the second control moves the second one alone."""
+    system = control.ss(
+        np.diag([0.9, 0.8]), np.diag([0.1, 0.3]), np.eye(2), 0, 0.1, inputs=["a", "b"], outputs=["y", "z"]
+    )
+    model = controllers.LinearModel.from_control(
+        system, process_covariance=1e-4, sensor_covariance=0.01, sensors=(2, 1)
+    )
+    plant = cosim.StateSpace(system)
+    assert controllers.compare_with_plant(model, plant, control=["a", "b"], measured=["y", "z"]) == ()
+
+
 def test_a_late_plant_is_said_to_be_late():
     from bayesftc.reproduce.experiments.models.car import TrueCar
 
