@@ -13,7 +13,7 @@ from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, r
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
 from bayesftc.controllers.estimation.innovation import predicted_covariance
 from bayesftc.controllers.identification.identify import Identification
-from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_vector
+from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import (
@@ -61,6 +61,7 @@ def design(
     preview: int = 0,
     input_delays: int | Sequence[int] = 0,
     sensor_delays: int | Sequence[int] = 0,
+    initial_spread: float = 10.0,
 ) -> LQGController:
     """Return a fault-tolerant controller for a plant, a block for `bayesftc.cosim.closed_loop`.
 
@@ -113,6 +114,9 @@ def design(
     input_delays, sensor_delays : int or sequence of int
         Samples by which each control acts late, and by which the values of each sensor are old, in addition to what `plant`
         itself contains: see `LinearModel.with_delays`.
+    initial_spread : number
+        Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Larger, such as 1e4,
+        where the plant may start elsewhere than at its start values: else healthy sensors are blamed at first.
 
     Returns
     -------
@@ -205,7 +209,7 @@ def design(
         control_covariance = _squares(
             "acceptable_control", span if acceptable_control is None else acceptable_control, p
         )
-    start = _initial(model)
+    start = _initial(model, as_number("initial_spread", initial_spread, least=0))
     late = model.with_delays(
         whole_delays("design() has input_delays", input_delays, p, "control", model.dt),
         whole_delays("design() has sensor_delays", sensor_delays, model.sensors, "sensor", model.dt),
@@ -307,8 +311,8 @@ def _goal_rows(model: LinearModel, goal: Any) -> Floats:
     return np.asarray(quantities[numbers])
 
 
-def _initial(model: LinearModel) -> Floats:
-    """Return the initial covariance: ten times that of the steady filter's predictions."""
+def _initial(model: LinearModel, times: float) -> Floats:
+    """Return the initial covariance: a multiple of that of the steady filter's predictions."""
     from numpy.linalg import LinAlgError
 
     moving = model.moving
@@ -318,7 +322,7 @@ def _initial(model: LinearModel) -> Floats:
     start = np.zeros((model.states, model.states))
     n = moving.states
     try:
-        start[:n, :n] = 10.0 * predicted_covariance(A, C, Q + spread * np.eye(n), R)
+        start[:n, :n] = times * predicted_covariance(A, C, Q + spread * np.eye(n), R)
         return as_covariance("The initial covariance", (start + start.T) / 2, model.states, singular=True)
     except (ModelError, LinAlgError, ValueError):
         raise ModelError(

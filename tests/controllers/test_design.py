@@ -146,6 +146,28 @@ def test_limits_that_exclude_the_operating_point_are_refused(settings, words):
         design(cosim.StateSpace(system, initial=[0.0]), measured="y", actuated="u", dt=0.1, **settings)
 
 
+def test_a_start_elsewhere_is_no_fault_of_the_sensors_if_it_is_expected():
+    settings = {"measured": "y", "actuated": "u", "dt": 0.1, "sensors": 2, "noise": {"u": 0.01}}
+    system = control.ss([[-0.5]], [[0.5]], [[1.0]], 0, inputs=["u"], outputs=["y"])
+    blamed = []
+    for spread in (10.0, 1e5):
+        controller = design(system, **settings, initial_spread=spread)
+        np.testing.assert_allclose(
+            np.array(controller.initial_covariance),
+            spread / 10.0 * np.array(design(system, **settings).initial_covariance),
+        )
+        loop = cosim.closed_loop(
+            cosim.StateSpace(system, initial=[2.0]), controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.01),
+            reference=0.0,
+        )  # fmt: skip
+        blamed.append(
+            (loop.simulate(5.0, engine="interpreted")["controller.fault_probability"] > 0.5).any(axis=1).mean()
+        )
+    assert blamed[0] > 0.2 > 0.02 >= blamed[1]
+    with pytest.raises(ModelError, match="initial_spread"):
+        design(system, **settings, initial_spread=-1.0)
+
+
 def test_outputs_may_have_different_numbers_of_sensors():
     """As the model with a row of C for each; a loop and a scenario have the same numbers."""
     tank = control.ss(
