@@ -48,7 +48,9 @@ def _alone(model: LinearModel) -> str:
 
 
 def _named(j: float, model: LinearModel) -> str:
-    return f"control {j:.0f}" if model.controls > 1 else "the control"
+    if model.controls == 1:
+        return "the control"
+    return f"control {j:.0f}" if model.names is None else f"the control {model.names.controls[int(j)]}"
 
 
 def _sign(values: Sequence[float], model: LinearModel) -> str:

@@ -179,8 +179,8 @@ def closed_loop(
     diagram.connect(goals, controller_node["goal"])
     if len(controller_node["u"]) != sum(map(len, inputs.values())):
         raise ConnectionError(
-            f"The controller has {len(controller_node['u'])} controls, but control= names {sum(map(len, inputs.values()))} "
-            f"inputs of the plant: {', '.join(inputs)}."
+            f"The controller has {len(controller_node['u'])} controls, but control= names {sum(map(len, inputs.values()))} of "
+            f"the plant's inputs: {', '.join(inputs)}."
         )
     if not isinstance(input_faults, Mapping | None):
         raise ModelError(

@@ -165,7 +165,8 @@ def choose_engine(name: str, run: Run) -> Engine:
             n.name for n, d in zip(run.schedule.nodes, run.schedule.definitions, strict=True) if d and not d.compiled
         ]
         raise KernelError(
-            f"The blocks {', '.join(names)} call back into Python and cannot be compiled; use engine='auto' or 'interpreted'."
+            f"{'The blocks' if len(names) > 1 else 'The block'} {', '.join(names)} call{'s' * (len(names) == 1)} back into "
+            "Python and cannot be compiled; use engine='auto' or 'interpreted'."
         )
     if name == "interpreted" or not run.schedule.compiled:
         return InterpretedEngine(run, compiles=name == "auto")

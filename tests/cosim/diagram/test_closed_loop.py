@@ -191,7 +191,7 @@ def test_references(reference):
         (
             {"control": ["force", "gust"]},
             cosim.ConnectionError,
-            r"The controller has 1 controls, but control= names 2 inputs",
+            r"The controller has 1 controls, but control= names 2 of the plant",
         ),
         (
             {"noise": {"force": cosim.Gaussian(1.0)}},

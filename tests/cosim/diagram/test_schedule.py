@@ -293,7 +293,7 @@ def test_python_callbacks_run_interpreted_only(make_block):
     result = diagram.simulate(2)
     assert result.metadata["engine"] == "interpreted"
     np.testing.assert_allclose(result["gain.y"], [2 * (math.exp(k) + k + 1) for k in range(3)])
-    with pytest.raises(cosim.KernelError, match="The blocks callback call back into Python and cannot be compiled"):
+    with pytest.raises(cosim.KernelError, match="The block callback calls back into Python and cannot be compiled"):
         diagram.simulate(2, engine="compiled")
 
 
