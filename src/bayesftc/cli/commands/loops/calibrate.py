@@ -90,8 +90,8 @@ def calibrate(
         return
     c = report.calibration
     typer.echo(
-        f"On {report.samples} samples not used for the fit, {report.fault_share:.1%} of them in fault: AUC {report.auc:.3f}, "
-        f"Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), calibration error "
+        f"On {report.samples} samples{'' if c is None else ' not used for the fit'}, {report.fault_share:.1%} of them in fault: "
+        f"AUC {report.auc:.3f}, Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), calibration error "
         f"{report.calibration_error:.3f}."
     )
     if out is not None:
