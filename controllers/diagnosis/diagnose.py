@@ -46,6 +46,9 @@ After a loss of the plant, such as a fallen pendulum, no linear model holds; the
 SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
+WHOLE = {"loss": "gain", "onset": "load"}
+"""What begins during a run, and what acts all the time: where both explain it about as well, the latter does."""
+
 SIMPLEST = 4
 """Rank of a full explanation with one parameter, which ends the search."""
 
@@ -278,6 +281,8 @@ def best_explanations(
         if counting or alone:
             counting = sorted(counting + [x for x in noisier(judge) if x.counts], key=lambda x: -x.total)
         near = [x for x in counting if x.total > counting[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
+        kinds = {x.kind for x in near}
+        near = [x for x in near if WHOLE.get(x.kind) not in kinds]
         if near and near[0].kind == "dynamics":  # the simple ones are special cases of it
             near.sort(key=lambda x: x.kind not in SIMPLE)
         rank = max(map(_rank, near), default=-1)

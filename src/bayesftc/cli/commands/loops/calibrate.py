@@ -91,8 +91,8 @@ def calibrate(
     c = report.calibration
     typer.echo(
         f"On {report.samples} samples{'' if c is None else ' not used for the fit'}, {report.fault_share:.1%} of them in fault: "
-        f"AUC {report.auc:.3f}, Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), calibration error "
-        f"{report.calibration_error:.3f}."
+        f"AUC {report.auc:.3f}, Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), "
+        f"calibration error {report.calibration_error:.3f}."
     )
     if out is not None:
         typer.echo(f"Written to {out}: {DIAGRAM}, {NUMBERS}.")
