@@ -171,7 +171,7 @@ def design(
             linear = linearize(
                 plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
             )
-        _refuse_out_of_range(linear, driven, at or {}, u_min, u_max)
+        _refuse_out_of_range(linear, driven, u_min, u_max)
         refuse_unmoved(linear, driven)
         refuse_unmoving(linear, sensed)
         if noise is None:
@@ -261,20 +261,15 @@ def _half_range(u_min: object, u_max: object, size: int) -> Floats:
     return np.where(np.isfinite(span), span, np.nan)
 
 
-def _refuse_out_of_range(
-    linear: Linearization, driven: Sequence[str], at: Mapping[str, Any], u_min: object, u_max: object
-) -> None:
+def _refuse_out_of_range(linear: Linearization, driven: Sequence[str], u_min: object, u_max: object) -> None:
     """Refuse a given operating point that the limits of the controls exclude."""
-    columns = linear.columns(driven)
+    columns, given = linear.columns(driven), dict(linear.held)
     low, high = (as_vector(name, of, len(columns), finite=False) for name, of in (("u_min", u_min), ("u_max", u_max)))
-    for j, least, most in zip(columns, low, high, strict=True):
-        if (
-            linear.inputs[j].partition("[")[0] in {name.partition("[")[0] for name in at}
-            and not least <= linear.u[j] <= most
-        ):
+    for name, least, most in zip((linear.inputs[j] for j in columns), low, high, strict=True):
+        if name in given and not least <= given[name] <= most:
             raise ModelError(
-                f"The operating point has {linear.inputs[j]} = {linear.u[j]:g}, but u_min and u_max limit it to {least:g} ... "
-                f"{most:g}. Change at= or the limits."
+                f"The operating point has {name} = {given[name]:g}, but u_min and u_max limit it to {least:g} ... {most:g}. "
+                "Change at= or the limits."
             )
 
 

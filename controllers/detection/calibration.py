@@ -81,7 +81,7 @@ class CalibrationReport:
     brier, brier_of_constant : float
         Mean squared error of the probability, and that of a constant probability, the share of faults.
     calibration_error : float
-        Expected calibration error: mean distance between predicted probability and observed share over ten equally filled bins.
+        Expected calibration error: mean distance between predicted probability and observed share over ten bins of equal width.
     fault_share : float
         Share of faulty samples.
     samples : int
@@ -329,9 +329,8 @@ def _loop(
             controller = kind(model, precision=learner, **{k: v for k, v in settings.items() if k != "kind"})
         except UnstableLoopWarning as warning:
             raise ModelError(f"calibrate cannot simulate this loop. {warning}") from None
-    names = [f"u{i}" for i in range(p)], [f"x{i}" for i in range(n)]
+    inputs, outputs = tuple(f"u{i}" for i in range(p)), tuple(f"x{i}" for i in range(n))
     A, B, C, D = map(as_rows, (model.matrix("A"), model.matrix("B"), np.eye(n), np.zeros((n, p))))
-    inputs, outputs = tuple(names[0]), tuple(names[1])
     system = LinearSystem(A, B, C, D, float(model.step), inputs, outputs)  # python-control takes a second to import
     plant = cosim.StateSpace(system, process_noise=model.matrix("process_covariance"), initial=controller.initial_mean)
     goal: Any = cosim.Sine(amplitude=5 * deviation, period=float(400 * model.step))
@@ -357,8 +356,8 @@ def _loop(
     loop: Diagram = cosim.closed_loop(
         plant=plant,
         controller=controller,
-        control=names[0],
-        measured=names[1],
+        control=inputs,
+        measured=outputs,
         reference=reference,
         sensors=sensors,
         faults=faults,

@@ -69,18 +69,13 @@ def explanations(judge: Judge) -> list[Explanation]:
     return sorted(best.values(), key=lambda x: -x.total)
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=512)  # called again for each shorter part of a recording
 def _noisy(
-    model: LinearModel, sets: tuple[tuple[int, ...], ...], states: tuple[int, ...], times: float
+    model: LinearModel, sets: tuple[tuple[int, ...], ...], added: tuple[float, ...]
 ) -> tuple[LinearModel, Observers] | None:
-    """Return the model with more noise on some states, and its observers; None if they do not exist."""
-    moving = model.moving
-    try:
-        P = steady_covariance(moving)
-    except (ModelError, np.linalg.LinAlgError):
-        return None
+    """Return the model with additional noise on the plant's states, and its observers; None if they do not exist."""
     Q = model.matrix("process_covariance").copy()
-    Q[states, states] += times * np.diag(P)[list(states)]
+    Q[: len(added), : len(added)] += np.diag(added)
     changed = replace(model, process_covariance=Q)
     bank = observers(changed, sets)
     return None if bank is None else (changed, bank)
@@ -88,38 +83,47 @@ def _noisy(
 
 def noisier(judge: Judge) -> list[Explanation]:
     """Return the best explanation by more process noise on one state of the plant, or on all; none if there is none."""
-    model = judge.model
-    plant = tuple(range(model.states - model.disturbances))
-    where = [(i,) for i in plant] + [plant] * (len(plant) > 1)
-    coarse = _with_noises(judge, [(states, times) for states in where for times in NOISES])
+    model, plant = judge.model, judge.model.plant_states
+    try:
+        usual = np.diag(steady_covariance(model.moving))[:plant]
+    except (ModelError, np.linalg.LinAlgError):
+        return []
+
+    def tried(noises: list[Floats]) -> list[tuple[Explanation, Floats]]:
+        found = [(noise, _noisy(model, judge.bank.sensors, tuple(noise.tolist()))) for noise in noises if noise.any()]
+        possible = [(*_size(noise), *changed) for noise, changed in found if changed is not None]
+        judged = _by_models(judge, "noise", possible)
+        return list(zip(judged, (noise for noise, changed in found if changed is not None), strict=True))
+
+    alone_and_all = [*np.diag(usual), *[usual] * (plant > 1)]
+    coarse = tried([times * each for each in alone_and_all for times in NOISES])
     if not coarse:
         return []
-    states, times, best = max(coarse, key=lambda found: found[2].total)
-    fine = _with_noises(judge, [(states, times * factor) for factor in (10.0**-0.5, 10.0**0.5)])
-    return [max([best, *(x for *_, x in fine)], key=lambda x: x.total)]
+    best, noise = max(coarse, key=lambda found: found[0].total)
+    fine = tried([noise * 10.0**-0.5, noise * 10.0**0.5])
+    return [max([best, *(x for x, _ in fine)], key=lambda x: x.total)]
 
 
-def _with_noises(
-    judge: Judge, noises: list[tuple[tuple[int, ...], float]]
-) -> list[tuple[tuple[int, ...], float, Explanation]]:
-    """Judge more noise on some states, each with its multiple of the variance of the steady filter's predictions."""
-    model, results = judge.model, []
-    possible = [
-        (states, times, *found)
-        for states, times in noises
-        if (found := _noisy(model, judge.bank.sensors, states, times))
-    ]
+def _size(noise: Floats) -> tuple[tuple[float, ...], int]:
+    """Return the state with noise (-1 for all) and its standard deviation, and the number of fitted parameters."""
+    states = np.flatnonzero(noise)
+    alone = len(states) == 1
+    return (float(states[0]) if alone else -1.0, float(noise[states[0]] ** 0.5)), 1 + alone
+
+
+def _by_models(
+    judge: Judge, kind: str, possible: list[tuple[tuple[float, ...], int, LinearModel, Observers]]
+) -> list[Explanation]:
+    """Judge other models, each with its values, the number of them that are fitted, and its observers."""
     if not possible:
         return []
-    models, banks = [m for *_, m, _ in possible], [bank for *_, bank in possible]
-    moved = np.broadcast_to(judge.moved, (len(models), 1, *judge.moved.shape))
+    models, banks = [model for *_, model, _ in possible], [bank for *_, bank in possible]
+    moved = np.array([(judge.recording.u @ model.matrix("B").T)[None] for model in models])
     whites, _ = innovations(models, banks, judge.recording, moved)
-    for (states, times, changed, bank), white in zip(possible, whites, strict=True):
-        added = np.diag(changed.matrix("process_covariance") - model.matrix("process_covariance"))
-        values = (float(states[0] if len(states) == 1 else -1), float(np.sqrt(added[states[0]])))
-        costs = judge.cost(white[:, :1], bank, judge.beginnings(white))
-        results.append((states, times, judge.of("noise", [values], costs, 1 + (len(states) == 1))[0]))
-    return results
+    return [
+        judge.of(kind, [values], judge.cost(white[:, :1], bank, judge.beginnings(white)), fitted)[0]
+        for (values, fitted, _, bank), white in zip(possible, whites, strict=True)
+    ]
 
 
 def _pushed(judge: Judge) -> list[Explanation]:
@@ -243,16 +247,8 @@ def _times(judge: Judge) -> list[Explanation]:
     """Judge time scales, by a coarse and a fine search."""
 
     def tried(factors: Iterable[float]) -> list[Explanation]:
-        possible = [(f, *results) for f in factors if (results := _faster(judge.model, judge.bank.sensors, f))]
-        if not possible:
-            return []
-        moved = np.array([(judge.recording.u @ model.matrix("B").T)[None] for _, model, _ in possible])
-        models, observing = [m for _, m, _ in possible], [s for _, _, s in possible]
-        whites, _ = innovations(models, observing, judge.recording, moved)
-        return [
-            judge.of("dt", [(f,)], judge.cost(white[:, :1], bank, judge.beginnings(white)))[0]
-            for (f, _, bank), white in zip(possible, whites, strict=True)
-        ]
+        found = {f: results for f in factors if (results := _faster(judge.model, judge.bank.sensors, f))}
+        return _by_models(judge, "dt", [((f,), 1, *results) for f, results in found.items()])
 
     results = tried(FACTORS)
     return results + tried(max(results, key=lambda x: x.total).values[0] * f for f in NEAR) if results else []

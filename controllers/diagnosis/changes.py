@@ -6,7 +6,7 @@ difference of two that last to the end. Normal equations of those at all instant
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -31,10 +31,11 @@ LEAST_PUSHED = 8
 def changes(judge: Judge) -> list[Explanation]:
     """Return the best load that begins during the run, and the best loss of effect; none without a control."""
     model, steps = judge.model, len(judge.recording.u)
-    if not np.any(model.B):
-        return []
     width = max(1, steps // (TIMES + 1))
-    coarse = _Pushes(judge, range(width, steps - LEAST_PUSHED + 1, width))
+    instants = range(width, steps - LEAST_PUSHED + 1, width)
+    if not np.any(model.B) or not instants:
+        return []
+    coarse = _Pushes(judge, instants)
     return [
         _explained(judge, kind, _finer(judge, kind, best, width))
         for kind in ("onset", "loss")
@@ -84,7 +85,7 @@ class _Pushes:
 
     def __init__(self, judge: Judge, instants: Sequence[int]):
         model, u = judge.model, judge.recording.u
-        p, plant = model.controls, model.states - model.disturbances
+        p, plant = model.controls, model.plant_states
         B = model.matrix("B").T
         constant = np.vstack([B, np.eye(model.states)[:plant]])[:, np.newaxis, :] * np.ones((1, len(u), 1))
         kinds = np.concatenate([constant, u.T[:, :, np.newaxis] * B[:, np.newaxis, :]])
@@ -93,8 +94,8 @@ class _Pushes:
         along, states, controls = np.split(np.arange(self.each), [p, p + plant])
         self.columns = {"onset": [tuple(along), tuple(states)], "loss": [(int(j),) for j in controls]}
         self.along = along
-        responses = judge.pushes((late[:, np.newaxis] * kinds).reshape(-1, *kinds.shape[1:])) if self.instants else None
-        self.sets = [] if responses is None else [self._equations(responses, k) for k in range(len(judge.bank))]
+        responses = judge.pushes((late[:, np.newaxis] * kinds).reshape(-1, *kinds.shape[1:]))
+        self.sets = [self._equations(responses, k) for k in range(len(judge.bank))]
 
     def _equations(self, responses: Floats, k: int) -> tuple[Floats, Floats, float, int]:
         """Return products of the responses with each other and with the innovations, the latter's square, and their number."""
@@ -109,12 +110,13 @@ class _Pushes:
             for group in (self.columns[kind] if columns is None else [columns])
             for ends in [(i,) for i in range(len(self.instants))] + list(combinations(range(len(self.instants)), 2))
             if self.instants[ends[-1]] - self.instants[ends[0]] >= LEAST_PUSHED or len(ends) == 1
-            for push in self._judged(ends, group)
+            if (push := self._judged(ends, group)) is not None
         ]
         counts = [0.5 * np.log(mask.sum()) for mask in self.judge.masks]
         return min(found, key=lambda x: float(x.losses.sum() + x.parameters * sum(counts)), default=None)
 
-    def _judged(self, ends: tuple[int, ...], group: tuple[int, ...]) -> Iterator[_Found]:
+    def _judged(self, ends: tuple[int, ...], group: tuple[int, ...]) -> _Found | None:
+        """Fit the sizes of the columns of a group between two instants, or from one on; None if they explain nothing finite."""
         places = np.add.outer(self.each * np.array(ends), [*self.along, *group])
         pairs, signs = np.ix_(places.ravel(), places.ravel()), np.array([1.0, -1.0])[: len(ends)]
         each = [G[pairs].reshape(*places.shape, *places.shape) for G, *_ in self.sets]
@@ -122,16 +124,15 @@ class _Pushes:
         moments = [signs @ b[places] for _, b, *_ in self.sets]
         whole, right, own = np.sum(products, axis=0), np.sum(moments, axis=0), slice(len(self.along), None)
         if not (np.isfinite(whole).all() and np.isfinite(right).all()):
-            return
+            return None
         sizes = -_solved(whole[own, own], right[own])
         squares = np.array([
             (c + 2.0 * sizes @ moment[own] + sizes @ product[own, own] @ sizes) / n
             for product, moment, (_, _, c, n) in zip(products, moments, self.sets, strict=True)
         ])  # fmt: skip
-        if (squares > 0.0).all():
-            yield _Found(
-                tuple(self.instants[i] for i in ends), group, sizes, whole, self.judge.losses(squares), squares
-            )
+        if not (squares > 0.0).all():
+            return None
+        return _Found(tuple(self.instants[i] for i in ends), group, sizes, whole, self.judge.losses(squares), squares)
 
 
 def _solved(G: Floats, b: Floats) -> Floats:
@@ -151,7 +152,7 @@ def _explained(judge: Judge, kind: str, found: _Found) -> Explanation:
     if kind == "onset":
         values = begin, end, *map(float, found.load)
     else:
-        control = found.columns[0] - (len(judge.model.matrix("B").T) + judge.model.states - judge.model.disturbances)
+        control = found.columns[0] - judge.model.controls - judge.model.plant_states
         values = begin, end, 1.0 + float(found.sizes[0]), float(control)
     return judge.of(kind, [values], (found.losses[:, np.newaxis], found.squares[:, np.newaxis]), found.parameters)[0]
 

@@ -1,6 +1,6 @@
 """Diagnosis of a wrong model from a recorded run: a comparison of explanations by their predictions of all sensors.
 
-Observers of disjoint sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a
+Observers of sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a
 lag or a limit; the plant is faster or slower than the model; a load acts all the time, or begins during the run; the plant has
 other dynamics, or nonlinear ones; noise moves it that the model does not have. The measure is the likelihood, with a free scale
 of the innovations (so that noise of another size has no effect), less the cost of the parameters (BIC). An explanation counts
@@ -74,19 +74,18 @@ class ModelFinding:
     kind : str
         ``"sign"`` or ``"gain"`` of a column of B, ``"dt"`` (the plant is faster or slower), ``"late"`` (a delay or a lag of the
         control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control), ``"nonlinear"`` (far from the
-        point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an
-        offset of the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run),
-        ``"noise"`` (more process noise than in the model; only where another
-        kind would count without it, or `model_suspect` was raised), ``"unknown"``.
+        point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of
+        the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run), ``"noise"``
+        (more process noise than in the model; only where another kind would count without it, or `model_suspect` was raised),
+        ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
     values : tuple of float
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``dt``: the plant's speed relative
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
-        ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the first
-        sample (infinity: to the last one), then as ``load``; ``loss``: begin, end, effect relative to the model's, and number of
-        the control; ``noise``:
-        number of the state (-1 for each) and standard deviation in a sample; else empty.
+        ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the first sample (infinity: to
+        the last one), then as ``load``; ``loss``: begin, end, effect relative to the model's, and number of the control;
+        ``noise``: number of the state (-1 for each) and standard deviation in a sample; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str

@@ -172,7 +172,8 @@ def compare_with_plant(
         expected = _steps(model, j)[:, sensors]
         deviations = np.sqrt(np.diag(model.matrix("sensor_covariance")))[sensors]
         expected = expected[: _useful(expected, dead)]
-        reach = float((np.abs(expected) / deviations).max())
+        reaches = (np.abs(expected) / deviations).max(axis=0)
+        reach, visible = float(reaches.max()), reaches > SHOWN * reaches.max()
         size = STANDARD_DEVIATIONS / reach if reach > 0.0 else 0.0
         room = max(high[j] - start[j], start[j] - low[j])
         size = min(size, room) * (1.0 if high[j] - start[j] >= start[j] - low[j] else -1.0)
@@ -186,7 +187,6 @@ def compare_with_plant(
             if response is None:
                 break
             change = response[used] - baseline[used]
-            visible = (np.abs(expected) / deviations).max(axis=0) > SHOWN * reach
             found = _differences(change, expected * step, name, outputs, visible, delayed=model.delays is not None)
             if not found:
                 break

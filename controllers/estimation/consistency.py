@@ -3,7 +3,7 @@
 Each set of sensors has an observer (`observers`), which uses the control but no result of the precision learner. Three moments
 of its whitened innovations are kept with exponential forgetting: mean, mean square, and product with the one before. With the
 right model and healthy sensors mean and product are zero. Both are compared with the mean square, so that a wrong noise level
-has no effect. The set with the least disagreement counts: one faulty sensor spoils one set only.
+has no effect. The set with the least disagreement counts: one faulty sensor spoils one set only, if its quantity has others.
 """
 
 from __future__ import annotations

@@ -335,6 +335,8 @@ class LinearModel(NamedArguments):
         """
         import control
 
+        from bayesftc.controllers.models.names import measured_by
+
         if process_covariance is None or sensor_covariance is None:
             raise ModelError(
                 "from_control() needs process_covariance= and sensor_covariance=, the squares of the standard deviations of the "
@@ -365,8 +367,6 @@ class LinearModel(NamedArguments):
         if sensors is None:
             rows = np.asarray(sensor_covariance, float)
             sensors = rows.shape[0] if rows.ndim else outputs
-        from bayesftc.controllers.models.names import measured_by
-
         order = measured_by(sensors, outputs)
         names = SignalNames(tuple(system.input_labels), tuple(system.output_labels[i] for i in order), tuple(states))
         return cls(linear.A, linear.B, linear.C[order], process_covariance, sensor_covariance, step, names=names)

@@ -32,6 +32,11 @@ _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?=.*[^\W\d_]|.*[%°])(\S.*)\Z", re.DOTALL)
 
 
+def with_unit(name: str, unit: str | None) -> str:
+    """Return a name and its unit, if there is one, as a label."""
+    return f"{name} ({unit})" if unit else name
+
+
 @dataclass(frozen=True)
 class Unit:
     """The meaning of a unit in SI.

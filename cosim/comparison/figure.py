@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels, with_unit
+from bayesftc.cosim.base.units import with_unit
+from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels
 from bayesftc.cosim.judging.plotting import BLUE, LINES, SENSOR_COLOURS
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.cosim.types import Floats

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels, thin, with_unit
+from bayesftc.cosim.base.units import with_unit
+from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels, thin
 from bayesftc.cosim.judging.plotting import BLACK, MARKERS, SENSOR_COLOURS
 
 if TYPE_CHECKING:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.fault_panels import draw_detection, draw_shades, name_faults
 from bayesftc.cosim.judging.loop_figure import draw_quantity
-from bayesftc.cosim.judging.panels import finish, legend, player_figure, thin, with_unit
+from bayesftc.cosim.judging.panels import finish, legend, player_figure, thin
 from bayesftc.cosim.judging.pictures import PICTURES, Picture
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.roles import signals_of

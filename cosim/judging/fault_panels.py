@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.judging.metrics import periods
-from bayesftc.cosim.judging.panels import LETTER, name_spans, thin, with_unit
+from bayesftc.cosim.judging.panels import LETTER, name_spans, thin
 from bayesftc.cosim.judging.plotting import BLACK, LINES, colour_of
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.types import Floats

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.judging.fault_panels import (
     detection_panels,
     deviation_panels,
@@ -17,7 +18,7 @@ from bayesftc.cosim.judging.fault_panels import (
     name_faults,
 )
 from bayesftc.cosim.judging.limits import limit_axis
-from bayesftc.cosim.judging.panels import finish, legend, make_panels, thin, with_unit
+from bayesftc.cosim.judging.panels import finish, legend, make_panels, thin
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.signals import ControlSignals, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.types import Floats

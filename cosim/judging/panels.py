@@ -96,11 +96,6 @@ def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     return time[::stride], values[::stride]
 
 
-def with_unit(name: str, unit: str | None) -> str:
-    """Return the label of an axis: a name and its unit, if there is one."""
-    return f"{name} ({unit})" if unit else name
-
-
 def name_spans(axis: Axes, time: Floats, spans: Sequence[Span], what: str) -> None:
     """Write names above spans of time in as many rows as necessary.
 

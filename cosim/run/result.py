@@ -209,20 +209,18 @@ class Result(Mapping[str, Floats]):
     @property
     def notes(self) -> list[str]:
         """What a reader must know of the run: that it stopped, or that its sensors contradict the controller's model."""
+        return self._explained("")
+
+    def _explained(self, why: str = " (controllers.diagnose(result, loop) says why)") -> list[str]:
+        """Return the notes, with `why` after each that a diagnosis explains."""
         from bayesftc.cosim.judging.signals import ALARM
 
         notes = ["stopped early"] if self.stopped else []
         for name in self:
             block, _, port = name.rpartition(".")
             if port == "model_suspect" and (raised := self[name] >= ALARM).any():
-                when = f"t = {self.time[raised.argmax()]:g} s"
-                notes.append(f"model of {block} suspect from {when}")
+                notes.append(f"model of {block} suspect from t = {self.time[raised.argmax()]:g} s{why}")
         return notes
-
-    def _explained(self) -> list[str]:
-        """Return the notes, and where to read more."""
-        why = " (controllers.diagnose(result, loop) says why)"
-        return [f"{note}{why if ' suspect from ' in note else ''}" for note in self.notes]
 
     def _repr_html_(self) -> str:
         """Return a table of the signals with their ranges, for notebooks."""
@@ -291,7 +289,7 @@ class Result(Mapping[str, Floats]):
     def summary(self) -> RunSummary:
         """Return the figures of a closed loop as tables: tracking and belief errors by phase, and the detection by sensor.
 
-        ``print(result.summary())`` prints what ``bayesftc run`` prints; a notebook shows it as tables.
+        ``print(result.summary())`` prints the tables of ``bayesftc run``; a notebook shows them as well.
 
         Raises
         ------

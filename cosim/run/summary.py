@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.cosim.base.units import with_unit
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -97,7 +99,7 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
     if numbers["tracking"]:
         rows = [
             (
-                f"{what} of {_with_unit(name, numbers['units'].get(name))}",
+                f"{what} of {with_unit(name, numbers['units'].get(name))}",
                 tuple(errors[phase] for phase in PHASES),
                 "{:.4g}",
             )
@@ -115,7 +117,7 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
     ):
         if found := numbers[key]:
             rows = [(label, tuple(each[name] for each in found), form) for label, name, form in listed]
-            columns = tuple(_with_unit(each["name"], each["unit"]) for each in found)
+            columns = tuple(with_unit(each["name"], each["unit"]) for each in found)
             yield FiguresTable(key, heading, columns, tuple(rows), remark)
 
 
@@ -134,12 +136,8 @@ def _of_sensors(sensors: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, tup
         yield title, tuple(s[key] for s in sensors), form
 
 
-def _with_unit(name: str, unit: str | None) -> str:
-    return f"{name} ({unit})" if unit else name
-
-
 class RunSummary(Mapping[str, "pd.DataFrame"]):
-    """The figures of a run of a closed loop, as tables of pandas; printed, it is what ``bayesftc run`` prints.
+    """The figures of a run of a closed loop, as tables of pandas; printed, they are the tables of ``bayesftc run``.
 
     ``summary["errors"]`` has the root-mean-square errors by quantity and phase, ``summary["sensors"]`` the detection of faults by
     sensor. Where there are any, ``summary["inputs"]`` has the faults of the plant's inputs, and ``summary["actuators"]`` the
@@ -175,14 +173,18 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
         return len(self._tables)
 
     def __repr__(self) -> str:
-        blocks = [f"{each.heading}\n{_aligned(each)}" for each in self._tables.values()]
+        blocks = [
+            "\n".join(filter(None, [each.heading, _aligned(each), each.remark])) for each in self._tables.values()
+        ]
         return "\n\n".join([*blocks, *self.notes])
 
     def _repr_html_(self) -> str:
         """Return the tables for notebooks."""
         from bayesftc.cosim.base.html import table
 
-        shown = [table(each.heading, each.texts(), ("", *each.columns)) for each in self._tables.values()]
+        shown = []
+        for each in self._tables.values():
+            shown += [table(each.heading, each.texts(), ("", *each.columns)), f"<p>{escape(each.remark)}</p>"]
         return "\n".join([*shown, *(f"<p>{escape(note)}</p>" for note in self.notes)])
 
 

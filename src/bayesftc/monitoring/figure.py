@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.judging.panels import (
     ROW,
     as_dates,
@@ -15,7 +16,6 @@ from bayesftc.cosim.judging.panels import (
     make_panels,
     name_spans,
     thin,
-    with_unit,
     write_names,
 )
 from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, colour_of

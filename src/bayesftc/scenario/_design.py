@@ -72,20 +72,17 @@ def _of_plant(
 
 def _numbers(sensors: Sensors, place: Place, what: str) -> int | list[int]:
     """Return the number of sensors that read the measured variables in turn, or the number that reads each of them."""
-    matrix, signals = sensors.matrix, np.arange(sensors.signals)
-    count = len(sensors)
-    if sensors.function is None and matrix is None:
-        return count
-    if matrix is not None:
-        read = np.argmax(matrix, axis=1)
-        counts = (read[:, np.newaxis] == signals).sum(axis=0)
-        if np.array_equal(np.eye(len(signals))[read], matrix) and counts.all():
-            if np.array_equal(read, np.arange(count) % len(signals)):
-                return count
-            if np.array_equal(read, np.repeat(signals, counts)):
+    rows, signals = sensors.rows, np.arange(sensors.signals)
+    if rows is not None:
+        read = rows.argmax(axis=1)
+        counts = np.bincount(read, minlength=len(signals))
+        if np.array_equal(np.eye(len(signals))[read], rows):
+            if np.array_equal(read, np.arange(len(sensors)) % len(signals)):
+                return len(sensors)
+            if counts.all() and np.array_equal(read, np.repeat(signals, counts)):
                 return [int(number) for number in counts]
     raise place.error(
-        f"cannot be {what}, because [sensors] has a {'function' if matrix is None else 'matrix'}. That needs sensors that read "
+        f"cannot be {what}, because [sensors] has a {'function' if rows is None else 'matrix'}. That needs sensors that read "
         "the measured variables in turn, or so many of each: count = [1, 3]. Leave it out, or choose a controller with a [model] "
         "of numbers."
     )

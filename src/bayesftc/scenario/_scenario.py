@@ -195,7 +195,7 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
         input_faults=sections.input_faults(content["input_faults"], root / "input_faults")
         if "input_faults" in content
         else {},
-        blocks=_blocks(content["blocks"], root, Surroundings(folder, _step(root, controller, simulation)))
+        blocks=_blocks(content["blocks"], root, Surroundings(folder, step_of(root, controller, simulation)))
         if "blocks" in content
         else {},
         connections=connections(content.get("connections", []), root / "connections"),
@@ -206,6 +206,7 @@ def _blocks(table: object, root: Place, around: Surroundings) -> Added:
     return blocks(table, root / "blocks", around, taken=SECTIONS)
 
 
-def _step(root: Place, controller: Block, simulation: Simulation) -> Fraction:
+def step_of(root: Place, controller: Block, simulation: Simulation) -> Fraction:
+    """Return the base step of a scenario in seconds."""
     with root.named():
         return rational_step(base_step(controller, simulation.dt))

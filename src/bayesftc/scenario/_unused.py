@@ -18,12 +18,11 @@ from bayesftc.cosim.blocks.faults.without_effect import (
     unread_sensors,
     unread_variables,
 )
-from bayesftc.cosim.diagram.closed_loop import base_step
 from bayesftc.cosim.errors import StepSizeError
 from bayesftc.scenario._blocks import faults_among
 from bayesftc.scenario._paths import line_of
 from bayesftc.scenario._place import Place
-from bayesftc.scenario._scenario import Scenario, scenario_of
+from bayesftc.scenario._scenario import Scenario, scenario_of, step_of
 from bayesftc.scenario._sections import Simulation
 
 if TYPE_CHECKING:
@@ -50,7 +49,7 @@ def unused(scenario: Scenario, duration: float | str | Fraction | None = None) -
         return []
     root = Place(str(scenario.path))
     times = {f"{root / place}": of for place, of in _times(scenario)}
-    step = rational_step(base_step(scenario.controller, scenario.simulation.dt))
+    step = step_of(root, scenario.controller, scenario.simulation)
     late = late_faults({name: [start] for name, (start, _) in times.items()}, end)
     return [*late, *short_faults(times, step), *_unread(root, scenario), *_unconnected(root, scenario)]
 

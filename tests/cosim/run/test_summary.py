@@ -43,6 +43,7 @@ def test_it_prints_aligned_tables(result):
     assert header.split("  ")[-1] == "after"
     assert len(header) == len(tracking.rstrip("–")) + 1  # no time after the fault
     assert "faults missed" in text
+    assert "The tracking error uses the reference at the same instant." in text
     html = result.summary()._repr_html_()
     assert "<td" in html
     assert "tracking of v (m/s)" in html

@@ -52,15 +52,14 @@ def calibrate(
     The scenario's model is simulated; its plant and faults are not used. A learner that gives a probability itself needs no map.
     Then only the quality of that probability is printed.
     """
-    path = scenario
     magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
     if out is not None:
         output.check_folder(out, (DIAGRAM, NUMBERS), silent=True)
-    loaded = load_scenario(path)
+    loaded = load_scenario(scenario)
     controller = loaded.controller
     if not isinstance(controller, controllers.BayesianController):
         raise ModelError(
-            f"{path} has a {type(controller).__name__}. bayesftc calibrate needs a scenario with a BayesianController."
+            f"{scenario} has a {type(controller).__name__}. bayesftc calibrate needs a scenario with a BayesianController."
         )
     if out is not None and not json:  # the scenario is checked
         output.note_replaced(out / name for name in (DIAGRAM, NUMBERS))
@@ -70,7 +69,7 @@ def calibrate(
     hazards = usual._replace(**{name: seconds for name, seconds in given.items() if seconds is not None})
     learner = controller.precision
     has_probability = not isinstance(learner, RateLearner) and learner.why_no_probability is None
-    with Place(path).named(), by_options(**OPTIONS):
+    with Place(scenario).named(), by_options(**OPTIONS):
         report = (judge_own_probability if has_probability else controllers.calibrate)(
             controller.model,
             hazards,
@@ -84,7 +83,7 @@ def calibrate(
     assert report.reliability is not None
     numbers = asdict(replace(report, reliability=None)) | {"reliability": report.reliability.to_dict()}
     if out is not None:
-        _write(out, path, report.reliability, numbers)
+        _write(out, scenario, report.reliability, numbers)
     if json:
         typer.echo(output.as_json(numbers))
         return
