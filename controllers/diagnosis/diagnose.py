@@ -46,7 +46,7 @@ After a loss of the plant, such as a fallen pendulum, no linear model holds; the
 SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
-WHOLE = {"loss": "gain", "onset": "load"}
+WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
 """What begins during a run, and what acts all the time: where both explain it about as well, the latter does."""
 
 SIMPLEST = 4
@@ -281,7 +281,7 @@ def best_explanations(
             counting = sorted(counting + [x for x in noisier(judge) if x.counts], key=lambda x: -x.total)
         near = [x for x in counting if x.total > counting[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
         kinds = {x.kind for x in near}
-        near = [x for x in near if WHOLE.get(x.kind) not in kinds]
+        near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]
         if near and near[0].kind == "dynamics":  # the simple ones are special cases of it
             near.sort(key=lambda x: x.kind not in SIMPLE)
         rank = max(map(_rank, near), default=-1)
