@@ -264,7 +264,8 @@ def explain(failure: Failure, run: Run) -> str:
         return f"The run has ended {when}, as {node.name!r} requested. {detail}"
     if _date_crash(external, failure.k, t):
         return f"The run stopped {when}: t{detail[1:]}"
-    return f"The run stopped {when}: block {node.name!r} reported status {failure.status}. {detail}".rstrip()
+    what = f"failed. {detail}" if detail.strip() else f"returned status {failure.status}, which is not 0."
+    return f"The run stopped {when}: block {node.name!r} {what}".rstrip()
 
 
 def _date_crash(instance: External | None, k: int, t: float) -> bool:

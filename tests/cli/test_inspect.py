@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from bayesftc import cosim, fmus
+from bayesftc.cli.inspection.elements import rows
 from bayesftc.cli.inspection.verdicts import verdicts
-from bayesftc.cosim.fmi.fmu import FMU, describe
+from bayesftc.cosim.fmi.fmu import FMU, FMUVariable, describe
 
 SHIPPED = {(name, fmi): fmus.path(name, fmi=fmi) for name in ("CruiseControl", "TwoLinkArm") for fmi in ("2.0", "3.0")}
 
@@ -133,3 +134,19 @@ def test_a_file_of_another_command_is_named_as_such(tmp_path, name, words, bayes
     assert "zip" not in said
     missing = bayesftc_("inspect", str(tmp_path / f"no{name}"))
     assert "not an FMU" not in missing.output
+
+
+def test_elements_of_an_array_share_a_row():
+    def variable(name, start=None, unit=None, description=None):
+        return FMUVariable(name, "output", "continuous", "Real", start, unit, description, (), False, 0)
+
+    matrix = [variable(f"R[{i},{j}]", description="A", start=1.0) for i in (1, 2) for j in (0, 1, 2)]
+    gap = [variable(f"g[{i}]") for i in (0, 2)]
+    units = [variable("y[0]", unit="m"), variable("y[1]", unit="rad")]
+    starts = [variable(f"s[{i}]", start=float(i)) for i in (0, 1)]
+    others = [variable("v"), variable("v"), variable("w[0].k")]
+    shown = rows([*matrix, *gap, *units, *starts, *others], apart=False)
+    names = ["R[1..2,0..2]", "g[0]", "g[2]", "y[0]", "y[1]", "s[0..1]", "v", "v", "w[0].k"]
+    assert [(row[0], row[4]) for row in shown if row[4]] == [("R[1..2,0..2]", "1.0"), ("s[0..1]", "0.0, 1.0")]
+    assert [row[0] for row in shown] == names
+    assert len(rows([*matrix, *gap], apart=True)) == len(matrix) + len(gap)

@@ -460,7 +460,7 @@ def test_steps_that_fail_stop_the_run_and_keep_the_result(failing, engine, mode,
     diagram.add(FMU(failing, parameters={"b": mode, "force": 100.0}), name="car")
     with pytest.raises(SimulationError, match=sentence) as caught:
         diagram.simulate(1.0, engine=engine)
-    assert "at t = 0.1 s (step 5): block 'car' reported status" in str(caught.value)
+    assert "at t = 0.1 s (step 5): block 'car' failed. " in str(caught.value)
     if mode == 1002 and describe(failing).fmi_major == 2:
         assert "up to t = 0.1 s. Try a smaller step." in str(caught.value)
     expected = recursion([100.0] * 5, [0.0] * 5, b=mode)

@@ -234,7 +234,7 @@ def test_value_references_that_the_binary_does_not_know(tmp_path, fmi, isolate):
     output = rewritten(fmi, tmp_path / "output.fmu", ('valueReference="2"', 'valueReference="77"'))
     error = stopped(output, 5.0, isolate)
     get = "fmi2GetReal" if fmi == "2.0" else "fmi3GetFloat64"
-    assert f"at t = 0 s (step 0): block 'car' reported status 103. {get}" in str(error)
+    assert f"at t = 0 s (step 0): block 'car' failed. {get}" in str(error)
     assert "value reference 77" in str(error)
     assert len(error.result.time) == 0
     entry = rewritten(fmi, tmp_path / "input.fmu", ('valueReference="1"', 'valueReference="77"'))

@@ -226,7 +226,7 @@ def test_an_external_failure_is_explained_and_the_instance_closed():
     diagram.add(Slow(), "slow")
     with pytest.raises(cosim.SimulationError) as caught:
         diagram.simulate(10, engine="interpreted")
-    assert str(caught.value) == "The run stopped at t = 0.7 s (step 7): block 'slow' reported status 3. It says 3."
+    assert str(caught.value) == "The run stopped at t = 0.7 s (step 7): block 'slow' failed. It says 3."
     assert len(caught.value.result.time) == 8  # the outputs at step 7 were there; the step to 8 failed
     assert SlowInstance.closed == 1
 

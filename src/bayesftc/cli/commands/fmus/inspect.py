@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cli.inspection.elements import COLUMNS, rows
 from bayesftc.cli.inspection.verdicts import Verdict, verdicts
 from bayesftc.cli.options import Json
 from bayesftc.cosim.base.paths import exists, expanded
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from bayesftc.cosim.fmi.fmu import FMUDescription
-    from bayesftc.cosim.fmi.reading.description import Value
 
 KINDS = {
     "coSimulation": "co-simulation",
@@ -42,7 +42,7 @@ OTHER_COMMANDS = {
 def inspect(
     fmu: Annotated[str, typer.Argument(help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.")],
     validate: Annotated[bool, typer.Option(help="Whether the description must follow the rules of FMI.")] = True,
-    everything: Annotated[bool, typer.Option("--all", help="Show local variables as well.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Show local variables as well, and each element of arrays.")] = False,
     json: Json = False,
 ) -> None:
     """Print tables (or JSON) of the description and of what works."""
@@ -103,31 +103,21 @@ def _print(path: Path, description: FMUDescription, works: list[Verdict], everyt
 def _print_variables(console: Console, description: FMUDescription, everything: bool) -> None:
     from rich.text import Text
 
-    columns = "variable", "causality", "type", "unit", "start", "description"
-    table = output.plain_table(*columns, right={"start"}, whole=columns[:4])
+    table = output.plain_table(*COLUMNS, right={"start"}, whole=COLUMNS[:4])
     shown = [v for v in description.variables if everything or v.causality in ORDER[:5]]
     ranked = sorted(shown, key=lambda v: ORDER.index(v.causality) if v.causality in ORDER else len(ORDER))
-    rows = []
-    for v in ranked:
-        kind = v.type + (f"[{', '.join(map(str, v.shape))}]" if v.shape else "")
-        rows.append((v.name, v.causality, kind, v.unit or "", _short(v.start), v.description or ""))
-        table.add_row(*map(Text, rows[-1]))
-    needed = sum(2 + max(map(len, column)) for column in zip(columns[:4], *(row[:4] for row in rows), strict=True))
+    texts = rows(ranked, apart=everything)
+    for row in texts:
+        table.add_row(*map(Text, row))
+    needed = sum(2 + max(map(len, column)) for column in zip(COLUMNS[:4], *(row[:4] for row in texts), strict=True))
     # Long names make the table wider than the terminal, so that the columns beside them keep some width.
     console.width = max(console.width, needed + LEAST)
     console.print(table)
     hidden = len(description.variables) - len(shown)
     if hidden:
         console.print(f"{hidden} more (time and local variables): --all shows them.")
-
-
-def _short(start: Value | None) -> str:
-    """Return a start value in few digits; the JSON output has all digits."""
-    if start is None:
-        return ""
-    if isinstance(start, tuple):
-        return "[" + ", ".join(map(_short, start)) + "]"
-    return f"{start:.10g}" if isinstance(start, float) and len(str(start)) > 12 else f"{start}"
+    elif len(texts) < len(shown):
+        console.print("--all shows each element.")
 
 
 def _facts(path: Path, description: FMUDescription) -> list[tuple[str, str]]:
