@@ -172,19 +172,20 @@ LAX = "try it all the same with validate=False (bayesftc inspect: --no-validate)
 """The remedy for a file that breaks the rules of FMI or SSP."""
 
 
-def did_you_mean(name: object, names: Iterable[str], before: str = "") -> str:
+def did_you_mean(name: object, names: Iterable[str], before: str = "", others: Iterable[str] = ()) -> str:
     """Return the end of a message about an unknown name: similar names if there are any, else all names.
 
-    `before` stands before each name in the message.
+    `before` stands before each name in the message. Of `others` only similar ones are named.
     """
-    names = sorted(names)
+    listed = sorted(names)
+    names = sorted({*listed, *others})
     wrong = str(name).lower()
     near = [n for n in names if n.lower() == wrong] or [n for n in names if n.lower().endswith(f".{wrong}")][:3]
     near = near or get_close_matches(str(name), names, n=3, cutoff=0.6)
     near = near or [n for n in names if len(wrong) > 2 and n.lower().startswith(wrong)][:3]
     if near:
         return f"did you mean {' or '.join(repr(before + n) for n in near)}?"
-    if not names:
+    if not listed:
         return "there are none."
-    shown = ", ".join(before + n for n in names[:12]) + (f", and {len(names) - 12} more" if len(names) > 12 else "")
+    shown = ", ".join(before + n for n in listed[:12]) + (f", and {len(listed) - 12} more" if len(listed) > 12 else "")
     return f"known names: {shown}."

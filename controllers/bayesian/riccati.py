@@ -131,7 +131,8 @@ def _steady(
     if sizes[-1] <= 1e-8 * sizes[0]:  # models by pulse responses are accurate to about 1e-9
         raise ModelError(
             "The goals cannot each be held at a value of its own in steady state. Either a constant control does not move an "
-            "output (the plant has a zero at 1), or the goals depend on each other. Set goals for other outputs."
+            "output (the plant has a zero at 1), or the goals depend on each other, or the acceptable error is so large that the "
+            "goals have no effect. Set goals for other outputs, or a smaller acceptable_error (goal_covariance)."
         )
     rhs = np.block([[np.zeros((n, len(H))), others[:n] / units[:, None]], [np.eye(len(H)), others[n:]]])
     whole = right[: len(sizes)].T @ ((left.T @ (rhs / scale[:, None])) / sizes[:, None])

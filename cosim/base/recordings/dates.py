@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING, Any
@@ -78,6 +79,10 @@ def span_text(start: float, end: float, origin: datetime | None, digits: int | N
     By default dates that are more than `LONG` seconds apart have no decimals.
     """
     if origin is None:
+        if digits is None and end > start:  # as many as make a ten-thousandth of the span visible
+            digits = 4 - math.floor(math.log10(end - start))
+            start, end = round(start, digits) + 0.0, round(end, digits)
+            return f"{start:.10g} to {end:.10g} s"
         return f"{start:g} to {end:g} s" if digits is None else f"{start:.{digits}f} to {end:.{digits}f} s"
     digits = 0 if digits is None and end - start > LONG else digits
     first, last = (time_text(seconds, origin, digits) for seconds in (start, end))

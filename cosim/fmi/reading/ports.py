@@ -38,7 +38,8 @@ def choose(
         name = item.name if isinstance(item, Port) else item
         if name not in candidates:
             other = variables.get(name)
-            hint = f"it is of causality {other.causality}." if other else did_you_mean(name, candidates)
+            own = [v.name for v in variables.values() if v.causality == causality]
+            hint = f"it is of causality {other.causality}." if other else did_you_mean(name, own, others=candidates)
             raise UnknownNameError(f"The FMU {archive.path.name} has no {causality} {name!r}; {hint}")
         variable = candidates[name]
         what = _obstacle(variable, ticking)

@@ -30,6 +30,9 @@ USES = {
 }
 """The command that uses a file of each kind, once the file is in the current folder."""
 
+MARKS = {"scenario": "plant", "campaign": "scenario", "wires": "bridge", "monitor's model": "dt"}
+"""A key that every file of a kind has, and no other file."""
+
 TOGETHER = ("monitor's model", "recording")
 """Kinds of files that are used together, those of one folder."""
 
@@ -94,13 +97,27 @@ def find_scenario(path: str | os.PathLike[str], kind: str = "scenario") -> Path:
         folder = file.parent.absolute()
         if not is_folder(folder):
             raise ScenarioError(f"There is no {what} {path}: the folder {folder} does not exist. Check the path.")
-        there = [f.name for f in folder.glob("*.toml")]
-        near = did_you_mean(file.name, there) if there else f"the folder {folder} has no .toml file. Check the path."
+        there = _of_kind(folder, kind)
+        near = did_you_mean(file.name, there) if there else f"the folder {folder} has no {what}. Check the path."
         raise ScenarioError(f"There is no {what} {path}; {near}")
     raise ScenarioError(
         _other_kind(name, what)
-        or f"There is no file {name!r} and no shipped {kind} of this name; {did_you_mean(name, shipped)}"
+        or f"There is no file {name!r} and no shipped {kind} of this name; "
+        + did_you_mean(name, [*shipped, *_of_kind(Path(), kind)])
     )
+
+
+def _of_kind(folder: Path, kind: str) -> list[str]:
+    """Return the names of the TOML files in a folder that are of a kind, or of none."""
+    names = []
+    for file in sorted(folder.glob("*.toml")):
+        try:
+            keys = set(read_toml(file))
+        except ScenarioError:  # perhaps the expected one, with a mistake in it
+            keys = set()
+        if MARKS.get(kind) in keys or not keys & {*MARKS.values()}:
+            names.append(file.name)
+    return names
 
 
 def _other_kind(name: str, what: str) -> str:

@@ -7,12 +7,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from bayesftc.cosim.errors import BayesFTCError, ScenarioError, SimulationError, did_you_mean
+from bayesftc.scenario._files import MARKS
 
 KINDS_OF_FILES = {
-    "scenario": "looks like a campaign file: bayesftc campaign {file}",
-    "bridge": "looks like a file of wires: bayesftc live SCENARIO --bridge {file}",
-    "plant": "looks like a scenario: bayesftc run {file}",
-    "dt": "looks like the model of a monitor: bayesftc monitor RECORDING --model {file}",
+    MARKS["campaign"]: "looks like a campaign file: bayesftc campaign {file}",
+    MARKS["wires"]: "looks like a file of wires: bayesftc live SCENARIO --bridge {file}",
+    MARKS["scenario"]: "looks like a scenario: bayesftc run {file}",
+    MARKS["monitor's model"]: "looks like the model of a monitor: bayesftc monitor RECORDING --model {file}",
 }
 """A key that each file of a kind has, and the command that reads the file."""
 

@@ -198,6 +198,12 @@ def stretch_of(recording: Recording, start: float | datetime | None, stop: float
     first = 0 if start is None else int(np.searchsorted(time, _seconds(recording, "--from", start)))
     last = len(time) if stop is None else int(np.searchsorted(time, _seconds(recording, "--to", stop), side="right"))
     if first >= last:
+        if (
+            start is not None
+            and stop is not None
+            and _seconds(recording, "--from", start) > _seconds(recording, "--to", stop)
+        ):
+            raise RecordingError("--from is later than --to. Exchange the two times.")
         raise RecordingError(
             f"The recording, from {span_text(time[0], time[-1], recording.origin)}, has no samples between --from and --to. "
             "Choose times in it."

@@ -42,7 +42,9 @@ OTHER_COMMANDS = {
 def inspect(
     fmu: Annotated[str, typer.Argument(help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.")],
     validate: Annotated[bool, typer.Option(help="Whether the description must follow the rules of FMI.")] = True,
-    everything: Annotated[bool, typer.Option("--all", help="Show local variables as well, and each element of arrays.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Show local variables as well, and each element of arrays.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Print tables (or JSON) of the description and of what works."""

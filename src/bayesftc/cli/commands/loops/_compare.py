@@ -104,7 +104,7 @@ def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], out: Path | N
                 continue
             say(f"Tracking error of {signal}{unit}, {phase}", "bold")
             columns = ("error", "difference", "95 % interval", "wins", "false alarms*", "failed")
-            table = output.plain_table("loop", *columns, right=columns)
+            table = output.plain_table("loop", *columns, right=columns, whole=("loop", *columns[:2]))
             for row in selected:
                 table.add_row(row["loop"], *_cells(row, ending))
             console.print(table)
