@@ -16,6 +16,8 @@ import numpy as np
 from bayesftc.controllers.diagnosis.judge import Explanation, Judge
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from bayesftc.cosim.types import Floats
 
 TIMES = 24
@@ -77,7 +79,8 @@ class _Found:
     def load(self) -> Floats:
         """The push along B with the response most like this one: a value for each control."""
         p = len(self.products) - len(self.sizes)
-        return _solved(self.products[:p, :p], self.products[:p, p:] @ self.sizes)
+        response = self.products[:p, p:] @ self.sizes
+        return np.asarray(_solved(self.products[np.newaxis, :p, :p], response[np.newaxis])[0])
 
 
 class _Pushes:
@@ -105,43 +108,51 @@ class _Pushes:
 
     def best(self, kind: str, columns: tuple[int, ...] | None = None) -> _Found | None:
         """Return the push of a kind with the most evidence: one that lasts to the end, or one between two instants."""
+        places = range(len(self.instants))
+        pairs = [(i, j) for i, j in combinations(places, 2) if self.instants[j] - self.instants[i] >= LEAST_PUSHED]
         found = [
             push
             for group in (self.columns[kind] if columns is None else [columns])
-            for ends in [(i,) for i in range(len(self.instants))] + list(combinations(range(len(self.instants)), 2))
-            if self.instants[ends[-1]] - self.instants[ends[0]] >= LEAST_PUSHED or len(ends) == 1
-            if (push := self._judged(ends, group)) is not None
+            for ends in ([(i,) for i in places], pairs)
+            if ends and (push := self._best(np.array(ends), group)) is not None
         ]
         counts = [0.5 * np.log(mask.sum()) for mask in self.judge.masks]
         return min(found, key=lambda x: float(x.losses.sum() + x.parameters * sum(counts)), default=None)
 
-    def _judged(self, ends: tuple[int, ...], group: tuple[int, ...]) -> _Found | None:
-        """Fit the sizes of the columns of a group between two instants, or from one on; None if they explain nothing finite."""
-        places = np.add.outer(self.each * np.array(ends), [*self.along, *group])
-        pairs, signs = np.ix_(places.ravel(), places.ravel()), np.array([1.0, -1.0])[: len(ends)]
-        each = [G[pairs].reshape(*places.shape, *places.shape) for G, *_ in self.sets]
-        products = [np.einsum("i,iajb,j->ab", signs, of, signs) for of in each]
-        moments = [signs @ b[places] for _, b, *_ in self.sets]
-        whole, right, own = np.sum(products, axis=0), np.sum(moments, axis=0), slice(len(self.along), None)
-        if not (np.isfinite(whole).all() and np.isfinite(right).all()):
-            return None
-        sizes = -_solved(whole[own, own], right[own])
+    def _best(self, ends: NDArray[np.intp], group: tuple[int, ...]) -> _Found | None:
+        """Fit the columns of a group between pairs of instants, or from each of some on; return the push with the least loss.
+
+        None if they explain nothing finite.
+        """
+        places = self.each * ends[:, :, np.newaxis] + np.array([*self.along, *group])
+        rows, columns = places[:, :, :, np.newaxis, np.newaxis], places[:, np.newaxis, np.newaxis]
+        signs, own = np.array([1.0, -1.0])[: ends.shape[1]], slice(len(self.along), None)
+        products = [np.einsum("i,kiajb,j->kab", signs, G[rows, columns], signs) for G, *_ in self.sets]
+        moments = [np.einsum("i,kia->ka", signs, b[places]) for _, b, *_ in self.sets]
+        whole, right = np.sum(products, axis=0), np.sum(moments, axis=0)
+        finite = np.isfinite(whole).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+        ends, whole = ends[finite], whole[finite]
+        sizes = -_solved(whole[:, own, own], right[finite][:, own])
         squares = np.array([
-            (c + 2.0 * sizes @ moment[own] + sizes @ product[own, own] @ sizes) / n
+            (c + 2.0 * np.einsum("ka,ka->k", sizes, moment[finite][:, own])
+             + np.einsum("ka,kab,kb->k", sizes, product[finite][:, own, own], sizes)) / n
             for product, moment, (_, _, c, n) in zip(products, moments, self.sets, strict=True)
         ])  # fmt: skip
-        if not (squares > 0.0).all():
+        possible = (squares > 0.0).all(axis=0)
+        if not possible.any():
             return None
-        return _Found(tuple(self.instants[i] for i in ends), group, sizes, whole, self.judge.losses(squares), squares)
+        losses = self.judge.losses(squares)
+        i = int(np.argmin(np.where(possible, losses.sum(axis=0), np.inf)))
+        instants = tuple(self.instants[k] for k in ends[i])
+        return _Found(instants, group, sizes[i], whole[i], losses[:, i], squares[:, i])
 
 
 def _solved(G: Floats, b: Floats) -> Floats:
-    """Return the solution of normal equations, the smallest of several, in units in which each column has length 1."""
-    if len(G) == 1:
-        return np.asarray(b / G[0] if G[0, 0] > 1e-300 else np.zeros(1))
-    lengths = np.sqrt(np.maximum(np.diag(G), 1e-300))
+    """Return the solutions of normal equations, the smallest of several, in units in which each column has length 1."""
+    lengths = np.sqrt(np.maximum(np.diagonal(G, axis1=1, axis2=2), 1e-300))
+    scaled = G / (lengths[:, :, np.newaxis] * lengths[:, np.newaxis])
     solution: Floats = (
-        np.linalg.pinv(G / np.outer(lengths, lengths), rcond=1e-10, hermitian=True) @ (b / lengths) / lengths
+        np.einsum("kab,kb->ka", np.linalg.pinv(scaled, rcond=1e-10, hermitian=True), b / lengths) / lengths
     )
     return solution
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
 from bayesftc.controllers.diagnosis.candidates import explanations, noisier
@@ -247,6 +248,7 @@ def _finding(
 
 
 @reported("Comparing the samples with the model, for some seconds.")
+@threadpool_limits.wrap(limits=1, user_api="blas")  # matrices this small take several times as long on several threads
 def best_explanations(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0, *, alone: bool = False
 ) -> list[Explanation]:

@@ -68,31 +68,67 @@ def innovations(
     ndarray, T x n
         Predictions of the state by the first model under the first explanation, on average over its sets.
     """
-    each, n, samples, given = len(banks[0]), moved.shape[3], len(recording.y), moved.shape[1]
-    gains = np.concatenate([s.gain for s in banks]).transpose(0, 2, 1)
-    whiten = np.concatenate([s.whiten for s in banks]).transpose(0, 2, 1)
-    At, Ct = (np.repeat([model.matrix(name).T for model in models], each, axis=0) for name in "AC")
+    each, n, given = len(banks[0]), moved.shape[3], moved.shape[1]
+    gains, whiten = (np.concatenate([getattr(s, name) for s in banks]) for name in ("gain", "whiten"))
+    A, C = (np.repeat([model.matrix(name) for model in models], each, axis=0) for name in "AC")
     unknown = n - models[0].constant
-    columns = given + unknown * len(recording.begins)
-    y, present = np.where(np.isfinite(recording.y), recording.y, 0.0), np.isfinite(recording.y).astype(float)
-    z = np.empty((len(At), 0, n))
-    white, predicted = np.zeros((samples, len(At), columns, y.shape[1])), np.empty((samples, each, n))
+    start = np.concatenate([np.broadcast_to(recording.mean, (given, n)), np.eye(unknown, n)]).T
+    samples, sensors = recording.y.shape
+    white = np.zeros((len(A), given + unknown * len(recording.begins), samples, sensors))
+    predicted = np.empty((each, samples, n))
+    for i, (begin, end) in enumerate(zip(recording.begins, (*recording.begins[1:], samples), strict=True)):
+        pushes = moved[:, :, begin:end].transpose(2, 0, 3, 1)
+        e, z = _steps((A, C, gains), recording.y[begin:end], np.repeat(pushes, each, axis=1), start)
+        whitened = (whiten[:, np.newaxis] @ e).transpose(0, 3, 1, 2)
+        errors = given + unknown * i
+        white[:, :given, begin:end] = whitened[:, :given]
+        white[:, errors : errors + unknown, begin:end] = whitened[:, given:]
+        predicted[:, begin:end] = z[:each]
+    return [white[first : first + each] for first in range(0, len(white), each)], predicted.mean(axis=0)
+
+
+def _steps(observers: tuple[Floats, Floats, Floats], y: Floats, pushes: Floats, start: Floats) -> tuple[Floats, Floats]:
+    """Return the innovations of N observers (N x T x m x columns), and the states that they predict in the first column.
+
+    A, C and gain of the observers are given. Their states begin in the columns of `start`. The first ones have the samples and
+    `pushes` (T x N x n x H) as inputs, the others none.
+
+    A loop over all samples would take most of the time of a diagnosis. The samples are therefore cut into blocks, about as many
+    as each has samples. All blocks run at once, from a guess (which keeps the rounding small) and from each unit vector. Their
+    real starts follow, block by block.
+    """
+    A, C, gain = (matrix[:, np.newaxis] for matrix in observers)
+    N, n, m, given, samples = len(A), A.shape[-1], C.shape[-2], pushes.shape[-1], len(y)
+    size = int(np.ceil(np.sqrt(samples)))
+    blocks = -(-samples // size)
+    padding = ((0, size * blocks - samples),)
+    y = np.pad(y, (*padding, (0, 0)), constant_values=np.nan).reshape(blocks, size, m, 1)
+    present = np.isfinite(y)
+    y = np.where(present, y, 0.0)
+    pushes = np.pad(pushes, padding + ((0, 0),) * 3).reshape(blocks, size, N, n, given)
+    guess = np.linalg.pinv(C) @ y[:, 0]
+    guess[:, 0] = 0.0
+    z = np.concatenate([np.repeat(guess, given, axis=3), np.broadcast_to(np.eye(n), (N, blocks, n, n))], axis=3)
+    e = np.empty((size, N, blocks, m, given + n))
+    first = np.empty((size, N, blocks, n, 1 + n))
     with np.errstate(all="ignore"):  # a wrong explanation may diverge; it then explains nothing
-        for k in range(samples):
-            if k in recording.begins:
-                errors = np.repeat(np.eye(unknown, n)[None], len(At), axis=0)
-                kept = max(z.shape[1], given)
-                z = np.concatenate([np.zeros((len(At), kept, n)), errors], axis=1) + recording.mean
-            e = (y[k] - z @ Ct) * present[k]
-            predicted[k] = z[:each, 0]
-            np.matmul(e, whiten, out=white[k, :, : z.shape[1]])
-            pushes = np.repeat(moved[:, :, k], each, axis=0)
-            z = z @ At + e @ gains
-            z[:, :given] += pushes
-            z[:, given:] += pushes[:, :1]  # an error of the state, under the first explanation
-            white[k, :, given : z.shape[1]] -= white[k, :, :1]
-    white = white.transpose(1, 2, 0, 3)
-    return [white[first : first + each] for first in range(0, len(white), each)], predicted.mean(axis=1)
+        for i in range(size):
+            first[i, ..., :1], first[i, ..., 1:] = z[..., :1], z[..., given:]
+            np.matmul(-C, z, out=e[i])
+            e[i, ..., :given] += y[:, i]
+            e[i] *= present[:, i]
+            z = A @ z + gain @ e[i]
+            z[..., :given] += pushes[:, i].swapaxes(0, 1)
+        starts = np.empty((N, blocks, *start.shape))  # relative to the guess
+        starts[:, 0] = start
+        for j in range(1, blocks):
+            starts[:, j] = z[:, j - 1, :, given:] @ starts[:, j - 1]
+            starts[:, j, :, :given] += z[:, j - 1, :, :given] - guess[:, j]
+        whole = e[..., given:] @ starts
+        whole[..., :given] += e[..., :given]
+        states = first[..., 0] + (first[..., 1:] @ starts[..., :1])[..., 0]
+    whole, states = (each.swapaxes(0, 1).swapaxes(1, 2) for each in (whole, states))
+    return whole.reshape(N, -1, m, whole.shape[-1])[:, :samples], states.reshape(N, -1, n)[:, :samples]
 
 
 def delayed(u: Floats, steps: int) -> Floats:

@@ -68,7 +68,11 @@ def steady_covariance(model: LinearModel) -> Floats:
     ModelError
         If there is no steady state.
     """
-    A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
+    return steady_prediction(*(model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance")))
+
+
+def steady_prediction(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
+    """Return the result of `steady_covariance`, given the matrices of a model."""
     try:
         P = predicted_covariance(A, C, Q, R)
         size = float(np.abs(np.linalg.eigvals(_error_transition(A, C, P, R)[0])).max())

@@ -7,12 +7,12 @@ and of known covariance, whatever a precision learner infers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.controllers.estimation.innovation import steady_covariance
+from bayesftc.controllers.estimation.innovation import steady_prediction
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     settling = 1
     for k, chosen in enumerate(map(list, sets)):
         C, R = moving.matrix("C")[chosen], moving.matrix("sensor_covariance")[np.ix_(chosen, chosen)]
-        filtered = _filter(replace(moving, C=C, sensor_covariance=R, names=None, delays=None))
+        filtered = _filter(moving.matrix("A"), C, moving.matrix("process_covariance"), R)
         if filtered is None:
             return None
         correction[k, :n, chosen], root, noise[k, :n, :n], samples = filtered[0].T, *filtered[1:]
@@ -110,13 +110,12 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     return Observers(sets, model.matrix("A") @ correction, correction, whiten, noise, settling)
 
 
-def _filter(model: LinearModel) -> tuple[Floats, Floats, Floats, int] | None:
+def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats, Floats, int] | None:
     """Return the gain K, the root of the innovations' covariance, the process covariance, and the samples to forget the start.
 
     None if no filter has a steady state. A mode that neither decays nor has noise (a position that only drifts) would be
     remembered for ever. All states then get as little noise as suffices.
     """
-    A, C, Q, R = (model.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
     size = max(float(np.trace(Q)) / len(A), 1e-12)
     best: tuple[Floats, Floats, Floats, int] | None = None
     shares = (0.0, *(10.0**k for k in range(-8, 3)))
@@ -124,7 +123,7 @@ def _filter(model: LinearModel) -> tuple[Floats, Floats, Floats, int] | None:
     for more in reversed(shares) if hopeless else shares:  # the last that has a steady state is then the result
         try:
             noise = Q + more * size * np.eye(len(A))
-            P = steady_covariance(replace(model, process_covariance=noise))
+            P = steady_prediction(A, C, noise, R)
             S = C @ P @ C.T + R
             root, gain = np.linalg.cholesky(S), np.linalg.solve(S, C @ P).T
         except (ModelError, np.linalg.LinAlgError):  # the second where P is so large that R is lost in the rounding
