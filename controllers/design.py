@@ -12,6 +12,7 @@ from bayesftc.controllers.bayesian.lqg import LQGController
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
 from bayesftc.controllers.estimation.innovation import predicted_covariance
+from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
@@ -214,6 +215,7 @@ def design(
         whole_delays("design() has input_delays", input_delays, p, "control", model.dt),
         whole_delays("design() has sensor_delays", sensor_delays, model.sensors, "sensor", model.dt),
     )
+    warn_of_unused(model, "Give noise= for a further input, or disturbance=.")
     if late is not model:
         model, H = late, extended_rows(late, H)
     return LQGController(
