@@ -252,9 +252,9 @@ class _Scales:
                 used.add(sensor.index)
                 mark = {"marker": MARKERS[sensor.index % len(MARKERS)], "color": colour_of(sensor.index), "ms": 5.0}
                 self._mark(n, f"sensor {sensor.index}", sensor, sensor.samples, y, mark)
-        handles = {label: mark for _, label, _, _, mark in reversed(self.marks)}
+        handles = {label: mark for _, label, _, _, mark in sorted(self.marks, key=lambda each: each[2] is not None)}
         self.axis.legend(
-            list(handles.values())[::-1], list(handles)[::-1], loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=3,
+            list(handles.values()), list(handles), loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=3,
             frameon=False, fontsize=8, markerscale=0.7,
         )  # fmt: skip
         self.note = axis.text(1.0, len(self.quantities) - 0.7, "", fontsize=8, ha="right", va="bottom")
