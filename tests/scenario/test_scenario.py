@@ -826,7 +826,7 @@ def test_the_kind_of_an_fmu_is_no_kind_of_plant(tmp_path):
 
 def test_a_missing_file_in_a_folder_without_toml_files_names_the_folder(tmp_path):
     with pytest.raises(
-        ScenarioError, match=r"There is no scenario file .*; the folder .* has no \.toml file\. Check the path"
+        ScenarioError, match=r"There is no scenario file .*; the folder .* has no scenario file\. Check the path"
     ):
         load_scenario(tmp_path / "mine.toml")
     (tmp_path / "mine2.toml").touch()

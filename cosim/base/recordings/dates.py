@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING, Any
@@ -80,7 +79,7 @@ def span_text(start: float, end: float, origin: datetime | None, digits: int | N
     """
     if origin is None:
         if digits is None and end > start:  # as many as make a ten-thousandth of the span visible
-            digits = 4 - math.floor(math.log10(end - start))
+            digits = 4 - int(f"{end - start:e}".partition("e")[2])
             start, end = round(start, digits) + 0.0, round(end, digits)
             return f"{start:.10g} to {end:.10g} s"
         return f"{start:g} to {end:g} s" if digits is None else f"{start:.{digits}f} to {end:.{digits}f} s"
