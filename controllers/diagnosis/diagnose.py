@@ -287,6 +287,8 @@ def best_explanations(
         if near and near[0].kind == "dynamics":  # the simple ones are special cases of it
             near.sort(key=lambda x: x.kind not in SIMPLE)
         rank = max(map(_rank, near), default=-1)
+        if len(tried) == 1 and any(x.kind in WHOLE and x.values[1] == np.inf and _rank(x) for x in near):
+            return near  # it begins and lasts; a shorter run may end before
         if rank == SIMPLEST:
             return near
         if rank > best:

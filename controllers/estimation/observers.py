@@ -114,13 +114,13 @@ def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats,
     """Return the gain K, the root of the innovations' covariance, the process covariance, and the samples to forget the start.
 
     None if no filter has a steady state. A mode that neither decays nor has noise (a position that only drifts) would be
-    remembered for ever. All states then get as little noise as suffices.
+    remembered for ever. All states then get as little noise as suffices. It does not help against a slow mode that the sensors do
+    not see, but would hide errors of the others.
     """
     size = max(float(np.trace(Q)) / len(A), 1e-12)
     best: tuple[Floats, Floats, Floats, int] | None = None
-    shares = (0.0, *(10.0**k for k in range(-8, 3)))
     hopeless = _remembers(A, C)
-    for more in reversed(shares) if hopeless else shares:  # the last that has a steady state is then the result
+    for more in (0.0, *(10.0**k for k in range(-8, 3))):
         try:
             noise = Q + more * size * np.eye(len(A))
             P = steady_prediction(A, C, noise, R)

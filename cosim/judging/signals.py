@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,15 @@ Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 ALARM = 0.5
 """The lowest fault probability of an alarm."""
+
+AT_ONCE = 20
+"""Number of samples within which an alarm begins with the run."""
+
+AGREE = 5.0
+"""Largest difference of two sensors that agree, in standard deviations of their noise."""
+
+LEAST = 10
+"""Least number of samples, one after the other, with an alarm of all sensors."""
 
 
 def any_of(flags: list[Flags | None]) -> Flags | None:
@@ -213,6 +222,75 @@ class LoopSignals:
         return f"sensor {index} ({measured[0]})" if measured else f"sensor {index}"
 
 
+def blamed_together(signals: LoopSignals) -> dict[str, list[str]]:
+    """Return notes on quantities of which all sensors have an alarm, without a fault, although they agree.
+
+    The reason is the belief at the start (``"start"``) if the alarms begin with the run, or else the model (``"model"``).
+    """
+    notes: dict[str, list[str]] = {"start": [], "model": []}
+    for quantity in signals.quantities:
+        group = [signals.sensors[i] for i in quantity.sensors]
+        alarms = [s.alarm & ~s.faulty for s in group if s.alarm is not None and s.faulty is not None]
+        samples = [s.samples for s in group if s.samples is not None]
+        if len(samples) < len(group) or len(alarms) < len(group):
+            continue
+        first = alarms_of_all(samples, alarms)
+        if first is None:
+            continue
+        of, wrong = "model", "model is wrong"
+        if first < AT_ONCE:
+            of, wrong = "start", "belief at the start is wrong (initial_mean, initial_spread)"
+        sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
+        notes[of].append(
+            f"{sensors} sensors of {quantity.name} agree but are blamed from t = {t:g} s: the controller's {wrong}"
+        )
+    return notes
+
+
+def alarms_of_all(samples: Sequence[Floats], alarms: Sequence[Flags]) -> int | None:
+    """Return the first sample from which on all sensors of a quantity have an alarm for a while although they agree, or None.
+
+    The noise of a difference of two sensors is estimated from its changes, so that offsets and drifts do not count for it.
+
+    Parameters
+    ----------
+    samples : sequence of ndarray, shape (steps,)
+        The samples of each sensor; NaN is a missing one.
+    alarms : sequence of ndarray of bool, shape (steps,)
+        Where each sensor counts as faulty, and has no fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim.judging.signals import alarms_of_all
+    >>> rng = np.random.default_rng(0)
+    >>> first, second = 3.0 + 0.1 * rng.standard_normal((2, 100))
+    >>> late = np.arange(100) >= 40
+    >>> alarms_of_all([first, second], [late, late])
+    40
+    >>> alarms_of_all([first, second + 2.0 * late], [late, late])  # they do not agree
+    """
+    blamed = np.all(alarms, axis=0)
+    if len(samples) < 2 or not blamed.any():
+        return None
+    for other in samples[1:]:
+        blamed &= _near(np.asarray(samples[0] - other))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], blamed, [False]]).astype(int)))
+    begins, ends = edges[::2], edges[1::2]
+    long = begins[ends - begins >= LEAST]
+    return int(long[0]) if len(long) else None
+
+
+def _near(difference: Floats) -> Flags:
+    """Return at which samples a difference of two sensors is no more than their noise."""
+    changes = np.abs(np.diff(difference))
+    changes = changes[np.isfinite(changes)]
+    noise = float(np.median(changes)) / 0.6745 / 2.0**0.5 if len(changes) else 0.0
+    near: Flags = np.abs(difference) <= AGREE * noise
+    return near
+
+
 __all__ = [
     "ALARM", "ActuatorSignals", "ControlSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals",
+    "blamed_together",
 ]  # fmt: skip

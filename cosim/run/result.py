@@ -13,6 +13,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from fractions import Fraction
+from functools import cached_property
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -220,7 +221,19 @@ class Result(Mapping[str, Floats]):
             block, _, port = name.rpartition(".")
             if port == "model_suspect" and (raised := self[name] >= ALARM).any():
                 notes.append(f"model of {block} suspect from t = {self.time[raised.argmax()]:g} s{why}")
-        return notes
+        suspect = len(notes) > bool(self.stopped)
+        notes += [f"{text}{why}" for text in self._agreement["model"] if not suspect]
+        return notes + self._agreement["start"]
+
+    @cached_property
+    def _agreement(self) -> dict[str, list[str]]:
+        from bayesftc.cosim.judging.roles import signals_of
+        from bayesftc.cosim.judging.signals import blamed_together
+
+        roles = self.roles
+        if roles is None or f"{roles.controller}.fault_probability" not in self:
+            return {"start": [], "model": []}
+        return blamed_together(signals_of(roles, self, drawn=False))
 
     def _repr_html_(self) -> str:
         """Return a table of the signals with their ranges, for notebooks."""

@@ -506,3 +506,27 @@ def test_the_remedy_for_a_model_without_control_needs_no_control():
     assert "monitor --fit --from --to" in words
     assert "linearis" not in words
     assert "monitor" not in sentence("nonlinear", (), replace(model, B=[[0.1]]))
+
+
+def test_a_leak_is_found_beside_a_slow_quantity_that_some_sensors_do_not_see():
+    """A tank with three sensors of its level and two of its slow temperature: a set with the level alone has its say, too."""
+    control = pytest.importorskip("control")
+    tank = control.ss(
+        np.diag([-1 / 60, -1 / 1200]), np.array([[0.002, 0.0, -0.002], [0.0, 0.0005, 0.0]]), np.eye(2), 0,
+        inputs=["inflow", "heater", "leak"], outputs=["level", "temperature"],
+    )  # fmt: skip
+    controller = controllers.design(
+        tank, measured=["level", "temperature"], actuated=["inflow", "heater"], dt=10.0, sensors=(3, 2),
+        sensor_std=[0.005, 0.2], acceptable_control=[5.0, 20.0], noise={"inflow": 0.5, "heater": 1.0},
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        tank, controller, control=["inflow", "heater"], measured=["level", "temperature"],
+        sensors=cosim.Sensors((3, 2), (0.005, 0.2)), noise={"leak": cosim.Step(time=6000.0, after=3.0)},
+        reference=[0.0, 0.0],
+    )  # fmt: skip
+    run = loop.simulate(12000.0, seed=1)
+    assert np.nanmax(run["controller.model_suspect"]) >= 0.5
+    finding = controllers.diagnose(run, loop)
+    assert finding.kind == "onset"
+    assert finding.values == pytest.approx((6000.0, np.inf, -3.0, 0.0), abs=60.0)
+    assert finding.values[2] == pytest.approx(-3.0, abs=0.3)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim import Port, Result
 from bayesftc.scenario import load_scenario
 
@@ -333,3 +333,18 @@ def test_a_result_says_from_when_on_the_model_is_suspect():
     run = cosim.Result(np.array([[0.1], [0.6], [0.2]]), {"ctrl.model_suspect": (0, ())}, Fraction(1, 2))
     suspect = "model of ctrl suspect from t = 0.5 s (controllers.diagnose(result, loop) says why)"
     assert repr(run) == f"<Result: 1 signals, 3 rows to t = 1 s, {suspect}>"
+
+
+@pytest.mark.parametrize("mean", [0.0, 20.0])
+def test_a_result_says_that_the_belief_began_elsewhere_than_the_plant(mean):
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, 1.0, dt=0.02)
+    controller = controllers.BayesianController(
+        model, controllers.SwitchingPrecision(), initial_mean=mean, initial_covariance=0.01
+    )
+    loop = cosim.closed_loop(
+        cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}), controller, control="force", measured="v",
+        sensors=cosim.Sensors(2, 1.0), reference=20.0,
+    )  # fmt: skip
+    notes = loop.simulate(2.0, seed=1).notes
+    wrong = "both sensors of v agree but are blamed from t = 0 s: the controller's belief at the start is wrong"
+    assert notes == ([f"{wrong} (initial_mean, initial_spread)"] if mean == 0.0 else [])

@@ -23,7 +23,7 @@ from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.conditions import never_began
 from bayesftc.cosim.judging.metrics import figures, without_nan
 from bayesftc.cosim.judging.roles import loop_signals
-from bayesftc.cosim.judging.signals import LoopSignals
+from bayesftc.cosim.judging.signals import LoopSignals, blamed_together
 from bayesftc.scenario import Scenario, load_scenario
 from bayesftc.scenario._unused import unused
 
@@ -251,6 +251,8 @@ def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block)
     worst = max(rates, key=rates.__getitem__, default=None)
     if worst is None or rates[worst] < MANY_FALSE_ALARMS or numbers["model"]:
         return []
+    if together := [f"{note[0].upper()}{note[1:]}." for notes in blamed_together(signals).values() for note in notes]:
+        return together
     blamed = f"Sensor {worst} is blamed for {rates[worst]:.0%} of its fault-free time."
     if found := _scatter(signals, worst, controller):
         return [f"{blamed} {found}"]
