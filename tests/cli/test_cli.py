@@ -278,7 +278,7 @@ def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
         ),
         (
             {"process_covariance = 0.001": "process_covariance = 1e-5"},
-            "look at the model first",
+            "Look at the model first",
             "but the model expects",
         ),
         ({}, "", "is blamed for"),

@@ -251,13 +251,16 @@ def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block)
     worst = max(rates, key=rates.__getitem__, default=None)
     if worst is None or rates[worst] < MANY_FALSE_ALARMS or numbers["model"]:
         return []
-    if together := [f"{note[0].upper()}{note[1:]}." for notes in blamed_together(signals).values() for note in notes]:
-        return together
-    blamed = f"Sensor {worst} is blamed for {rates[worst]:.0%} of its fault-free time."
+    together = {
+        of: [f"{note[0].upper()}{note[1:]}." for note in notes] for of, notes in blamed_together(signals).items()
+    }
+    if together["start"]:
+        return together["start"]
+    blamed = " ".join(together["model"]) or f"Sensor {worst} is blamed for {rates[worst]:.0%} of its fault-free time."
     if found := _scatter(signals, worst, controller):
         return [f"{blamed} {found}"]
     return [
-        f"{blamed} If that is too much, look at the model first: gain, time constants and delay of the plant, an input that it "
+        f"{blamed} Look at the model first: gain, time constants and delay of the plant, an input that it "
         "lacks, or process noise that is larger than process_covariance. A longer run without faults can show which of them is "
         "wrong."
     ]
