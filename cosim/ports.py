@@ -65,7 +65,7 @@ class Port:
     feedthrough: bool = True
     default: float | tuple[Any, ...] | None = None
     draw: Literal["normal", "uniform"] | None = None
-    meaning: Unit | None = field(default=None, compare=False, repr=False)
+    meaning: Unit | None = field(default=None, compare=False, repr=False, metadata={"derived": True})
     description: str = field(default="", compare=False, repr=False)
     units: tuple[str | None, ...] = field(default=(), repr=False)
 
