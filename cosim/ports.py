@@ -6,14 +6,12 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from math import prod
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim.base.units import Unit
 from bayesftc.cosim.errors import ModelError
-
-if TYPE_CHECKING:
-    from bayesftc.cosim.base.units import Unit
 
 DEFAULT_LABEL = re.compile(r"([uy])\[(0|[1-9]\d*)\]")
 """The names that python-control gives to inputs and outputs without names."""
@@ -43,11 +41,14 @@ class Port:
         Definition of the unit by an FMU; without one, pint's definition of the name applies.
     description : str
         What the signal is, in a few words, for the users of an exported FMU.
+    units : tuple of (str or None)
+        For a vector whose elements have different units: the unit of each element, in place of `unit`.
 
     Raises
     ------
     ModelError
-        If the shape is not a tuple of whole numbers from 1 on, or there is no such `draw`.
+        If the shape is not a tuple of whole numbers from 1 on, or there is no such `draw`, or the number of units is another
+        than that of the elements.
 
     Examples
     --------
@@ -64,8 +65,9 @@ class Port:
     feedthrough: bool = True
     default: float | tuple[Any, ...] | None = None
     draw: Literal["normal", "uniform"] | None = None
-    meaning: Unit | None = field(default=None, compare=False, repr=False)
+    meaning: Unit | None = field(default=None, compare=False, repr=False, metadata={"derived": True})
     description: str = field(default="", compare=False, repr=False)
+    units: tuple[str | None, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, tuple) or not all(isinstance(n, int | np.integer) and n >= 1 for n in self.shape):
@@ -74,11 +76,20 @@ class Port:
             )
         if self.draw not in {None, "normal", "uniform"}:
             raise ModelError(f"Port {self.name!r} has draw={self.draw!r}; it must be 'normal', 'uniform' or None.")
+        if self.units and len(self.units) != self.size:
+            raise ModelError(
+                f"Port {self.name!r} has units={self.units!r}, but {self.size} element{'s' if self.size > 1 else ''}; give a "
+                "unit for each element, or one unit for all: unit=..."
+            )
 
     @property
     def size(self) -> int:
         """Number of elements."""
         return prod(self.shape)
+
+    def unit_of(self, element: int) -> str | None:
+        """Return the unit of one element, counted row by row."""
+        return self.units[element] if self.units else self.unit
 
 
 def listed(ports: Sequence[Port], most: int = 8) -> str:

@@ -111,6 +111,22 @@ def _exact(seconds: float | str | Fraction, what: str) -> Fraction:
         raise StepSizeError(f"{what} {brief(seconds)} is no finite number; give seconds, as 0.02 or '1/50'.") from None
 
 
+def spoken(seconds: float) -> str:
+    """Return a duration as a whole number of the largest unit of which it is two or more: ``"40 s"``, ``"12 min"``, ``"3 h"``."""
+    unit, size = next(((unit, size) for unit, size in _SIZES if seconds >= 2 * size), ("s", 1))
+    return f"{seconds / size:.0f} {unit}"
+
+
+def share_of_time(t: float, last: float) -> str:
+    """Return a time and the last one in the same unit, seconds, hours or days: ``"15.7 of 250 d"``."""
+    unit, size = next(((unit, size) for unit, size in _SIZES if unit != "min" and last >= 3 * size), ("s", 1))
+    return f"{t / size:.4g} of {last / size:.4g} {unit}"
+
+
+_SIZES = (("d", 86400), ("h", 3600), ("min", 60))
+"""Units of long times, and their seconds."""
+
+
 def show(step: Fraction) -> str:
     """Return the step as text for a message: ``0.02`` or ``1/30``."""
     return f"{float(step):g}" if Fraction(f"{float(step):g}") == step else str(step)

@@ -51,8 +51,9 @@ class Sensors(Block):
         signals``.
     covariance : sequence of sequence of float, shape (count, count), optional
         Covariance of the noise, instead of `std`, for correlated sensors.
-    unit : str, optional
-        Unit of the signal and of the readings.
+    unit : str or sequence of str, optional
+        Unit of the signal and of the readings, or of each signal: ``("m", "degC")``. By default they have the units of the
+        outputs that they measure.
     invalid : sequence of float, or of one for each sensor
         Values that the devices send in place of a sample, such as ``[-9999, 65535]``. The samples are not changed.
         `closed_loop` gives the values to the controller, which treats such samples as missing.
@@ -78,12 +79,14 @@ class Sensors(Block):
     matrix: Sequence[Sequence[float]] | None = None
     function: Callable[..., None] | None = None
     covariance: Sequence[Sequence[float]] | None = None
-    unit: str | None = None
+    unit: str | Sequence[str] | None = None
     invalid: Invalid = ()
 
     def __post_init__(self) -> None:
         if isinstance(self.count, Sequence | np.ndarray) and not isinstance(self.count, str):
             self._count_by_signal(tuple(self.count))
+        if self.unit is not None and not isinstance(self.unit, str):
+            self._unit_by_signal(self.unit)
         for name in ("count", "signals"):
             _check_number(name, getattr(self, name))
         for name in ("std", "bias", "resolution"):
@@ -131,6 +134,21 @@ class Sensors(Block):
             object.__setattr__(self, "signals", len(counts))
             object.__setattr__(self, "matrix", np.eye(len(counts))[read].tolist())
 
+    def _unit_by_signal(self, units: Sequence[str]) -> None:
+        """Set the units from those of each signal, and the number of signals if it is not given otherwise."""
+        if not isinstance(units, list | tuple) or not units or not all(isinstance(unit, str) for unit in units):
+            raise ModelError(
+                f"Sensors has unit={brief(units)}; it must be a text, or a text for each signal, such as ('m', 'degC')."
+            )
+        if self.signals == 1 and self.matrix is None and self.function is None:
+            object.__setattr__(self, "signals", len(units))
+        if len(units) != self.signals:
+            raise ModelError(
+                f"Sensors has unit={tuple(units)!r}, {len(units)} unit{'s' if len(units) > 1 else ''} for {self.signals} "
+                f"signal{'s' if self.signals > 1 else ''}; give one for each signal, or one text for all."
+            )
+        object.__setattr__(self, "unit", tuple(units) if len(set(units)) > 1 else units[0])
+
     def __len__(self) -> int:
         """Return the number of sensors."""
         return self.count  # type: ignore[return-value]
@@ -139,13 +157,32 @@ class Sensors(Block):
     def inputs(self) -> tuple[Port, ...]:
         """Input ``u`` and random input ``noise``."""
         shape = () if self.signals == 1 else (self.signals,)
-        u = Port("u", shape, unit=self.unit, description="What is measured")
+        unit, units = (self.unit, ()) if self.unit is None or isinstance(self.unit, str) else (None, tuple(self.unit))
+        u = Port("u", shape, unit=unit, description="What is measured", units=units)
         return (u, Port("noise", (len(self),), draw="normal"))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``y``."""
-        return (Port("y", (len(self),), unit=self.unit, description="Samples of the sensors; NaN for a missing one"),)
+        unit, units = (self.unit, ()) if self.unit is None or isinstance(self.unit, str) else (None, self._units)
+        text = "Samples of the sensors; NaN for a missing one"
+        return (Port("y", (len(self),), unit=unit, description=text, units=units),)
+
+    @property
+    def _units(self) -> tuple[str | None, ...]:
+        """The unit of each sensor that reads one signal as it is."""
+        return tuple(None if j is None else self.unit[j] for j in self.reads)  # type: ignore[index]
+
+    @property
+    def reads(self) -> tuple[int | None, ...]:
+        """The number of the signal that each sensor reads as it is; None for one that reads a mixture, or a function."""
+        rows = self.rows
+        if rows is None:
+            return (None,) * len(self)
+        return tuple(
+            int(row.argmax()) if row.max() == 1.0 and np.count_nonzero(row) == 1 else None  # a row of C
+            for row in rows
+        )
 
     @property
     def rows(self) -> Floats | None:

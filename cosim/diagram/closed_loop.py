@@ -30,6 +30,7 @@ from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
+from bayesftc.cosim.diagram.roles import check_units_of_goals
 from bayesftc.cosim.diagram.subsystem import outermost, port_named
 from bayesftc.cosim.diagram.wiring import (
     check_goals_ahead,
@@ -209,6 +210,7 @@ def closed_loop(
     _extend(diagram, blocks or {}, connections)
     warn_of_held_inputs(diagram, node, controller_node)
     check_goals_ahead(diagram, controller_node)
+    check_units_of_goals(diagram)
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
     return diagram.build()

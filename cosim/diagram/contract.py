@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dis
+from collections.abc import Set
 from functools import lru_cache
 from types import CodeType
 from typing import Any
 
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.records import as_written
@@ -26,6 +28,11 @@ def checked(block: Block, definition: Definition, title: str) -> Definition:
     ------
     KernelError
         If they do not; `title` is the name of the block in the message.
+
+    Warns
+    -----
+    UserWarning
+        If the output function has an output as an argument, but stores nothing into it, as after ``y = u``.
     """
     outputs = {p.name for p in block.outputs}
     late = {p.name for p in block.inputs if not p.feedthrough}
@@ -57,7 +64,20 @@ def checked(block: Block, definition: Definition, title: str) -> Definition:
     for kernel in (definition.output, definition.update):
         if kernel is not None:
             _check_stores(kernel, block, definition, title)
+    if definition.output is not None:
+        _warn_of_unwritten(definition.output, outputs, title)
     return definition
+
+
+def _warn_of_unwritten(kernel: Kernel, outputs: Set[str], title: str) -> None:
+    """Warn of an output into which nothing is stored, neither here nor in a function that is called."""
+    code = as_written(kernel).__code__
+    for name in sorted(outputs & never_filled(code)):
+        warn_user(
+            f"The step function {kernel.__name__!r} of block {title} writes nothing into its output {name!r}, which has no "
+            f"value (NaN). Write {name}[0] = ..., or {name}[...] = ... for all elements: {name} = ... gives the name to "
+            "something else."
+        )
 
 
 def _check_stores(kernel: Kernel, block: Block, definition: Definition, title: str) -> None:
@@ -119,6 +139,30 @@ def stored_into(code: CodeType) -> frozenset[str]:
         else:
             _apply(stack, dis.stack_effect(instruction.opcode, instruction.arg, jump=False))
     return frozenset(names)
+
+
+@lru_cache(maxsize=1024)
+def never_filled(code: CodeType) -> frozenset[str]:
+    """Return the arguments of `code` into which it cannot store: never read, or rebound without a store before or after.
+
+    An argument that is read may be passed to a function that stores into it, so that alone is no proof.
+    """
+    read, rebound, before = set(code.co_cellvars), set(), None
+    for instruction in dis.get_instructions(code):
+        name, given = instruction.opname, instruction.argval
+        names = list(given) if isinstance(given, tuple) else [given]
+        if name.startswith("STORE_FAST"):
+            loads = "LOAD_FAST" in name  # of two names the first one is stored
+            in_place = before is not None and before.opname == "BINARY_OP" and before.argrepr.endswith("=")
+            rebound |= set() if in_place else set(names[:1] if loads else names)
+            read |= set(names[1:]) if loads else set()
+        elif name.startswith("LOAD_FAST"):
+            read |= set(names)
+        before = instruction
+    arguments = set(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
+    called = any(i.opname.startswith("CALL") for i in dis.get_instructions(code))
+    unread = arguments - read
+    return frozenset(unread if called else unread | ((rebound & arguments) - stored_into(code)))
 
 
 def _apply(stack: list[str | None], effect: int) -> None:

@@ -141,12 +141,15 @@ class Diagram(LoopMethods):
                 f"{names} cannot be connected to {target.name} (size {len(target)}): the sizes differ; "
                 "choose elements with [i], or change the block's size."
             )
-        for s in sources:
-            a, b = s.port, target.port
-            if a.unit and b.unit and (gap := difference(a.unit, b.unit, a.meaning, b.meaning)):
-                raise ConnectionError(f"{s.name} is in {a.unit}, but {target.name} is in {b.unit}{gap}")
         # All or nothing: a refused connection does not change the diagram.
         origins = [(s, element) for s in sources for element in s.elements]
+        for (s, element), e in zip(origins, target.elements, strict=True):
+            a, b = s.port, target.port
+            of_source, of_target = a.unit_of(element), b.unit_of(e)
+            if of_source and of_target and (gap := difference(of_source, of_target, a.meaning, b.meaning)):
+                raise ConnectionError(
+                    f"{s.with_unit_of(element)} is in {of_source}, but {target.with_unit_of(e)} is in {of_target}{gap}"
+                )
         new = {
             (target.node.name, target.port.name, e): origin for e, origin in zip(target.elements, origins, strict=True)
         }

@@ -127,6 +127,10 @@ class PortRef:
             return whole
         return whole + "[" + ", ".join(map(str, self.elements)) + "]"
 
+    def with_unit_of(self, element: int) -> str:
+        """Return the name of what has the unit of one element: that element, if the elements have different units."""
+        return label(PortRef(self.node, self.port, self.direction, (element,))) if self.port.units else self.name
+
     def __getitem__(self, index: int | slice) -> PortRef:
         try:
             chosen = self.elements[index] if isinstance(index, slice) else (self.elements[index],)

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.base.units import Unit, difference
 from bayesftc.cosim.blocks.preview import Preview
+from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.nodes import Node, PortRef, label
 from bayesftc.cosim.diagram.wiring import (
     element_name,
     elements,
@@ -22,7 +24,7 @@ from bayesftc.cosim.diagram.wiring import (
     label_of,
     preview_time,
 )
-from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.errors import BayesFTCError, ConnectionError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -154,9 +156,13 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     y = controller.port("y")
     quantities = _quantities(diagram, sensor_node, controller)
     units = {i: quantity.unit for quantity in quantities for i in quantity.sensors}
-    unit = sensor_node.port("y").unit
+    read = sensor_node.port("y")
     sensors = tuple(
-        SensorRole(_source(diagram, controller, y, i), units.get(i, unit), tuple(faults_before(diagram, controller, i)))
+        SensorRole(
+            _source(diagram, controller, y, i),
+            units[i] if i in units else read.unit_of(i) if i < read.size else None,
+            tuple(faults_before(diagram, controller, i)),
+        )
         for i in range(y.size)
     )
     inputs = _inputs(diagram, {sensor_node.name, controller.name}, controller)
@@ -268,38 +274,93 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
 
 
 def units_of(diagram: Diagram) -> Units:
-    """Return the unit of each port that declares one, or is connected to ports of one unit.
+    """Return the unit of each port that declares one, or whose elements are connected to ports of one unit.
 
-    Units are passed on along connections, and through blocks whose ports share one unit (`Block.one_unit`), such as a fault or a
-    delay. If ports of different units are connected, as in a combined vector, the unit is not known.
+    Units are passed on along connections, element by element, and through blocks whose ports share one unit
+    (`Block.one_unit`), such as a fault or a delay. If ports of different units are connected, the unit is not known.
     """
-    groups: dict[Key, set[Key]] = {}
-    units: dict[Key, str] = {}
+    known = _declared(diagram)
+    result: dict[Key, str] = {}
+    for node in diagram.nodes:
+        for port in (*node.block.inputs, *node.block.outputs):
+            units = {_unit(known.get((node.name, port.name, i))) for i in range(port.size)}
+            if port.unit or (len(units) == 1 and None not in units):
+                result[node.name, port.name] = port.unit or str(units.pop())
+    return result
 
-    def join(one: Key, other: Key) -> None:
-        group = groups.setdefault(one, {one}) | groups.setdefault(other, {other})
-        for key in group:
-            groups[key] = group
+
+Element = tuple[str, str, int]
+"""Block, port and element."""
+
+
+def _declared(diagram: Diagram) -> dict[Element, tuple[str, Unit | None]]:
+    """Return the unit of each element of a port, and its definition by an FMU: declared by the port, or passed on to it."""
+    origin: dict[Element, Element] = {}
+    units: dict[Element, tuple[str, Unit | None]] = {}
+
+    def first(element: Element) -> Element:
+        while (before := origin.setdefault(element, element)) != element:
+            origin[element] = origin[before]  # half the way next time
+            element = before
+        return element
+
+    def join(one: Element, other: Element) -> None:
+        origin[first(one)] = first(other)
 
     for node in diagram.nodes:
         for port in (*node.block.inputs, *node.block.outputs):
-            if port.unit:
-                units[node.name, port.name] = port.unit
-        sharing = [(node.name, name) for name in node.block.one_unit]
-        for key in sharing[1:]:
-            join(sharing[0], key)
-    for (name, input_name, _), (source, _) in diagram.connections():
-        if (
-            groups.get((name, input_name)) is None
-            or (source.node.name, source.port.name) not in groups[name, input_name]
-        ):
-            join((name, input_name), (source.node.name, source.port.name))
-    result = dict(units)
-    for key, group in groups.items():
-        group_units = {units[other] for other in group if other in units}
-        if key not in units and len(group_units) == 1:
-            result[key] = group_units.pop()
-    return result
+            for i in range(port.size):
+                if unit := port.unit_of(i):
+                    units[node.name, port.name, i] = unit, port.meaning
+        if isinstance(node.block, Sensors):
+            for i, j in enumerate(node.block.reads):
+                if j is not None:
+                    join((node.name, "u", j), (node.name, "y", i))
+            continue
+        shared = [node.port(name) for name in node.block.one_unit]
+        for port in shared[1:]:
+            same = port.size == shared[0].size
+            for i in range(max(port.size, shared[0].size)):  # element by element; else one unit for all
+                one, other = (i, i) if same else (min(i, shared[0].size - 1), min(i, port.size - 1))
+                join((node.name, shared[0].name, one), (node.name, port.name, other))
+    for place, (source, i) in diagram.connections():
+        join(place, (source.node.name, source.port.name, i))
+    groups: dict[Element, dict[str, Unit | None]] = {}
+    for element, (unit, meaning) in units.items():
+        groups.setdefault(first(element), {})[unit] = meaning
+    single = {root: next(iter(group.items())) for root, group in groups.items() if len(group) == 1}
+    return {element: single[first(element)] for element in [*origin] if first(element) in single} | units
+
+
+def _unit(known: tuple[str, Unit | None] | None) -> str | None:
+    return known[0] if known else None
+
+
+def check_units_of_goals(diagram: Diagram) -> None:
+    """Refuse a reference in another unit than the quantity that it is the goal of.
+
+    Raises
+    ------
+    ConnectionError
+        With the two units, and the block that converts one into the other.
+    """
+    roles = known_roles(diagram)
+    if roles is None:
+        return
+    known, sensors, controller = _declared(diagram), find_sensors(diagram), diagram[roles.controller]
+    goal = controller.port("goal")
+    for quantity in roles.quantities:
+        if quantity.goal is None or quantity.goal >= goal.size:
+            continue
+        source = diagram.source_of(controller, goal, quantity.goal)
+        given = source and known.get((source[0].node.name, source[0].port.name, source[1]))
+        measured = known.get((sensors.name, "y", quantity.sensors[0]))
+        if source and given and measured and (gap := difference(given[0], measured[0], given[1], measured[1])):
+            origin = PortRef(source[0].node, source[0].port, "output", (source[1],))
+            target = controller["goal"] if goal.size == 1 else controller["goal"][quantity.goal]
+            raise ConnectionError(
+                f"{label(origin)} is in {given[0]}, but {target.name}, the goal of {quantity.name}, is in {measured[0]}{gap}"
+            )
 
 
 def unit_of_goal(diagram: Diagram) -> Units:
@@ -324,6 +385,7 @@ __all__ = [
     "QuantityRole",
     "SensorRole",
     "Units",
+    "check_units_of_goals",
     "find_roles",
     "known_roles",
     "unit_of_goal",

@@ -172,12 +172,12 @@ def label_of(diagram: Diagram, sensors: Node, row: tuple[float, ...], sensor: in
     """Return the name and the unit of the quantity that a sensor measures, given its row of the measurement matrix."""
     nonzero = [j for j, weight in enumerate(row) if weight]
     if len(nonzero) != 1 or row[nonzero[0]] != 1.0:
-        return f"sensor {sensor}", sensors.port("y").unit
+        return f"sensor {sensor}", sensors.port("y").unit_of(sensor)
     source = diagram.source_of(sensors, sensors.port("u"), nonzero[0])
     if source is None:
         return f"sensor {sensor}", None
     port = source[0].port
-    return element_name(port, source[1]), port.unit or sensors.port("y").unit
+    return element_name(port, source[1]), port.unit_of(source[1]) or sensors.port("y").unit_of(sensor)
 
 
 def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> None:

@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal, cast
 
-from bayesftc.cosim.base.units import UnitDefinition
+from bayesftc.cosim.base.units import UnitDefinition, difference
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.binaries.library import Beginning
@@ -41,8 +41,9 @@ class FMU(ExternalBlock):
         its start value. Numbers are in the variables' units, or have a unit: ``"100 km/h"`` or ``(30, "deg")``. Units are the
         FMU's and those of pint. Arrays are nested sequences, row by row. Structural parameters set the sizes of arrays.
         Enumerations are names or numbers. After construction: plain values in the variables' units.
-    inputs, outputs : sequence of str, optional
-        Names of the variables that become ports; by default all inputs and outputs that are numbers. Local variables and
+    inputs, outputs : sequence of str or Port, optional
+        Names of the variables that become ports; by default all inputs and outputs that are numbers. A port such as
+        ``Port("level", unit="m")`` gives a variable for which the FMU declares no unit its unit. Local variables and
         parameters may be outputs as well. Arrays become vector and matrix ports. Whole numbers, Booleans (0 or 1) and
         enumerations are converted exactly. An input value that its type cannot represent stops the run. An input that is left
         out keeps its start value. After construction: the ports.
@@ -187,7 +188,8 @@ class FMU(ExternalBlock):
             set_(self, "timing", "plant")  # the same without feedthrough
         resized = {v.name for v in description.variables if v.start is not None}
         for side, ports in chosen.items():
-            scalars = tuple(self._port(v, side, reaching, description.units, resized) for v in ports)
+            of_ports = self._units_of_ports(f"{side}s")
+            scalars = tuple(self._port(v, side, reaching, description.units, resized, of_ports) for v in ports)
             set_(self, f"_{side}s", scalars)
             set_(self, f"{side}s", gathered(scalars) if self.arrays else scalars)
         if requested is None and self.timing == "plant" and not exchange:
@@ -270,8 +272,7 @@ class FMU(ExternalBlock):
         ]
         if not further:
             return self
-        outputs = [port.name for port in self._sides[1]]
-        watching = replace(self, outputs=[*outputs, *dict.fromkeys(further)])
+        watching = replace(self, outputs=[*self._sides[1], *dict.fromkeys(further)])
         # Recording further outputs must not change the order of computation: the inputs keep their feedthrough.
         object.__setattr__(watching, "inputs", self.inputs)
         if only_recorded:
@@ -339,6 +340,10 @@ class FMU(ExternalBlock):
             return requested
         return [item for item in requested if not (isinstance(item, Port) and item.name in self.tunable)]
 
+    def _units_of_ports(self, side: str) -> dict[str, str]:
+        """Return the units that ports among the requested inputs or outputs have."""
+        return {p.name: p.unit for p in self._without_tunable(side) or () if isinstance(p, Port) and p.unit}
+
     @property
     def _given(self) -> Mapping[str, Value]:
         """The parameters after they were checked."""
@@ -364,16 +369,23 @@ class FMU(ExternalBlock):
         reaching: Container[str],
         units: Mapping[str, UnitDefinition],
         resized: Container[str],
+        of_ports: Mapping[str, str],
     ) -> Port:
         definition = units.get(variable.unit or "")
-        meaning = definition.unit if definition else None
+        meaning, given = definition.unit if definition else None, of_ports.get(variable.name)
+        unit = variable.unit or given
+        if unit and given and difference(given, unit, None, meaning):
+            raise ModelError(
+                f"FMU has the {side} {variable.name!r} in {given}, but {Path(self.path).name} has it in {unit}. Leave out the "
+                "unit here, and convert the signal by a Gain."
+            )
         if side == "output":
-            return Port(variable.name, variable.shape, variable.unit, meaning=meaning)
+            return Port(variable.name, variable.shape, unit, meaning=meaning)
         # A start value that is NaN or infinite counts as missing: a zero in its place would look like a start value.
         has_start = variable.start is not None or variable.name in self._given or variable.name in resized
         default = as_floats(value_of(variable, self._given)) if has_start else None
         feedthrough = self.timing == "sampled" or (self.timing == "direct" and variable.name in reaching)
-        return Port(variable.name, variable.shape, variable.unit, feedthrough, default, meaning=meaning)
+        return Port(variable.name, variable.shape, unit, feedthrough, default, meaning=meaning)
 
 
 def _check_clocks(archive: Archive, description: FMUDescription) -> None:

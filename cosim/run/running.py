@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim.base.announcing import tell
-from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.timebase import share_of_time, show, spoken
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.diagram.memory import TABLE
@@ -216,7 +216,11 @@ def advance(
         elif now > due and not pacer:
             due = now + PERIOD
             t, last = (float(k * run.schedule.step) for k in (until, end))
-            tell(f"Simulating: {t:g} of {last:g} s, after {now - started:.0f} s.")
+            done, left = until - origin, end - until
+            tell(
+                f"Simulating: {done / (done + left):.0%} ({share_of_time(t, last)}) after {spoken(now - started)}, "
+                f"about {spoken((now - started) * left / done)} left."
+            )
         if until == end:
             return None
         if due == inf:

@@ -80,6 +80,16 @@ class FiguresTable:
         for label, values, form in self.rows:
             yield label, *(DASH if value is None else form.format(value) for value in values)
 
+    @property
+    def empty(self) -> bool:
+        """Whether it shows nothing, as after a run that did not record its signals.
+
+        A column has no number then, and the others have none but 0, the number of faults of sensors without faults.
+        """
+        columns = list(zip(*(values for _, values, _ in self.rows), strict=True))
+        unknown = [all(value is None for value in column) for column in columns]
+        return any(unknown) and not any(value for column in columns for value in column)
+
     def frame(self) -> pd.DataFrame:
         """Return the numbers as a pandas table."""
         import pandas as pd
@@ -174,7 +184,9 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
 
     def __repr__(self) -> str:
         blocks = [
-            "\n".join(filter(None, [each.heading, _aligned(each), each.remark])) for each in self._tables.values()
+            "\n".join(filter(None, [each.heading, _aligned(each), each.remark]))
+            for each in self._tables.values()
+            if not each.empty
         ]
         return "\n\n".join([*blocks, *self.notes])
 
@@ -183,7 +195,7 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
         from bayesftc.cosim.base.html import table
 
         shown = []
-        for each in self._tables.values():
+        for each in (each for each in self._tables.values() if not each.empty):
             shown += [table(each.heading, each.texts(), ("", *each.columns)), f"<p>{escape(each.remark)}</p>"]
         return "\n".join([*shown, *(f"<p>{escape(note)}</p>" for note in self.notes)])
 

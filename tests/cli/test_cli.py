@@ -443,14 +443,25 @@ def test_what_was_not_recorded_is_a_dash_and_not_a_zero(bayesftc_, tmp_path):
     assert numbers["tracking"]["v"]["overall"] > 0
     assert numbers["tracking"]["v"]["during"] is None
     assert numbers["sensors"][0]["fault_share"] is None
-    assert len(numbers["notes"]) == 2
+    assert len(numbers["notes"]) == 1
     assert (tmp_path / "out" / "figure.png").is_file()
+
+
+def test_a_run_that_recorded_no_figures_prints_what_to_record_and_no_empty_table(bayesftc_, tmp_path):
+    (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", 'record = ["plant.v"]'))
+    shown = " ".join(bayesftc_("run", "car.toml", "--duration", "8").stdout.split())
+    sentence = (
+        "Figures are missing, because these signals were not recorded: reference.y, controller.x_hat, "
+        "controller.fault_probability, freeze_0.active. Add them to 'record' of the scenario, or remove 'record'."
+    )
+    assert shown.count("not recorded") == shown.count(sentence) == 1
+    assert "–" not in shown
 
 
 def test_a_goal_that_was_not_recorded_is_not_taken_for_none(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", 'record = ["plant.v", "controller.x_hat"]'))
     numbers = json.loads(bayesftc_("run", "car.toml", "--json").output)
-    assert numbers["notes"][0].startswith("Some signals of v were not recorded")
+    assert "these signals were not recorded: reference.y, " in numbers["notes"][0]
     assert not any("the goal has no element" in note for note in numbers["notes"])
 
 

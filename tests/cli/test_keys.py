@@ -52,3 +52,11 @@ def test_sections_files_and_mistakes(bayesftc_):
 def test_a_reference_to_another_docstring_is_followed():
     assert described(thing("bayesftc.controllers.design"))["u_min"].startswith("Limits of the controls")
     assert described(thing("bayesftc.cosim.Freeze"))["stop"].startswith("Seconds: the fault can be present")
+
+
+def test_a_class_that_is_no_kind_has_its_keys_by_name(bayesftc_):
+    shown = bayesftc_("keys", "scenario", "Port").stdout
+    assert "name" in shown
+    assert "unit" in shown
+    assert "feedthrough" not in shown
+    assert "arrays" in bayesftc_("keys", "scenario", "FMU").stdout

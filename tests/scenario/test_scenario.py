@@ -832,3 +832,22 @@ def test_a_missing_file_in_a_folder_without_toml_files_names_the_folder(tmp_path
     (tmp_path / "mine2.toml").touch()
     with pytest.raises(ScenarioError, match=r"did you mean 'mine2\.toml'"):
         load_scenario(tmp_path / "mine.toml")
+
+
+def test_variables_of_an_fmu_are_named_or_tables_with_a_unit(write):
+    given = 'control = "force"\noutputs = [{ name = "v", unit = "m/s" }]'
+    scenario = load_scenario(write(('control = "force"', given)))
+    assert [(port.name, port.unit) for port in scenario.plant.outputs] == [("v", "m/s")]
+    with pytest.raises(ModelError, match="FMU has the output 'v' in km/h, but"):
+        load_scenario(write(('control = "force"', given.replace("m/s", "km/h"))))
+    with pytest.raises(
+        ScenarioError, match=r"'plant.outputs\[0\]' has the unknown key 'shape'; known names: name, unit"
+    ):
+        load_scenario(write(('control = "force"', given.replace('unit = "m/s"', "shape = [1]"))))
+
+
+def test_sensors_have_a_unit_for_each_quantity(write):
+    scenario = load_scenario(write(('unit = "m/s"', 'unit = ["m/s"]')))
+    assert scenario.sensors.port("y").unit == "m/s"
+    with pytest.raises(ModelError, match=r"unit=\('m/s', 'm'\), 2 units for 1 signal; give one for each"):
+        load_scenario(write(('unit = "m/s"', 'unit = ["m/s", "m"]\nmatrix = [[1], [1], [1]]')))

@@ -233,7 +233,7 @@ def print_report(numbers: Mapping[str, Any]) -> None:
     console = terminal()
     title = f"{numbers['scenario']}: {numbers['duration']:g} s, {numbers['steps']} steps, seed {numbers['seed']}"
     console.print(Text(title), soft_wrap=True)
-    for figures in tables_of(numbers):
+    for figures in (figures for figures in tables_of(numbers) if not figures.empty):
         law = numbers.get("law", "") if figures.key == "errors" else ""
         _print_table(console, figures.heading, figures.columns, figures.texts(), f"{figures.remark} {law}".strip())
     if check := numbers.get("kalman"):

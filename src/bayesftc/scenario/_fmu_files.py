@@ -42,6 +42,10 @@ def fmu_of(table: dict[str, Any], place: Place, folder: Path) -> Block:
         path = folder / chosen.fmu if is_file else fmus.path(chosen.fmu, fmi=chosen.fmi or "2.0")
     except (ValueError, FileNotFoundError) as error:
         raise FMUError(f"{place / 'fmu'}: {error} The name of an FMU file must end with .fmu.") from None
+    for side in ("inputs", "outputs"):  # all else that ports have is read from the FMU
+        for i, port in enumerate(items if isinstance(items := table.get(side), list) else ()):
+            if isinstance(port, Mapping):
+                (place / side / i).refuse_unknown(port, ("name", "unit"))
     return build(FMU, table, place, given={"path": path})  # type: ignore[no-any-return]
 
 

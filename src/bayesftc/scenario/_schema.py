@@ -131,7 +131,7 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
 def settings(cls: Callable[..., Any]) -> dict[str, bool]:
     """Return the names of a dataclass's fields, or of a function's arguments, and whether each is required.
 
-    Fields with ``metadata={"derived": True}`` are results of methods, not settings.
+    Fields with ``metadata={"derived": True}`` are results of methods, or read from an FMU, and not settings.
     """
     if isinstance(cls, type):
         known = (f for f in fields(cls) if f.init and not f.metadata.get("derived"))

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from bayesftc import cosim
-from bayesftc.cosim.base.timebase import rational_step, show, whole_number, whole_steps
+from bayesftc.cosim.base.timebase import rational_step, share_of_time, show, spoken, whole_number, whole_steps
 
 
 @pytest.mark.parametrize(
@@ -121,3 +121,12 @@ def test_whole_number_takes_what_is_whole():
 
 def test_show():
     assert [show(Fraction(s)) for s in ("1/50", "1/30", "2", "1/1000000")] == ["0.02", "1/30", "2", "1e-06"]
+
+
+def test_long_times_are_written_in_units_that_one_can_read():
+    assert [spoken(t) for t in (0.4, 119, 120, 7199, 7200, 172799, 172800)] == [
+        "0 s", "119 s", "2 min", "120 min", "2 h", "48 h", "2 d",
+    ]  # fmt: skip
+    assert share_of_time(1.35732e6, 2.16e7) == "15.71 of 250 d"
+    assert share_of_time(3600.0, 21600.0) == "1 of 6 h"
+    assert share_of_time(12.5, 9000.0) == "12.5 of 9000 s"

@@ -161,6 +161,23 @@ def test_plain_settings():
         cosim.Sensors(**{"sd": 1.0})
 
 
+def test_each_signal_may_have_a_unit_of_its_own():
+    sensors = cosim.Sensors((3, 1), unit=["m", "degC"])
+    assert (sensors.port("u").units, sensors.port("y").units) == (("m", "degC"), ("m", "m", "m", "degC"))
+    assert sensors.port("y").unit is None
+    in_turn = cosim.Sensors(4, unit=("m", "degC"))
+    assert (in_turn.signals, in_turn.port("y").units) == (2, ("m", "degC", "m", "degC"))
+    assert cosim.Sensors((3, 1), unit=("m", "m")).port("y").unit == "m"
+    mixed = cosim.Sensors(3, signals=2, matrix=MATRIX, unit=("m", "degC"))
+    assert mixed.port("y").units == ("m", None, None)
+    with pytest.raises(ModelError, match=r"unit=\('m', 'degC', 'K'\), 3 units for 2 signals; give one for each signal"):
+        cosim.Sensors((3, 1), unit=("m", "degC", "K"))
+    with pytest.raises(ModelError, match="unit=3; it must be a text, or a text for each signal"):
+        cosim.Sensors(2, unit=3)
+    with pytest.raises(ModelError, match=r"units=\('m',\), but 2 elements; give a unit for each element"):
+        cosim.Port("x", (2,), units=("m",))
+
+
 def test_units_are_those_of_the_signal():
     diagram = cosim.Diagram(dt=0.1)
     speed = diagram.add(cosim.Constant(1.0, unit="m/s"))

@@ -388,3 +388,63 @@ def test_an_input_can_be_connected_anew():
     assert diagram.simulate(1)["g.y"][-1] == 2.0
     with pytest.raises(cosim.ModelError, match="to disconnect ports, do so before build"):
         diagram.disconnect(gain["u"])
+
+
+def in_units(speed, position, reference, **changes):
+    """Return a loop of two quantities in these units, with goals for both."""
+
+    class Known(Car):
+        outputs = (Port("speed", unit=speed), Port("position", unit=position), Port("both", (2,)))
+
+    return loop(
+        plant=Known(),
+        controller=Proportional(sensors=2, goals=2),
+        measured=["speed", "position"],
+        reference=reference,
+        **changes,
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "gap"),
+    [
+        ("km", "; put Gain(1000) between them."),
+        ("K", ": their dimensions differ; put a block between them that computes one from the other."),
+    ],
+)
+def test_a_reference_in_another_unit_than_its_quantity_is_refused(unit, gap):
+    sentence = f"reference_1.y is in {unit}, but controller.goal[1], the goal of position, is in m{gap}"
+    with pytest.raises(cosim.ConnectionError, match=re.escape(sentence)):
+        in_units("m/s", "m", [1.0, cosim.Constant(3.0, unit=unit)])
+    in_units("m/s", "m", [cosim.Constant(1.0, unit="m s-1"), cosim.Constant(3.0, unit="m")])
+    in_units("m/s", None, [1.0, cosim.Constant(3.0, unit=unit)])  # not known
+
+
+def test_a_reference_is_checked_through_blocks_and_by_the_units_of_sensors():
+    limited = {
+        "blocks": {"limiter": cosim.RateLimiter(1.0)},
+        "connections": [("reference_0.y", "limiter.u"), ("limiter.y", "controller.goal[0]")],
+    }
+    with pytest.raises(
+        cosim.ConnectionError, match=re.escape("limiter.y is in km/h, but controller.goal[0], the goal of")
+    ):
+        in_units("m/s", "m", [cosim.Constant(1.0, unit="km/h"), 3.0], **limited)
+    converted = {
+        "blocks": {"si": cosim.Gain(1 / 3.6, 0.0, "km/h", "m/s")},
+        "connections": [("reference_0.y", "si.u"), ("si.y", "controller.goal[0]")],
+    }
+    in_units("m/s", "m", [cosim.Constant(1.0, unit="km/h"), 3.0], **converted)
+    sensors = cosim.Sensors(2, unit=["m/s", "m"])
+    with pytest.raises(cosim.ConnectionError, match=re.escape("reference_1.y is in K, but")):
+        in_units(None, None, [1.0, cosim.Constant(3.0, unit="K")], sensors=sensors)
+    with pytest.raises(
+        cosim.ConnectionError, match=re.escape("plant.position is in km, but sensors.u[1] is in m; put")
+    ):
+        in_units("m/s", "km", 1.0, sensors=sensors)
+
+
+def test_elements_of_one_port_keep_their_own_units():
+    diagram = in_units("m/s", None, [cosim.Constant(1.0, unit="m/s"), 3.0])
+    units = diagram.simulate(0.04, engine="interpreted", record=["*", "*.*"]).units
+    assert units["reference_0.y"] == "m/s"
+    assert not {"reference_1.y", "plant.position", "sensors.y"} & units.keys()

@@ -272,6 +272,53 @@ def test_contract(case, make_block):
         block.online(1, compiled=False)
 
 
+def rebinds(u, y):
+    y = u  # noqa: F841
+
+
+def rebinds_after_reading(u, y):
+    y = 2.0 * y + u
+
+
+def ignores(u, y):
+    pass
+
+
+def adds_in_place(u, y):
+    y[0] = 0.0
+    y += u
+
+
+def lets_another_write(u, y):
+    copy_through(u, y)
+
+
+def through_another_name(u, y):
+    out = y
+    out[0] = u[0]
+
+
+@pytest.mark.parametrize("output", [rebinds, rebinds_after_reading, ignores])
+def test_an_output_into_which_nothing_is_written_is_warned_of(output, make_block):
+    diagram = cosim.Diagram(1)
+    diagram.add(make_block(inputs=[Port("u", default=0.0)], outputs=[Port("y")], output=output), "b")
+    sentence = (
+        rf"The step function '{output.__name__}' of block 'b' writes nothing into its output 'y', which has no value \(NaN\). "
+        r"Write y\[0\] = "
+    )
+    with pytest.warns(UserWarning, match=sentence) as caught:
+        diagram.build()
+    assert len(caught) == 1
+
+
+@pytest.mark.parametrize("output", [copy_through, adds_in_place, lets_another_write, through_another_name])
+def test_an_output_that_is_written_in_some_way_is_not_warned_of(output, make_block, recwarn):
+    diagram = cosim.Diagram(1)
+    diagram.add(make_block(inputs=[Port("u", (1,), default=0.0)], outputs=[Port("y", (1,))], output=output), "b")
+    diagram.build()
+    assert not recwarn.list
+
+
 def test_a_block_must_say_what_it_does():
     diagram = cosim.Diagram(1)
     diagram.add(cosim.Block(), "b")

@@ -1,13 +1,15 @@
 """FMUs with ports and parameters of every type, and with units."""
 
 import re
+import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.cosim import ops
-from bayesftc.cosim.errors import FMUError, SimulationError
+from bayesftc.cosim.errors import FMUError, ModelError, SimulationError
 from bayesftc.cosim.fmi.fmu import FMU
 
 ENGINES = ("compiled", "interpreted")
@@ -134,3 +136,46 @@ def cosim_path():
     from bayesftc import fmus
 
     return fmus.path("CruiseControl")
+
+
+@pytest.fixture
+def without_units(tmp_path):
+    """A copy of the shipped car whose description has no units, as PythonFMU writes it."""
+    path = tmp_path / "Bare.fmu"
+    with zipfile.ZipFile(cosim_path()) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == "modelDescription.xml":
+                content = re.sub(rb'(<Real[^>]*?) unit="[^"]*"', rb"\1", content)
+            new.writestr(name, content)
+    return path
+
+
+def test_ports_give_an_fmu_without_units_its_units(without_units):
+    given = {"inputs": [cosim.Port("force", unit="N"), "disturbance"], "outputs": [cosim.Port("v", unit="m/s")]}
+    car = FMU(without_units, **given)
+    assert {port.name: port.unit for port in (*car.inputs, *car.outputs)} == {
+        "force": "N",
+        "disturbance": None,
+        "v": "m/s",
+    }
+    again = replace(car, parameters={"m": 90.0}).watching(["m"])
+    assert {port.name: port.unit for port in (*again.inputs, *again.outputs)} == {
+        "force": "N", "disturbance": None, "v": "m/s", "m": None,
+    }  # fmt: skip
+    loop = cosim.closed_loop(
+        car,
+        controllers.LQGController(
+            controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]], 1e-3, 0.01, dt=0.02), goal_covariance=0.01
+        ),
+        control="force",
+        measured="v",
+        reference=cosim.Constant(2.0, unit="m/s"),
+    )
+    assert loop.simulate(0.04, engine="interpreted").units["sensors.y"] == "m/s"
+    sentence = (
+        "FMU has the output 'v' in km/h, but CruiseControl.fmu has it in m/s. Leave out the unit here, and convert"
+    )
+    with pytest.raises(ModelError, match=re.escape(sentence)):
+        FMU(cosim_path(), outputs=[cosim.Port("v", unit="km/h")])
+    assert FMU(cosim_path(), outputs=[cosim.Port("v", unit="m.s-1")]).outputs[0].unit == "m/s"

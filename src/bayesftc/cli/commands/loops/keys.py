@@ -19,6 +19,9 @@ FILES: dict[str, dict[str, list[Part]]] = {
             Part(f"{SECTIONS}.Wiring"),
             Part("bayesftc.scenario._fmu_files.Shipped", "An FMU"),
             Part("bayesftc.cosim.FMU", "An FMU", "path"),
+            Part(
+                "bayesftc.cosim.Port", "inputs, outputs of an FMU", "shape feedthrough default draw description units"
+            ),
             Part("bayesftc.scenario._linear_plant.Matrices", "A linear system"),
             Part("bayesftc.cosim.StateSpace", "A linear system", "system feedthrough params method rtol atol"),
             Part("bayesftc.scenario._blocks.Ports", 'kind = "Subsystem", with blocks and connections'),
@@ -77,9 +80,9 @@ def keys(
         raise ScenarioError(f"There is no kind of file {file!r}; {did_you_mean(file, FILES)}")
     parts = [(f"{title}  {p.title}".rstrip(), p) for title, ps in FILES[file].items() for p in ps]
     tables = [(title, kind, cls, part.without) for title, part in parts for kind, cls in classes(part)]
-    chosen = [t for t in tables if section is None or section in _words(t[0]) or section == t[1]]
+    chosen = [t for t in tables if section is None or section in _words(t[0]) or section in (t[1], t[2].__name__)]
     if not chosen:
-        names = {name for title, kind, *_ in tables for name in (*_words(title)[:1], kind) if name}
+        names = {name for title, kind, cls, _ in tables for name in (*_words(title)[:1], kind or cls.__name__) if name}
         raise ScenarioError(f"A {file} file has no section or kind {section!r}; {did_you_mean(section, names)}")
 
     from bayesftc.cli.output import plain_table, terminal

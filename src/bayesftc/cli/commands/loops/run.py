@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from enum import StrEnum
@@ -194,7 +194,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "law": _law(scenario.controller),
         **figures(signals).to_dict(),
         "notes": [
-            *_notes(scenario, signals),
+            *_notes(scenario, signals, _unrecorded(loop, result)),
             *_limited(loop, result),
             *(never_began(loop, result) if result.decimation == 1 else ()),
         ],
@@ -293,20 +293,36 @@ def _in_time(pace: Mapping[str, float]) -> str:
     )
 
 
-def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
+def _unrecorded(loop: Diagram, result: Result) -> list[str]:
+    """Return the names of signals that the figures need and that were not recorded."""
+    roles = find_roles(loop)
+    controller = loop[roles.controller]
+    inferred = {port.name for port in controller.outputs} & {"fault_probability", "detected"}
+    places = [
+        *(place for quantity in roles.quantities for _, place in quantity.truth or ()),
+        *(quantity.reference for quantity in roles.quantities),
+        *(place for role in roles.inputs for place in (role.sent, role.received)),
+    ]
+    needed = [place[0] for place in places if place is not None]
+    needed += [f"{roles.controller}.x_hat"] * any(quantity.belief is not None for quantity in roles.quantities)
+    needed += [f"{roles.controller}.{name}" for name in sorted(inferred)]
+    chains = [*(role.faults for role in roles.sensors), *(role.faults for role in roles.inputs)]
+    needed += [f"{fault}.active" for chain in chains for fault in chain]
+    return [name for name in dict.fromkeys(needed) if name not in result]
+
+
+def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] = ()) -> list[str]:
     """Return sentences on the numbers that the figures lack, and why."""
     why = getattr(getattr(scenario.controller, "precision", None), "why_no_probability", None)
     notes = [f"There is no fault probability: {why}"] if why else []
     if any(sensor.detected is not None and sensor.alarm is sensor.detected for sensor in signals.sensors):
         notes.append("Alarms are the samples at which the controller detects a fault.")
+    if unrecorded:
+        notes.append(
+            f"Figures are missing, because these signals were not recorded: {', '.join(unrecorded)}. Add them to 'record' of the "
+            "scenario, or remove 'record'."
+        )
     for quantity in signals.quantities:
-        needed_signals = [quantity.truth]
-        needed_signals += [quantity.belief] if quantity.has_belief else []
-        needed_signals += [quantity.reference] if quantity.has_goal and not quantity.only_ahead else []
-        if any(values is None for values in needed_signals):
-            notes.append(
-                f"Some signals of {quantity.name} were not recorded. For all figures remove 'record' from the scenario."
-            )
         if not quantity.has_goal:
             notes.append(f"{quantity.name} has no tracking error: the goal has no element for it.")
         if quantity.only_ahead:
@@ -326,7 +342,7 @@ def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
         ):
             if when := _first_not_finite(values, signals.time):
                 notes.append(f"The {what} of {quantity.name} is not finite {when}, so it has no {figures_of} then.")
-    if signals.faulty is None:
+    if signals.faulty is None and not unrecorded:
         notes.append("There are no figures of detection: the times of the faults were not recorded.")
     for sensor in signals.sensors:
         if sensor.probability is not None and why is None:
