@@ -67,8 +67,8 @@ def fit(
     fmu : FMU, str or path
         The FMU. Its `parameters` are start values that are not fitted.
     recording : Result, pandas.DataFrame, str or path
-        Evenly spaced samples, or a CSV or Parquet file with them. An empty cell, or NaN, is no sample. An input keeps its last
-        value until the next one. Values are in the FMU's units.
+        Evenly spaced samples, of which rows may be missing, or a CSV or Parquet file with them. An empty cell, or NaN, is no
+        sample. An input keeps its last value until the next one. Values are in the FMU's units.
     parameters : mapping
         Name -> ``(low, high)``: the range of each fitted parameter, in the FMU's unit. Start values of states are parameters like
         others. The FMU begins at the first row of the recording.
@@ -79,10 +79,10 @@ def fit(
         that name.
     time : str, optional
         Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms``; by default a column that
-        is called t, time or timestamp, also with a unit.
+        is called t, time or timestamp, also with a unit, else the first one with dates (ISO 8601).
     dt : float, str or Fraction, optional
-        Seconds between two steps; by default that of the times, which must then be evenly spaced. With `dt`, each row belongs to
-        the nearest step.
+        Seconds between two steps; by default that of the times, which must then be evenly spaced. Rows may be missing. With `dt`,
+        each row belongs to the nearest step.
     held_out : float
         Share of the steps, at the end, that the fit does not use; 0 for none.
     weigh : callable, optional
