@@ -23,6 +23,9 @@ MOST_STEPS = 20_000_000
 UNEVEN = 0.01
 """Share of a step by which evenly spaced times may differ from a whole number of steps."""
 
+LEAST_MISSING = 4
+"""Usual intervals without a row from which on there is a gap: over fewer, inputs that keep their values hardly matter."""
+
 Columns = str | Sequence[str] | Mapping[str, str | Sequence[str]]
 """Variables of an FMU with their columns; a variable alone has the column of its name."""
 
@@ -45,6 +48,8 @@ class Samples:
         Samples of all sensors, in this order; NaN where there is none.
     unused : tuple of str
         Columns that are neither times nor named among the inputs and outputs.
+    gaps : tuple of (int, int)
+        The last step before each gap, in which there is no row, and the first one after it.
     """
 
     step: Fraction
@@ -53,6 +58,7 @@ class Samples:
     sensors: Mapping[str, tuple[str, ...]]
     y: Floats
     unused: tuple[str, ...] = ()
+    gaps: tuple[tuple[int, int], ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -104,7 +110,7 @@ def sample(
     given = {name: _at(rows, steps, table[columns].to_numpy(dtype=np.float64)) for name, columns in into.items()}
     y = _at(rows, steps, table[[c for columns in out.values() for c in columns]].to_numpy(dtype=np.float64))
     unused = tuple(str(column) for column in table.columns if column != time and column not in named)
-    return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y, unused)
+    return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y, unused, _gaps(rows))
 
 
 def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
@@ -161,6 +167,13 @@ def _nearest(t: Floats, step: Fraction) -> np.ndarray[Any, np.dtype[np.int64]]:
             f"The recording of {span:g} s is shorter than a step of {float(step):g} s. Give a smaller dt."
         )
     return np.asarray(np.rint((t - t[0]) / float(step)), dtype=np.int64)
+
+
+def _gaps(rows: np.ndarray[Any, np.dtype[np.int64]]) -> tuple[tuple[int, int], ...]:
+    """Return the steps before and after each stretch in which several rows are missing."""
+    intervals = np.diff(rows)
+    usual = float(np.median(intervals)) if len(intervals) else 0.0
+    return tuple((int(rows[k]), int(rows[k + 1])) for k in np.flatnonzero(intervals > LEAST_MISSING * max(usual, 1.0)))
 
 
 def _at(rows: np.ndarray[Any, np.dtype[np.int64]], steps: int, values: Floats) -> Floats:
