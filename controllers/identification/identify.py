@@ -18,7 +18,7 @@ from bayesftc.controllers.models.checks import as_number
 from bayesftc.controllers.models.delays import whole_delays
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import PoorFitWarning
-from bayesftc.cosim.base.recordings.table_files import time_column
+from bayesftc.cosim.base.recordings.table_files import find_times
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.run.tables import named_columns, read_table, sample_time
 from bayesftc.cosim.statistics._whiteness import FEW, LAGS, whiteness
@@ -132,7 +132,7 @@ def identify(
     """Identify the model of a recording; see `LinearModel.identify`."""
     table = read_table(data, "identify()")
     names_in, names_out = named_columns(table, inputs, "input"), named_columns(table, outputs, "output")
-    found = time or time_column(column for column in table.columns if column not in (*names_in, *names_out))
+    found = time or find_times(table, (*names_in, *names_out))
     step = sample_time(table, found, dt)
     u, y = (table[names].to_numpy(dtype=np.float64) for names in (names_in, names_out))
     late = whole_delays("identify() has input_delays", input_delays, len(names_in), "input", step)

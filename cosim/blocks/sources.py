@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real, reals
-from bayesftc.cosim.base.recordings.table_files import in_seconds, read_table_file, time_column
+from bayesftc.cosim.base.recordings.table_files import find_times, read_table_file, times_in
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.tables import place
 from bayesftc.cosim.errors import ModelError, RecordingError, brief, did_you_mean
@@ -310,7 +310,7 @@ class Table(Source):
             Name of the column.
         time : str, optional
             Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms`` or ``t [min]``; by default
-            a column that is called t, time or timestamp, also with a unit.
+            a column that is called t, time or timestamp, also with a unit, else the first one with dates (ISO 8601).
         interpolate, unit
             As of the class.
 
@@ -321,16 +321,20 @@ class Table(Source):
         ModelError
             If no sample is left, or the times do not rise.
         """
+        import pandas as pd
+
         table = read_table_file(file)
-        time = time or time_column(str(name) for name in table if name != column) or "time"
+        time = time or find_times(table, (column,)) or "time"
         for name in (time, column):
             if name not in table:
                 raise RecordingError(f"{file} has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")
         try:
-            rows = table[[time, column]].astype(float).dropna()
+            rows = pd.DataFrame({"t": times_in(table, time), "y": table[column].astype(float)}).dropna()
+        except RecordingError as error:
+            raise RecordingError(f"{file}: {error}") from None
         except (TypeError, ValueError) as error:
             raise RecordingError(f"{file} has text in {time!r} or {column!r}: {error}.") from None
-        return cls(in_seconds(time, rows[time]).tolist(), rows[column].tolist(), interpolate, unit)
+        return cls(rows["t"].tolist(), rows["y"].tolist(), interpolate, unit)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

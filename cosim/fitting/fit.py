@@ -16,12 +16,14 @@ from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fitting import sentences
 from bayesftc.cosim.fitting.fitted import FittedFMU
+from bayesftc.cosim.fitting.recovery import recovering
 from bayesftc.cosim.fitting.samples import Columns, Samples, sample
 from bayesftc.cosim.fitting.search import Box, Problem
 from bayesftc.cosim.fitting.settings import FitSettings
 from bayesftc.cosim.fitting.simulator import Simulator
 from bayesftc.cosim.fitting.uncertainty import Combination, combinations, covariance, is_correlated
 from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.types import Floats
 
 Weigh = Callable[[Floats, Floats, float], Floats]
@@ -67,8 +69,8 @@ def fit(
     fmu : FMU, str or path
         The FMU. Its `parameters` are start values that are not fitted.
     recording : Result, pandas.DataFrame, str or path
-        Evenly spaced samples, or a CSV or Parquet file with them. An empty cell, or NaN, is no sample. An input keeps its last
-        value until the next one. Values are in the FMU's units.
+        Evenly spaced samples, of which rows may be missing, or a CSV or Parquet file with them. An empty cell, or NaN, is no
+        sample. An input keeps its last value until the next one. Values are in the FMU's units.
     parameters : mapping
         Name -> ``(low, high)``: the range of each fitted parameter, in the FMU's unit. Start values of states are parameters like
         others. The FMU begins at the first row of the recording.
@@ -79,10 +81,10 @@ def fit(
         that name.
     time : str, optional
         Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms``; by default a column that
-        is called t, time or timestamp, also with a unit.
+        is called t, time or timestamp, also with a unit, else the first one with dates (ISO 8601).
     dt : float, str or Fraction, optional
-        Seconds between two steps; by default that of the times, which must then be evenly spaced. With `dt`, each row belongs to
-        the nearest step.
+        Seconds between two steps; by default that of the times, which must then be evenly spaced. Rows may be missing. With `dt`,
+        each row belongs to the nearest step.
     held_out : float
         Share of the steps, at the end, that the fit does not use; 0 for none.
     weigh : callable, optional
@@ -145,13 +147,18 @@ def fit(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """The end of a search: the place, the weights of the samples, the run, and the derivatives of the weighted residuals."""
+    """The end of a search.
+
+    It has the place, the weights of the samples, the run, the derivatives of the weighted residuals, and the samples after gaps
+    from which the FMU has not recovered.
+    """
 
     place: Floats
     weights: Floats
     outputs: Floats
     jacobian: Floats
     residuals: Floats
+    late: Flags
     settled: bool
 
 
@@ -169,8 +176,9 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
         place = problem.weighted(weights[:rows], noise).descend(place, loss, coarse=True).x
         outputs = _run(problem, place, len(samples.y))
     for _ in range(settings.rounds):
+        late = recovering(samples, outputs, least)
         if weigh:
-            weights = _weights(weigh, samples, outputs)
+            weights = _weights(weigh, samples, outputs, late)
         _refuse_few(samples, weights[:rows], len(place))
         noise = np.maximum(_noise(samples, outputs, weights, rows, len(place)), least)
         before, end = place, problem.weighted(weights[:rows], noise).descend(place, "linear")
@@ -178,7 +186,7 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
         settled = float(np.linalg.norm(end.jac @ (place - before))) < settings.settled
         if settled:
             break
-    return _Found(place, weights, outputs, end.jac, end.fun, settled)
+    return _Found(place, weights, outputs, end.jac, end.fun, late, settled)
 
 
 def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> FittedFMU:
@@ -204,7 +212,8 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         *sentences.at_bounds(dict(zip(box.names, found.place.tolist(), strict=True)), values, margin),
         *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
         *sentences.correlated(columns, correlated, white, std),
-        *sentences.left_out(samples.sensors, found.weights, np.isfinite(samples.y), samples.time),
+        *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, samples.time),
+        *sentences.left_out(samples.sensors, found.weights, np.isfinite(samples.y) & ~found.late, samples.time),
         *sentences.held_out_worse(rms, rest),
     ]
     if not found.settled:
@@ -293,12 +302,12 @@ def _weigh(weigh: Weigh | Literal["learner"] | None) -> Weigh | None:
     return weigh
 
 
-def _weights(weigh: Weigh, samples: Samples, outputs: Floats) -> Floats:
-    """Return the weight of each sample, output by output."""
+def _weights(weigh: Weigh, samples: Samples, outputs: Floats, late: Flags) -> Floats:
+    """Return the weight of each sample, output by output: 0 where the FMU has not recovered from a gap, which is no fault."""
     weights = np.empty(samples.y.shape)
     for j in range(outputs.shape[1]):
         of_output = samples.output_of == j
-        y = samples.y[:, of_output]
+        y = np.where(late, np.nan, samples.y)[:, of_output]
         given = np.asarray(weigh(y, outputs[:, j], float(samples.step)), dtype=np.float64)
         if given.shape != y.shape or not ((given >= 0) & (given <= 1)).all():
             raise ModelError(

@@ -9,13 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.table_files import time_column
+from bayesftc.cosim.base.recordings.dates import ISO, other_date
+from bayesftc.cosim.base.recordings.table_files import find_times
+from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.run.tables import named_columns, read_table, sample_time, times_of
 from bayesftc.cosim.types import Floats
 
 MOST_STEPS = 20_000_000
 """Largest number of steps: a longer recording more likely has a wrong unit of time."""
+
+UNEVEN = 0.01
+"""Share of a step by which evenly spaced times may differ from a whole number of steps."""
+
+LEAST_MISSING = 4
+"""Usual intervals without a row from which on there is a gap: over fewer, inputs that keep their values hardly matter."""
 
 Columns = str | Sequence[str] | Mapping[str, str | Sequence[str]]
 """Variables of an FMU with their columns; a variable alone has the column of its name."""
@@ -39,6 +48,8 @@ class Samples:
         Samples of all sensors, in this order; NaN where there is none.
     unused : tuple of str
         Columns that are neither times nor named among the inputs and outputs.
+    gaps : tuple of (int, int)
+        The last step before each gap, in which there is no row, and the first one after it.
     """
 
     step: Fraction
@@ -47,6 +58,7 @@ class Samples:
     sensors: Mapping[str, tuple[str, ...]]
     y: Floats
     unused: tuple[str, ...] = ()
+    gaps: tuple[tuple[int, int], ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -69,8 +81,8 @@ def sample(
 ) -> Samples:
     """Read a recording and bring its rows to steps. Nothing is interpolated: each row goes to the nearest step.
 
-    Without `dt` the times must be evenly spaced. With `dt` there may be gaps, and of several rows at a step the last one counts.
-    With `dt` and no column of times there is a row for each step.
+    Without `dt` the times must be evenly spaced, but rows may be missing. With `dt` the times may be uneven, and of several rows
+    at a step the last one counts. With `dt` and no column of times there is a row for each step.
 
     Raises
     ------
@@ -84,17 +96,21 @@ def sample(
     into = {name: named_columns(table, columns, "input") for name, columns in read.items()}
     out = {name: tuple(named_columns(table, columns, "output")) for name, columns in sensed.items()}
     named = {column for columns in (*into.values(), *out.values()) for column in columns}
-    time = time or time_column(column for column in table.columns if column not in named)
-    step = sample_time(table, time, dt)
+    time = time or find_times(table, named)
     rows, start = np.arange(len(table)), 0.0
-    if time in table.columns:
+    if dt is not None and time not in table.columns:
+        step = rational_step(dt)
+        _warn_of_dates(table, named)
+    else:
+        time = time or next((column for column in table.columns if _has_other_dates(table, column)), None)
         t = times_of(table, time)
+        step = _usual_step(t) or sample_time(table, time, None) if dt is None else rational_step(dt)
         start, rows = float(t[0]), _nearest(t, step)
     steps = int(rows[-1]) + 1
     given = {name: _at(rows, steps, table[columns].to_numpy(dtype=np.float64)) for name, columns in into.items()}
     y = _at(rows, steps, table[[c for columns in out.values() for c in columns]].to_numpy(dtype=np.float64))
     unused = tuple(str(column) for column in table.columns if column != time and column not in named)
-    return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y, unused)
+    return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y, unused, _gaps(rows))
 
 
 def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
@@ -116,6 +132,29 @@ def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
     return found
 
 
+def _has_other_dates(table: Any, column: str) -> bool:
+    return list(table.columns).count(column) == 1 and other_date(table[column]) is not None
+
+
+def _warn_of_dates(table: Any, named: set[str]) -> None:
+    """Warn of a column of dates that cannot be read, and so does not count."""
+    for column in table.columns:
+        if column not in named and _has_other_dates(table, column):
+            warn_user(
+                f"The dates in {column!r}, such as {other_date(table[column])!r}, are not in the form of ISO 8601 and do not "
+                f"count: each row is one step of dt, and gaps are lost. Write the dates as {ISO}."
+            )
+
+
+def _usual_step(t: Floats) -> Fraction | None:
+    """Return the step of times that are evenly spaced except for missing rows; None for any others."""
+    steps = np.diff(t)
+    counts = np.rint(steps / np.median(steps))
+    step = float(t[-1] - t[0]) / float(counts.sum())
+    even = np.abs(steps - counts * step).max() <= UNEVEN * step
+    return Fraction(f"{step:.6g}") if even and counts.min() == 1 < counts.max() else None
+
+
 def _nearest(t: Floats, step: Fraction) -> np.ndarray[Any, np.dtype[np.int64]]:
     span = float(t[-1] - t[0])
     if span / float(step) > MOST_STEPS:
@@ -128,6 +167,13 @@ def _nearest(t: Floats, step: Fraction) -> np.ndarray[Any, np.dtype[np.int64]]:
             f"The recording of {span:g} s is shorter than a step of {float(step):g} s. Give a smaller dt."
         )
     return np.asarray(np.rint((t - t[0]) / float(step)), dtype=np.int64)
+
+
+def _gaps(rows: np.ndarray[Any, np.dtype[np.int64]]) -> tuple[tuple[int, int], ...]:
+    """Return the steps before and after each stretch in which several rows are missing."""
+    intervals = np.diff(rows)
+    usual = float(np.median(intervals)) if len(intervals) else 0.0
+    return tuple((int(rows[k]), int(rows[k + 1])) for k in np.flatnonzero(intervals > LEAST_MISSING * max(usual, 1.0)))
 
 
 def _at(rows: np.ndarray[Any, np.dtype[np.int64]], steps: int, values: Floats) -> Floats:

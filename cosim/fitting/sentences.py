@@ -70,6 +70,25 @@ def correlated(columns: Sequence[str], found: Sequence[bool], white: Floats, use
         )
 
 
+def gaps(
+    sensors: Mapping[str, Sequence[str]], gaps: Sequence[tuple[int, int]], late: Flags, weights: Floats, time: Floats
+) -> Iterator[str]:
+    """Give a sentence for each gap from which the FMU has not recovered at once; `late` are the samples up to then."""
+    output_of = np.repeat(np.arange(len(sensors)), [len(columns) for columns in sensors.values()])
+    for k, (before, after) in enumerate(gaps):
+        part = slice(after, gaps[k + 1][0] + 1 if k + 1 < len(gaps) else None)
+        steps = {name: np.flatnonzero(late[part, output_of == j].any(axis=1)) for j, name in enumerate(sensors)}
+        until = [f"{name} up to {time[after + found[-1]]:g} s" for name, found in steps.items() if len(found)]
+        if not until:
+            continue
+        counted = (weights[part][late[part]] >= 0.5).any()
+        yield (
+            f"From {time[before]:g} to {time[after]:g} s the recording has a gap, in which the inputs are unknown. They keep "
+            f"their last values in the FMU. Its outputs differ after the gap: {', '.join(until)}. These samples "
+            + ("count all the same." if counted else "do not count. They are no faults.")
+        )
+
+
 def left_out(sensors: Mapping[str, Sequence[str]], weights: Floats, present: Flags, time: Floats) -> Iterator[str]:
     """Give a sentence for each sensor of which samples do not count; `sensors` are those of each output."""
     alone = [len(columns) == 1 for columns in sensors.values() for _ in columns]

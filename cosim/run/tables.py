@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.table_files import TIMES, in_seconds, read_table_file
+from bayesftc.cosim.base.recordings.dates import ISO, are_dates, other_date
+from bayesftc.cosim.base.recordings.table_files import TIMES, read_table_file, times_in
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
 from bayesftc.cosim.run.result import Result
@@ -117,12 +118,16 @@ def sample_time(table: pd.DataFrame, time: str | None, dt: float | str | Fractio
 
 
 def times_of(table: pd.DataFrame, time: str | None) -> Floats:
-    """Return the times of the rows in seconds; the name of the column may have another unit (``t_ms``), or be None if unknown.
+    """Return the times of the rows in seconds; dates count from the first one.
+
+    The name of the column may have another unit (``t_ms``), or be None if unknown.
 
     Raises
     ------
     StepSizeError
-        If there is no such column, or its numbers do not increase.
+        If there is no such column, or its numbers or dates do not increase.
+    RecordingError
+        If a cell among dates is none.
     """
     if time is None or time not in table.columns:
         names = f"column of times: none is called {', '.join(TIMES[:3])}" if time is None else f"column {time!r}"
@@ -130,11 +135,17 @@ def times_of(table: pd.DataFrame, time: str | None) -> Floats:
             f"The recording has no {names}; give the name of the column of times (time=...), or dt= in seconds. Its "
             f"columns: {', '.join(map(str, table.columns[:12]))}{', ...' * (len(table.columns) > 12)}."
         )
-    if list(table.columns).count(time) > 1 or table[time].dtype.kind not in "fiu":
+    single = list(table.columns).count(time) == 1
+    if single and (date := other_date(table[time])) is not None:
+        raise StepSizeError(
+            f"The dates in {time!r}, such as {date!r}, are not in the form of ISO 8601. Write them as {ISO}, or give only dt= in "
+            "seconds."
+        )
+    if not single or (table[time].dtype.kind not in "fiu" and not are_dates(table[time])):
         raise StepSizeError(
             f"The column {time!r} does not contain numbers. Convert the times to seconds, or give dt= in seconds."
         )
-    t = in_seconds(time, table[time])
+    t = times_in(table, time)
     steps = np.diff(t)
     if len(steps) == 0 or not np.isfinite(steps).all() or steps.min() <= 0:
         raise StepSizeError(

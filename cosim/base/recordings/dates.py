@@ -19,6 +19,11 @@ LONG = 600.0
 
 _DATE = re.compile(r"\s*\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*")
 
+_OTHER_DATE = re.compile(r"(\d{1,2}|\d{4})([./-])(\d{1,2}|[A-Za-z]{3,9})\2(\d{4}|\d{1,2})\b")
+
+ISO = "2026-03-28 08:00:00"
+"""A date, as an example for messages."""
+
 
 def are_dates(cells: Any) -> bool:
     """Return whether a column has dates: as dates of pandas, or as texts of which the first is an ISO date."""
@@ -30,6 +35,17 @@ def are_dates(cells: Any) -> bool:
         return False
     given = cells.dropna()
     return len(given) > 0 and isinstance(given.iloc[0], str) and _DATE.fullmatch(given.iloc[0]) is not None
+
+
+def other_date(cells: Any) -> str | None:
+    """Return the first text of a column if it looks like a date in another form than ISO 8601, as ``28.03.2026 08:00:00``."""
+    import pandas as pd
+
+    if pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_datetime64_any_dtype(cells):
+        return None
+    given = cells.dropna()
+    first = str(given.iloc[0]).strip() if len(given) else ""
+    return first if _OTHER_DATE.match(first) and not _DATE.fullmatch(first) else None
 
 
 def as_seconds(cells: Any, source: str, origin: pd.Timestamp | None = None) -> tuple[Floats, pd.Timestamp]:
@@ -104,4 +120,4 @@ def seconds_of(moment: datetime, origin: datetime) -> float:
     return (moment - origin) / timedelta(seconds=1)
 
 
-__all__ = ["are_dates", "as_seconds", "date_at", "seconds_of", "span_text", "time_text"]
+__all__ = ["ISO", "are_dates", "as_seconds", "date_at", "other_date", "seconds_of", "span_text", "time_text"]

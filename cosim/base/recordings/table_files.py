@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, form_of, lines_above
-from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds
+from bayesftc.cosim.base.recordings.dates import ISO, are_dates, as_seconds
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 
@@ -73,6 +73,49 @@ def time_column(names: Iterable[str]) -> str | None:
         if first in TIMES and (not unit or (len(unit) == 1 and unit[0] in UNITS_OF_TIME)):
             return name
     return None
+
+
+def find_times(table: pd.DataFrame, others: Container[str] = ()) -> str | None:
+    """Return the column of times: the first whose name says so, else the first one of dates; None if there is none.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        The recording.
+    others : container of str
+        Columns that are something else.
+    """
+    import pandas as pd
+
+    names = [name for name in table.columns if name not in others]
+    named = time_column(names)
+    if named is not None:
+        return named
+    # A name that occurs twice gives a table.
+    return next((name for name in names if isinstance(table[name], pd.Series) and are_dates(table[name])), None)
+
+
+def times_in(table: pd.DataFrame, name: str) -> Floats:
+    """Return a column of times in seconds: of numbers by the unit in its name, of dates from the first one on.
+
+    Raises
+    ------
+    RecordingError
+        If a text is no date.
+    ValueError
+        If a text is no number.
+    """
+    cells = table[name]
+    if not are_dates(cells):
+        return in_seconds(name, cells)
+    seconds, _ = as_seconds(cells, f"column {name!r}")
+    wrong = np.flatnonzero(np.isnan(seconds) & cells.notna().to_numpy())
+    if len(wrong):
+        raise RecordingError(
+            f"{str(cells.iloc[wrong[0]])!r} in the column of times {name!r}, row {wrong[0] + 1}, is no date of ISO 8601. Write "
+            f"dates as {ISO}."
+        )
+    return seconds
 
 
 def in_seconds(name: object, times: Any) -> Floats:
@@ -142,4 +185,13 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
         ) from None
 
 
-__all__ = ["TIMES", "exact_numbers", "in_seconds", "read_table_file", "time_column", "time_unit"]
+__all__ = [
+    "TIMES",
+    "exact_numbers",
+    "find_times",
+    "in_seconds",
+    "read_table_file",
+    "time_column",
+    "time_unit",
+    "times_in",
+]

@@ -147,6 +147,8 @@ def test_time_zones_and_a_column_of_another_name(tmp_path):
     ]
     file = write(tmp_path / "drive.csv", ";", times=dates, names=("Zeit", "left", "right"))
     np.testing.assert_array_equal(monitoring.redundant_signals([file])[1]["left"].time, TIMES)
+    for time in (None, "Zeit"):
+        assert cosim.Table.read(file, "left", time=time).times == tuple(TIMES)
 
 
 def test_the_unit_in_the_name_of_a_column_of_dates_does_not_change_its_times(tmp_path):

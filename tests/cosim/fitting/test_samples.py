@@ -50,3 +50,45 @@ def test_sensors_belong_to_their_outputs():
 def test_times_that_cannot_be_used_are_refused(times, dt, error, words):
     with pytest.raises(error, match=words):
         sample(pd.DataFrame({"time": times, "y": 1.0}), (), "y", "time", dt)
+
+
+DATES = pd.date_range("2026-03-28T08:00", periods=8, freq="60s").delete([3, 4])
+
+
+@pytest.mark.parametrize("dt", [None, 60])
+@pytest.mark.parametrize("time", [None, "Zeit"])
+@pytest.mark.parametrize("form", [None, "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M+01:00"])
+def test_dates_are_times_and_a_gap_has_its_steps(dt, time, form, tmp_path):
+    dates = DATES if form is None else DATES.strftime(form)
+    table = pd.DataFrame({"y": np.arange(6.0), "Zeit": dates})
+    table.to_csv(tmp_path / "plant.csv", sep=";", decimal=",", index=False)
+    for recording in (table, tmp_path / "plant.csv"):
+        samples = sample(recording, (), "y", time, dt)
+        assert samples.step == 60
+        assert samples.start == 0.0
+        np.testing.assert_array_equal(samples.y[:, 0], [0, 1, 2, NAN, NAN, 3, 4, 5])
+
+
+@pytest.mark.parametrize("form", ["%d.%m.%Y %H:%M:%S", "%m/%d/%Y %I:%M:%S %p", "%d-%b-%Y %H:%M"])
+def test_dates_in_another_form_are_named(form):
+    table = pd.DataFrame({"Zeit": DATES.strftime(form), "y": np.arange(6.0)})
+    with pytest.warns(UserWarning, match="'Zeit', such as '.*', .* do not count: each row .* as 2026-03-28 08:00:00"):
+        assert len(sample(table, (), "y", None, 60).y) == 6
+    for time, dt in ((None, None), ("Zeit", None), ("Zeit", 60)):
+        with pytest.raises(
+            cosim.StepSizeError, match=r"not in the form of ISO 8601. Write them as 2026-03-28 08:00:00"
+        ):
+            sample(table, (), "y", time, dt)
+
+
+def test_a_text_among_dates_is_named():
+    table = pd.DataFrame({"Zeit": [*DATES.astype(str)[:5], "noon"], "y": np.arange(6.0)})
+    with pytest.raises(cosim.RecordingError, match="'noon' in the column of times 'Zeit', row 6, is no date"):
+        sample(table, (), "y", None, None)
+
+
+def test_rows_may_be_missing_among_rounded_times():
+    times = np.round(np.delete(np.arange(3000) / 30, [4, 5, 900]), 4)
+    samples = sample(pd.DataFrame({"t": times, "y": times}), (), "y", None, None)
+    assert len(samples.y) == 3000
+    assert float(samples.step) == pytest.approx(1 / 30, rel=1e-5)

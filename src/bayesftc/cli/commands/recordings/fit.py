@@ -42,7 +42,10 @@ def fit(
         typer.Option("--input", metavar="NAME=COLUMN", help="An input of the FMU and its column; repeat for more."),
     ] = None,
     time: Annotated[
-        str | None, typer.Option(help="The column of times; by default the one called t, time or timestamp, or t_ms.")
+        str | None,
+        typer.Option(
+            help="The column of times; by default the one called t, time, timestamp or t_ms, or one with dates."
+        ),
     ] = None,
     dt: Annotated[
         float | None, typer.Option(help="Seconds between two steps, if the times are not evenly spaced.")
