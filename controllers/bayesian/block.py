@@ -163,6 +163,11 @@ class BayesianBlock(Block, ABC):
         return self.precision.fault_kinds
 
     @property
+    def fault_sizes(self) -> tuple[str, ...]:
+        """What the size of each of `fault_kinds` is in; see `PrecisionLearner.fault_sizes`."""
+        return self.precision.fault_sizes
+
+    @property
     def goal_matrix(self) -> Floats:
         """Matrix G that maps the state to what has a goal (g x n)."""
         n = self.model.states

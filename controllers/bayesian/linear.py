@@ -208,6 +208,11 @@ class BayesianController(BayesianBlock):
         return tuple(type(mode).__name__ for mode in self._precision.actuator_modes)
 
     @property
+    def actuator_sizes(self) -> tuple[str, ...]:
+        """What the size of each of `actuator_kinds` is in: the control's ``"unit"``, or a share of its ``"effect"``."""
+        return tuple("unit" if mode.absolute else "effect" for mode in self._precision.actuator_modes)
+
+    @property
     def _precision(self) -> PrecisionLearner:
         # With belief="joint" the goal moves the belief about the state, so that this belief cannot reveal actuator faults.
         owner = "A BayesianController with belief='joint'"

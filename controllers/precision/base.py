@@ -230,6 +230,11 @@ class PrecisionLearner(NamedArguments):
         return ()
 
     @property
+    def fault_sizes(self) -> tuple[str, ...]:
+        """What sizes of `fault_kinds` are in: ``"unit"`` of the sensor, or multiples of its ``"noise"``; empty for no fault."""
+        return ()
+
+    @property
     def actuator_modes(self) -> Sequence[Any]:
         """The kinds of actuator faults that it distinguishes; none by default."""
         return ()

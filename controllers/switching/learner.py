@@ -320,6 +320,11 @@ class SwitchingPrecision(PrecisionLearner):
         return tuple(type(mode).__name__ for mode in self.modes)
 
     @property
+    def fault_sizes(self) -> tuple[str, ...]:
+        """See `PrecisionLearner.fault_sizes`."""
+        return tuple(("noise" if mode.size_in_noise else "unit") if mode.is_fault else "" for mode in self.modes)
+
+    @property
     def _usual_process(self) -> bool:
         """Whether the process modes are the default ones, with any times; these are left out where they have no effect."""
         return [(m.scale, m.fading) for m in self.process_modes] == [(m.scale, m.fading) for m in PROCESS_MODES]

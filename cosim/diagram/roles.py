@@ -108,6 +108,8 @@ class LoopRoles:
     """The parts of a closed loop: names of blocks and signals, without any numbers of a run.
 
     ``fault_kinds`` and ``actuator_kinds`` name the kinds of faults that the controller can identify, from number 1 on.
+    ``fault_sizes`` and ``actuator_sizes`` say for each of them what the size of a fault is in: ``"unit"`` of the sensor or the
+    control, ``"noise"`` for multiples of the sensor's noise, ``"effect"`` for a share of the control's effect; empty: no fault.
     """
 
     controller: str
@@ -117,6 +119,8 @@ class LoopRoles:
     controls: tuple[ControlRole, ...]
     fault_kinds: tuple[str, ...] = ()
     actuator_kinds: tuple[str, ...] = ()
+    fault_sizes: tuple[str, ...] = ()
+    actuator_sizes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file."""
@@ -166,7 +170,11 @@ def find_roles(diagram: Diagram) -> LoopRoles:
         for i in range(y.size)
     )
     inputs = _inputs(diagram, {sensor_node.name, controller.name}, controller)
-    kinds = (tuple(getattr(controller.block, f"{of}_kinds", ())) for of in ("fault", "actuator"))
+    kinds = (
+        tuple(getattr(controller.block, f"{of}_{what}", ()))
+        for what in ("kinds", "sizes")
+        for of in ("fault", "actuator")
+    )
     return LoopRoles(controller.name, sensors, quantities, inputs, _controls(diagram, controller), *kinds)
 
 

@@ -50,7 +50,9 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
     precision, beta, probability, detected = (
         reader.columns(name, count) for name in ("precision", "beta", "fault_probability", "detected")
     )
-    kind = reader.columns("fault_kind", count) if drawn else [None] * count
+    kind, size, onset = (
+        reader.columns(f"fault_{name}", count) if drawn else [None] * count for name in ("kind", "size", "onset")
+    )
     sensors = tuple(
         SensorSignals(
             i,
@@ -63,6 +65,9 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
             kind[i],
             roles.fault_kinds,
             role.unit,
+            size[i],
+            onset[i],
+            roles.fault_sizes,
         )
         for i, role in enumerate(roles.sensors)
     )
@@ -79,6 +84,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
         tuple(_input(reader, role) for role in roles.inputs),
         _actuators(reader, roles),
         _controls(reader, roles) if drawn else (),
+        _process(reader) if drawn else None,
     )
 
 
@@ -131,6 +137,7 @@ def _actuators(reader: _Reader, roles: LoopRoles) -> tuple[ActuatorSignals, ...]
             kind[j],
             size[j],
             roles.actuator_kinds,
+            roles.actuator_sizes,
         )
         for j, (role, values) in enumerate(zip(roles.controls, probability, strict=True))
         if values is not None
@@ -145,6 +152,12 @@ def _controls(reader: _Reader, roles: LoopRoles) -> tuple[ControlSignals, ...]:
         for role, values in zip(roles.controls, sent, strict=True)
         if values is not None
     )
+
+
+def _process(reader: _Reader) -> Floats | None:
+    """Return the probability of any process mode: all but the first, healthy, and the last, a mode that has just ended."""
+    p = reader.output("process_mode_probability")
+    return None if p is None or p.ndim != 2 else np.asarray(p[:, 1:-1].sum(axis=1))
 
 
 def _quantity(reader: _Reader, role: QuantityRole, drawn: bool) -> QuantitySignals:

@@ -52,6 +52,10 @@ class SensorSignals:
         Names of the kinds, from number 1 on.
     unit : str or None
         The unit of the samples.
+    size, onset : array or None
+        The size and the begin in seconds of a fault of that kind; None if there is no such output, or if not recorded.
+    sizes : tuple of str
+        What the size of each kind is in: the ``"unit"`` of the sensor, or multiples of its ``"noise"``; empty for no fault.
     """
 
     index: int
@@ -64,6 +68,9 @@ class SensorSignals:
     kind: Floats | None = None
     kinds: tuple[str, ...] = ()
     unit: str | None = None
+    size: Floats | None = None
+    onset: Floats | None = None
+    sizes: tuple[str, ...] = ()
 
     @property
     def missing(self) -> Flags | None:
@@ -173,6 +180,8 @@ class ActuatorSignals:
         The most probable mode by its number (0: healthy), and the size of its fault; None if not recorded.
     kinds : tuple of str
         Names of the modes, from number 1 on.
+    sizes : tuple of str
+        What the size of each kind is in: the ``"unit"`` of the control, or a share of its ``"effect"``.
     """
 
     name: str
@@ -182,6 +191,7 @@ class ActuatorSignals:
     kind: Floats | None
     size: Floats | None
     kinds: tuple[str, ...]
+    sizes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +210,8 @@ class LoopSignals:
     """A run of a closed loop: time in seconds, the measured quantities, the sensors, the inputs with faults.
 
     ``faults`` has for each recorded sensor fault the number of its sensor and whether it was present. ``actuators`` are those
-    with an inference of the controller, ``controls`` the recorded ones.
+    with an inference of the controller, ``controls`` the recorded ones. ``process`` is the probability of the process modes;
+    None if there are none, or if not recorded.
     """
 
     time: Floats
@@ -210,6 +221,7 @@ class LoopSignals:
     inputs: tuple[InputSignals, ...] = ()
     actuators: tuple[ActuatorSignals, ...] = ()
     controls: tuple[ControlSignals, ...] = ()
+    process: Floats | None = None
 
     @property
     def faulty(self) -> Flags | None:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from fractions import Fraction
 from functools import cached_property
+from html import escape
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
     from bayesftc.cosim.diagram.diagram import Diagram
     from bayesftc.cosim.judging.notebook import NotebookAnimation
+    from bayesftc.cosim.judging.signals import LoopSignals
     from bayesftc.cosim.run.summary import RunSummary
 
 FORMAT = "bayesftc-result-1"
@@ -244,7 +246,18 @@ class Result(Mapping[str, Floats]):
             size = " x ".join(map(str, self._columns[name][1])) or "1"
             rows.append((name, size, self.units.get(name, ""), *ends))
         title = repr(self)[1:-1] + (f": {self.stopped}" if self.stopped else "")
-        return table(title, rows, ("signal", "size", "unit", "smallest", "largest"))
+        return self._findings_html() + table(title, rows, ("signal", "size", "unit", "smallest", "largest"))
+
+    def _findings_html(self) -> str:
+        """Return the table of the inferred faults; nothing if there are none."""
+        from bayesftc.cosim.judging.findings import plain_findings
+        from bayesftc.cosim.run.summary import findings_table
+
+        inferred = plain_findings(self._loop_signals()) if self.roles is not None else None
+        if not inferred:
+            return ""
+        found = findings_table(inferred)
+        return table(found.heading, found.texts(), ("", *found.columns)) + f"<p>{escape(found.remark)}</p>\n"
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a column for each scalar (``y[0]``, ``y[1]``, ...) and time in seconds as its index."""
@@ -309,17 +322,56 @@ class Result(Mapping[str, Floats]):
         ModelError
             If the diagram is no closed loop.
         """
+        from bayesftc.cosim.judging.findings import plain_findings
         from bayesftc.cosim.judging.metrics import figures
-        from bayesftc.cosim.judging.roles import signals_of
         from bayesftc.cosim.run.summary import RunSummary, tables_of
+
+        signals = self._loop_signals()
+        numbers = {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
+        return RunSummary(tables_of(numbers | {"findings": plain_findings(signals)}), self._explained())
+
+    def findings(self, *, threshold: float = 0.5, hold: float | None = None) -> pd.DataFrame:
+        """Return the faults that the controller infers, a row for each alarm: where, kind, times, size and probability.
+
+        The columns are ``where`` (sensor, actuator or process), ``kind`` (empty if the learner distinguishes no kinds), ``onset``
+        (estimated begin of the fault), ``from`` and ``until`` (begin and end of the alarm), all in seconds, ``size`` with its
+        ``unit``, and ``probability``, the largest one of the alarm. A number is NaN where nothing is estimated.
+
+        Parameters
+        ----------
+        threshold : float
+            Least fault probability of an alarm. Controllers without probabilities report their detections.
+        hold : float, optional
+            Seconds below the threshold after which an alarm ends; by default 1 s, or ten samples if these are longer.
+
+        Raises
+        ------
+        ModelError
+            If the diagram is no closed loop, `threshold` is no probability, or `hold` is negative.
+
+        Examples
+        --------
+        >>> from bayesftc.scenario import load_scenario
+        >>> load_scenario("cruise_control").simulate().findings()[["where", "kind", "from", "until"]]
+              where    kind  from  until
+        0  sensor 0  Frozen   6.0   14.0
+        """
+        from bayesftc.cosim.judging.findings import findings, findings_frame
+
+        if not 0 < threshold < 1:
+            raise ModelError(f"findings has threshold={threshold!r}; it must be a probability above 0 and below 1.")
+        if hold is not None and not hold >= 0:
+            raise ModelError(f"findings has hold={hold!r}; it must be a time in seconds, at least 0.")
+        return findings_frame(findings(self._loop_signals(), threshold, hold))
+
+    def _loop_signals(self) -> LoopSignals:
+        from bayesftc.cosim.judging.roles import signals_of
 
         if (roles := self.roles) is None:
             raise ModelError(
                 "The run is not one of a closed loop, so it has no tracking errors and no faults to detect."
             )
-        signals = signals_of(roles, self)
-        numbers = {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
-        return RunSummary(tables_of(numbers), self._explained())
+        return signals_of(roles, self)
 
     def plot(self, signals: Iterable[str] | None = None) -> Figure:
         """Return the figure of a closed loop: signals, belief, control, expected noise and faults of its sensors.

@@ -16,6 +16,13 @@ DASH = "–"
 TRACKING = "The tracking error uses the reference at the same instant."
 ERRORS = "Root-mean-square errors (tracking: true value - reference; belief: estimate - true value)"
 PHASES = {"overall": "whole run", "before": "before faults", "during": "during", "after": "after"}
+FINDINGS = "Faults that the controller infers"
+FINDINGS_REMARK = (
+    "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5). Size: at its end."
+)
+NOTHING_FOUND = "The controller infers no fault."
+MOST_FINDINGS = 20
+"""Most rows of the table of inferred faults; there are more of them only with many false alarms."""
 Row = tuple[str, str, str]
 """A label, the key of its numbers, and their format."""
 
@@ -58,13 +65,13 @@ class FiguresTable:
     Attributes
     ----------
     key : str
-        ``"errors"``, ``"sensors"``, ``"inputs"`` or ``"actuators"``.
+        ``"errors"``, ``"findings"``, ``"sensors"``, ``"inputs"`` or ``"actuators"``.
     heading : str
         What it shows.
     columns : tuple of str
         Names of its columns.
     rows : tuple
-        For each row its label, its numbers (None for one that does not exist), and their format.
+        For each row its label, its values (None for one that does not exist), and their format, or the format of each.
     remark : str
         A sentence below it.
     """
@@ -72,13 +79,17 @@ class FiguresTable:
     key: str
     heading: str
     columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[Any, ...], str], ...]
+    rows: tuple[tuple[str, tuple[Any, ...], str | tuple[str, ...]], ...]
     remark: str = ""
 
     def texts(self) -> Iterator[tuple[str, ...]]:
         """Yield each row as texts: its label, then its numbers."""
         for label, values, form in self.rows:
-            yield label, *(DASH if value is None else form.format(value) for value in values)
+            forms = (form,) * len(values) if isinstance(form, str) else form
+            yield (
+                label,
+                *(DASH if value is None else each.format(value) for value, each in zip(values, forms, strict=True)),
+            )
 
     @property
     def empty(self) -> bool:
@@ -104,7 +115,8 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
     Parameters
     ----------
     numbers : mapping
-        Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, and ``units``, the unit of each quantity.
+        Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, ``units``, the unit of each quantity, and ``findings``, the
+        inferred faults, which are None if nothing is inferred.
     """
     if numbers["tracking"]:
         rows = [
@@ -117,9 +129,15 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
             for name, errors in numbers[what].items()
         ]
         yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), TRACKING)
-    sensors = numbers["sensors"]
+    sensors, inferred = numbers["sensors"], numbers.get("findings")
+    if inferred:
+        yield findings_table(inferred)
     yield FiguresTable(
-        "sensors", "Faults and their detection", tuple(s["title"] for s in sensors), tuple(_of_sensors(sensors))
+        "sensors",
+        "Faults and their detection",
+        tuple(s["title"] for s in sensors),
+        tuple(_of_sensors(sensors)),
+        NOTHING_FOUND if inferred == [] else "",
     )
     for key, heading, listed, remark in (
         ("inputs", "Faults between the controller and the plant", INPUT_ROWS, ""),
@@ -129,6 +147,20 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
             rows = [(label, tuple(each[name] for each in found), form) for label, name, form in listed]
             columns = tuple(with_unit(each["name"], each["unit"]) for each in found)
             yield FiguresTable(key, heading, columns, tuple(rows), remark)
+
+
+def findings_table(inferred: Sequence[Mapping[str, Any]]) -> FiguresTable:
+    """Return the table of the inferred faults, each as plain data of a `bayesftc.cosim.judging.findings.Finding`."""
+    longest = sorted(inferred, key=lambda each: each["start"] - each["end"])[:MOST_FINDINGS]
+    rows = []
+    for each in sorted(longest, key=lambda each: each["start"]):
+        unit = each["unit"].replace("{", "{{").replace("}", "}}")
+        values = (each["kind"] or None, *(each[name] for name in ("onset", "start", "end", "size", "probability")))
+        rows.append((each["where"], values, ("{}", *["{:.6g}"] * 3, f"{{:.3g}} {unit}".rstrip(), "{:.3f}")))
+    columns = ("kind", "onset (s)", "from (s)", "until (s)", "size", "probability")
+    left_out = len(inferred) - len(rows)
+    only = f" The table has the {len(rows)} longest of {len(inferred)} alarms." if left_out else ""
+    return FiguresTable("findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK + only)
 
 
 def _of_sensors(sensors: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, tuple[Any, ...], str]]:
@@ -150,8 +182,9 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
     """The figures of a run of a closed loop, as tables of pandas; printed, they are the tables of ``bayesftc run``.
 
     ``summary["errors"]`` has the root-mean-square errors by quantity and phase, ``summary["sensors"]`` the detection of faults by
-    sensor. Where there are any, ``summary["inputs"]`` has the faults of the plant's inputs, and ``summary["actuators"]`` the
-    actuator faults that the controller infers. `bayesftc.cosim.Result.summary` makes it.
+    sensor. Where there are any, ``summary["findings"]`` has the faults that the controller infers, ``summary["inputs"]`` the
+    faults of the plant's inputs, and ``summary["actuators"]`` the detection of faults by actuator. `bayesftc.cosim.Result.summary` makes
+    it.
 
     Parameters
     ----------
@@ -165,7 +198,7 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
     >>> from bayesftc.scenario import load_scenario
     >>> summary = load_scenario("cruise_control").simulate(duration=8.0).summary()
     >>> list(summary)
-    ['errors', 'sensors']
+    ['errors', 'findings', 'sensors']
     >>> summary["sensors"].loc["share of time in fault", "sensor 0"].round(2)
     np.float64(0.25)
     """
@@ -212,4 +245,4 @@ def _aligned(table: FiguresTable) -> str:
     )
 
 
-__all__ = ["FiguresTable", "RunSummary", "tables_of"]
+__all__ = ["FiguresTable", "RunSummary", "findings_table", "tables_of"]

@@ -12,6 +12,7 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.judging.findings import alarms
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.recording import Recording
 
@@ -148,16 +149,6 @@ class ActuatorEvent:
 
     def __repr__(self) -> str:
         return short(self, start="s", end="s")
-
-
-def alarms(probability: Floats, threshold: float, hold: int) -> list[tuple[int, int]]:
-    """Return the first step of each alarm and the step after its last. Gaps of at most `hold` steps do not end it."""
-    above = np.flatnonzero(probability >= threshold)
-    if not len(above):
-        return []
-    breaks = np.flatnonzero(np.diff(above) > hold + 1)
-    first, last = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(above) - 1]])
-    return [(int(above[a]), int(above[b]) + 1) for a, b in zip(first, last, strict=True)]
 
 
 def sensor_events(

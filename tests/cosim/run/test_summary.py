@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
+from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
@@ -25,7 +26,7 @@ def result(loop):
 def test_its_numbers_are_the_figures_of_the_run(loop, result):
     summary = result.summary()
     numbers = figures(loop_signals(loop, result))
-    assert list(summary) == ["errors", "sensors"]
+    assert list(summary) == ["errors", "findings", "sensors"]
     assert summary["errors"].loc["tracking of v (m/s)", "during"] == numbers.tracking["v"].during
     error = result["plant.v"] - result["reference.y"]
     assert summary["errors"].loc["tracking of v (m/s)", "whole run"] == pytest.approx(np.sqrt(np.mean(error**2)))
@@ -64,3 +65,77 @@ def test_a_diagram_that_is_no_loop_has_none():
     diagram.add(cosim.Ramp(1.0), "ramp")
     with pytest.raises(ModelError, match="not one of a closed loop"):
         diagram.simulate(1.0, engine="interpreted").summary()
+
+
+def of_car(precision, **settings):
+    car = load_scenario("cruise_control")
+    model = car.controller.model
+    return cosim.closed_loop(
+        car.plant, controllers.BayesianController(model, precision, initial_mean=20.0), control="force", measured="v",
+        sensors=car.sensors, reference=20.0, **settings,
+    )  # fmt: skip
+
+
+def test_inferred_faults_are_listed_with_kind_time_size_and_unit():
+    loop = of_car(controllers.SwitchingPrecision(), faults=[cosim.Injection(sensor=1, start=3.0, magnitude=12.0)])
+    result = loop.simulate(6.0, seed=1)
+    found = result.findings()
+    assert list(found) == ["where", "kind", "onset", "from", "until", "size", "unit", "probability"]
+    jump = found.iloc[-1]
+    assert (jump["where"], jump["kind"], jump["unit"]) == ("sensor 1", "Offset", "m/s")
+    assert jump["from"] == pytest.approx(3.0, abs=0.2)
+    assert jump["onset"] <= jump["from"]
+    assert jump["until"] == 6.0
+    assert jump["size"] == pytest.approx(12.0, abs=1.5)
+    assert jump["probability"] > 0.99
+    table = result.summary()["findings"]
+    assert table.loc["sensor 1", "kind"] == "Offset"
+    assert f"{jump['size']:.3g} m/s" in repr(result.summary())
+    assert "Faults that the controller infers" in result._repr_html_()
+    assert len(result.findings(threshold=0.999999, hold=0.0)) >= 1
+
+
+def test_a_saved_run_has_the_same_findings(result, tmp_path):
+    assert cosim.Result.load(result.save(tmp_path / "run.npz")).findings().equals(result.findings())
+
+
+def test_sizes_in_noise_have_no_unit_of_the_sensor(loop):
+    kinds = dict(zip(find_roles(loop).fault_kinds, find_roles(loop).fault_sizes, strict=True))
+    assert (kinds["Offset"], kinds["Noisier"]) == ("unit", "noise")
+
+
+def test_a_learner_without_kinds_has_findings_without_them():
+    fault = [cosim.Freeze(sensor=0, start=1.0), cosim.Injection(sensor=1, start=3.0, magnitude=20.0)]
+    run = of_car(controllers.ExplicitDetection(), faults=fault).simulate(6.0, seed=1)
+    found = run.findings()
+    assert "sensor 1" in set(found["where"])
+    assert set(found["kind"]) == {""}
+    assert found["size"].isna().all()
+    assert "sensor 1" in repr(run.summary())
+
+
+def test_nothing_is_listed_without_an_inference():
+    run = of_car(controllers.FixedPrecision()).simulate(2.0, engine="interpreted")
+    assert not len(run.findings())
+    assert list(run.summary()) == ["errors", "sensors"]
+    assert "infers no fault" not in repr(run.summary())
+
+
+def test_actuator_faults_are_listed():
+    learner = controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
+    car = load_scenario("cruise_control")
+    loop = cosim.closed_loop(
+        car.plant, controllers.LQGController(car.controller.model, learner, initial_mean=20.0), control="force", measured="v",
+        sensors=cosim.Sensors(2, 0.05), reference=cosim.Sine(amplitude=5.0, period=4.0, offset=20.0),
+        input_faults={"force": cosim.GainFault(factor=0.2, start=4.0)},
+    )  # fmt: skip
+    found = loop.simulate(10.0, seed=1).findings()
+    lost = found[found["where"] == "actuator force"].iloc[-1]
+    assert (lost["kind"], lost["unit"]) == ("LostEffect", "of the effect")
+    assert lost["size"] == pytest.approx(0.8, abs=0.2)
+
+
+@pytest.mark.parametrize("settings", [{"threshold": 0.0}, {"threshold": 1.5}, {"hold": -1.0}])
+def test_impossible_settings_are_refused(result, settings):
+    with pytest.raises(ModelError, match=next(iter(settings))):
+        result.findings(**settings)

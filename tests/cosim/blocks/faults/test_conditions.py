@@ -14,7 +14,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.blocks.faults.conditions import RELATIONS
 from bayesftc.cosim.blocks.faults.kinds import FAULTS
 from bayesftc.cosim.errors import AlgebraicLoopError, ModelError, UnknownNameError
-from bayesftc.cosim.judging.conditions import never_began
+from bayesftc.cosim.judging.findings import never_began
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
 

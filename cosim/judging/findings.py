@@ -1,0 +1,183 @@
+"""What a run shows of faults: the alarms of the controller with kind, time and size, and faults that never began."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesftc.cosim.blocks.faults.conditions import When
+from bayesftc.cosim.blocks.faults.kinds import Fault
+from bayesftc.cosim.diagram.diagram import Diagram
+from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, LoopSignals, SensorSignals
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+HOLD, HOLD_SAMPLES = 1.0, 10
+"""Seconds, and at least so many samples, below the threshold after which an alarm ends."""
+UNITS = {"noise": "x noise", "effect": "of the effect"}
+"""Units of sizes that are not in the unit of the sensor or the control."""
+
+PROCESS_KINDS = ("NoisierProcess",)
+"""The kind of all process modes."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fault that the controller infers or detects: one alarm.
+
+    Attributes
+    ----------
+    where : str
+        The sensor, the actuator, or ``"process"``.
+    kind : str
+        Most probable kind of fault at the end of the alarm; empty if the learner distinguishes none.
+    onset : float or None
+        Estimated time of the fault's begin in seconds, never after the begin of the alarm; None if it is not estimated.
+    start, end : float
+        Times of the first and the last sample of the alarm, in seconds.
+    size : float or None
+        Size of the fault at the end of the alarm; None if it is not estimated.
+    unit : str
+        Unit of the size; ``"x noise"`` for multiples of the sensor's noise, ``"of the effect"`` for the share that is lost.
+    probability : float or None
+        Largest fault probability during the alarm; None for a detection without probabilities.
+    """
+
+    where: str
+    kind: str
+    onset: float | None
+    start: float
+    end: float
+    size: float | None
+    unit: str
+    probability: float | None
+
+
+def findings(signals: LoopSignals, threshold: float = ALARM, hold: float | None = None) -> list[Finding]:
+    """Return the alarms of a run in the order of their begin.
+
+    Parameters
+    ----------
+    signals : LoopSignals
+        The signals of the run.
+    threshold : float
+        Least fault probability of an alarm.
+    hold : float, optional
+        Seconds below the threshold after which an alarm ends; by default 1 s, or ten samples if they are more than 0.1 s apart.
+    """
+    time = signals.time
+    if len(time) < 2:
+        return []
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    most = round((max(HOLD, HOLD_SAMPLES * step) if hold is None else hold) / step)
+    found: list[Finding] = []
+    for sensor in signals.sensors:
+        found += _of(sensor, signals.sensor_name(sensor.index), time, threshold, most)
+    for actuator in signals.actuators:
+        found += _of(actuator, f"actuator {actuator.name}", time, threshold, most)
+    if (p := signals.process) is not None:
+        process = ActuatorSignals("process", None, None, p, np.ones_like(p), None, PROCESS_KINDS)
+        found += _of(process, process.name, time, threshold, most)
+    return sorted(found, key=lambda each: each.start)
+
+
+def plain_findings(signals: LoopSignals) -> list[dict[str, Any]] | None:
+    """Return the findings as plain data; None if no fault probability and no detection is recorded."""
+    devices: tuple[SensorSignals | ActuatorSignals, ...] = (*signals.sensors, *signals.actuators)
+    inferred = any(device.probability is not None and np.isfinite(device.probability).any() for device in devices)
+    if not inferred and all(sensor.detected is None for sensor in signals.sensors):
+        return None
+    return [asdict(each) for each in findings(signals)]
+
+
+def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:
+    """Return findings as a table of pandas."""
+    import pandas as pd
+
+    columns = {"where": "where", "kind": "kind", "onset": "onset", "start": "from", "end": "until", "size": "size",
+               "unit": "unit", "probability": "probability"}  # fmt: skip
+    frame = pd.DataFrame([asdict(each) for each in found], columns=list(columns)).rename(columns=columns)
+    return frame.astype(dict.fromkeys(("onset", "from", "until", "size", "probability"), float))
+
+
+def alarms(probability: Floats, threshold: float, hold: int) -> list[tuple[int, int]]:
+    """Return the first step of each alarm and the step after its last. Gaps of at most `hold` steps do not end it."""
+    above = np.flatnonzero(probability >= threshold)
+    if not len(above):
+        return []
+    breaks = np.flatnonzero(np.diff(above) > hold + 1)
+    first, last = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(above) - 1]])
+    return [(int(above[a]), int(above[b]) + 1) for a, b in zip(first, last, strict=True)]
+
+
+def _of(
+    device: SensorSignals | ActuatorSignals, where: str, time: Floats, threshold: float, hold: int
+) -> Iterator[Finding]:
+    """Give the alarms of a sensor or an actuator."""
+    p, score = device.probability, device.probability
+    if p is None or np.isnan(p).all():  # an explicit detection
+        detected = getattr(device, "detected", None)
+        p, score = None, None if detected is None else detected.astype(np.float64)
+    if score is None:
+        return
+    for begin, end in alarms(score, threshold, hold):
+        kind, last = _kind(device, begin, end)
+        size, onset = (_at(getattr(device, name, None), last) for name in ("size", "onset"))
+        scale = device.sizes[kind - 1] if 0 < kind <= len(device.sizes) else "unit"
+        yield Finding(
+            where,
+            _name(device.kinds, kind),
+            None if onset is None else min(onset, float(time[begin])),
+            float(time[begin]),
+            float(time[end - 1]),
+            size,
+            "" if size is None else UNITS.get(scale, device.unit or ""),
+            None if p is None else float(np.nanmax(p[begin:end])),
+        )
+
+
+def _kind(device: SensorSignals | ActuatorSignals, begin: int, end: int) -> tuple[int, int]:
+    """Return the last kind of fault in an alarm (0 if unknown) and the last step that has it."""
+    if device.kind is None:
+        return 0, end - 1
+    harmless = [number for number, scale in enumerate(device.sizes, start=1) if not scale]
+    kinds = device.kind[begin:end]
+    faulty = np.flatnonzero((kinds > 0) & ~np.isin(kinds, harmless))
+    return (int(kinds[faulty[-1]]), begin + int(faulty[-1])) if len(faulty) else (0, end - 1)
+
+
+def _name(kinds: Sequence[str], number: int) -> str:
+    return "" if number == 0 else kinds[number - 1] if number <= len(kinds) else f"kind {number}"
+
+
+def _at(values: Floats | None, row: int) -> float | None:
+    return float(values[row]) if values is not None and np.isfinite(values[row]) else None
+
+
+def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str]:
+    """Yield a sentence for each fault on a condition that was absent in all recorded rows.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        The diagram with the faults.
+    signals : mapping of name to array
+        The result of its run. A fault whose ``active`` is not recorded is left out.
+    """
+    for node in diagram.nodes:
+        block, active = node.block, f"{node.name}.active"
+        if (
+            isinstance(block, Fault)
+            and isinstance(block.start, When)
+            and active in signals
+            and not signals[active].any()
+        ):
+            yield f"The fault {node.name!r} did not occur: it begins on the condition {block.start}."
+
+
+__all__ = ["Finding", "alarms", "findings", "findings_frame", "never_began", "plain_findings"]
