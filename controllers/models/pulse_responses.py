@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
+from bayesftc.controllers.models.checks import frozen
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmi.fmu import FMU
+from bayesftc.cosim.fmi.reading.archive import open_archive
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
 
@@ -189,6 +194,28 @@ def realise(
     ModelError
         If there is no steady state, an output depends directly on an input, or no input moves any output.
     """
+    digest = open_archive(Path(fmu.path).absolute()).digest
+    result, told = _realised(fmu, digest, step, tuple(held.tolist()), tuple(scale.items()), tuple(rows), order)
+    for text, category in told:
+        warn_user(text, category)
+    return result
+
+
+@lru_cache(maxsize=32)  # a campaign designs the controller of each point anew; hundreds of experiments take seconds
+def _realised(
+    fmu: FMU, _digest: str, step: Fraction, held: tuple[float, ...], scale: tuple[tuple[int, float], ...],
+    rows: tuple[int, ...], order: int | None,
+) -> tuple[Realisation, tuple[tuple[str, type[Warning]], ...]]:  # fmt: skip
+    """Return the model of an FMU with this content, and the warnings about it."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = _experimented(fmu, step, np.array(held), dict(scale), rows, order)
+    return result, tuple((str(each.message), each.category) for each in caught)
+
+
+def _experimented(
+    fmu: FMU, step: Fraction, held: Floats, scale: Mapping[int, float], rows: Sequence[int], order: int | None
+) -> Realisation:
     with Experiments(replace(fmu, timing="plant"), step, held, rows) as plant:
         y, first = plant.settle()
         markov, error = _markov(plant, scale)
@@ -206,6 +233,7 @@ def realise(
     start = np.zeros(len(A))
     if waited:
         start[:] = np.linalg.lstsq(np.vstack(readings), (first - y).ravel(), rcond=None)[0]
+    A, B, C, y, start, values = (frozen(each) for each in (A, B, C, y, start, values))
     return Realisation(A, B, C, y, start, waited, values, miss)
 
 
