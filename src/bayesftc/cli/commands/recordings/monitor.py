@@ -32,6 +32,7 @@ from bayesftc.monitoring import (
     FaultEvent,
     FittedModel,
     Gap,
+    ModelSuspicion,
     Monitor,
     Monitored,
     Recording,
@@ -157,7 +158,9 @@ def monitor(
     monitored = loaded.run(samples)
     suspicion = None if mismatch and loaded.inputs else suspect_model(loaded, monitored)
     numbers = summary(monitored, mismatch) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
-    numbers["notes"] = [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted)}".rstrip()]
+    numbers["notes"] = (
+        [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
+    )
     if out is not None:
         _write(out, monitored, numbers)
     if json:
@@ -168,8 +171,10 @@ def monitor(
         output.say_notes(fit_notes(fitted))
 
 
-def _remedy(monitor: Monitor, fitted: FittedModel | None) -> str:
+def _remedy(monitor: Monitor, fitted: FittedModel | None, suspicion: ModelSuspicion, model: Path) -> str:
     """Return a sentence about the fit of a better model; empty for a model with inputs, which is not fitted."""
+    if fitted is not None and suspicion.setting == "motion":
+        return f"Change it in {model} and give --model {model} without --fit, or fit a stretch with the fastest motion."
     if fitted is not None:
         return "Fit a stretch in which the sensors are healthy, with --from and --to."
     return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
