@@ -259,6 +259,11 @@ def _gaps(recording: Recording) -> str:
     )
 
 
+def _sampling(rate: float) -> str:
+    """Return the samples per second, or the seconds between two samples if they are more than one."""
+    return f"every {1 / rate:.4g} s" if 0 < rate < 1 else f"{rate:.4g} per second"
+
+
 def _zone(recording: Recording) -> str:
     """Return the time zone of a recording's dates, in brackets; empty without one."""
     zone = None if recording.origin is None else recording.origin.tzname()
@@ -272,14 +277,16 @@ def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -
         f"{span_text(numbers['start'], numbers['end'], recording.origin)}{_zone(recording)}, {len(monitored.time)} steps of "
         f"{float(recording.dt):g} s\n"
     )
-    sensors = output.empty_table("samples", "per second", "left out", "mean probability", "alarms")
+    sensors = output.empty_table("samples", "sampling", "left out", "mean probability", "alarms")
     for name, row in numbers["sensors"].items():
         mean = "{:.4f}".format(row["mean_probability"])
-        sensors.add_row(name, str(row["samples"]), f"{row['rate']:.4g}", str(row["replaced"]), mean, str(row["alarms"]))
+        sensors.add_row(
+            name, str(row["samples"]), _sampling(row["rate"]), str(row["replaced"]), mean, str(row["alarms"])
+        )
     console.print(sensors)
     if any(recording.replaced):
         say(
-            "Left out: samples that a later sample of the same sensor in the same step replaces. A shorter dt keeps more."
+            "Left out: if a sensor has several samples in one step, only the last one is used. A shorter dt uses more of them."
         )
     if monitored.actuators:
         actuators = output.empty_table("mean probability", "alarms")
