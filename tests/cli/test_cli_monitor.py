@@ -436,6 +436,6 @@ def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, sentence):
     assert healthy.exit_code == 0
     assert "errors of b" not in healthy.output
     assert "to 59.90" in healthy.output
-    assert "Biases, repeats and missing are those of the stretch" in healthy.output
+    assert "Biases, repeats and missing come from the stretch" in healthy.output
     first = (tmp_path / "healthy.toml").read_text().splitlines()[0]
     assert first == "# Fitted by bayesftc monitor --fit to 0 to 59.9 s, with healthy sensors from 0 to 29 s."

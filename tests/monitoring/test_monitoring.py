@@ -691,3 +691,14 @@ def test_samples_half_a_minute_apart_are_watched_with_what_nobody_gave():
     assert found.events[0].onset == pytest.approx(45000.0, abs=60.0)
     with pytest.raises(ModelError, match=r"Offset has time_to_recovery=20.0, .* 30 s"):
         monitor_recording(recording, model, SwitchingPrecision([Offset(time_to_recovery=20.0)]), initial_mean=20.0)
+
+
+def test_a_short_alarm_is_shaded_wide_enough_to_see():
+    t, noise = 1.0 * np.arange(3000), 0.1 * np.random.default_rng(0).standard_normal((3000, 3))
+    noise[1500:1506, 1] += 2.0
+    recording = align({n: Signal(t, noise[:, i]) for i, n in enumerate("abc")}, {}, dt=1)
+    model = LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-4, 0.01, dt=1)
+    (event,) = (monitored := monitor_recording(recording, model)).events
+    assert event.end - event.start < 8.9
+    widths = [patch.get_width() for patch in monitored.plot().axes[0].patches]
+    assert any(abs(width - 0.003 * 2999) < 0.1 for width in widths)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, CsvForm, cells_of, form_of
-from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds
+from bayesftc.cosim.base.recordings.dates import ISO, are_dates, as_seconds, other_date
 from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
@@ -78,6 +78,10 @@ class Tables:
     def has_dates(self, file: Path, column: int) -> bool:
         """Return whether a column, by its number, has dates."""
         return are_dates(self._table(file)[1][column])
+
+    def other_date(self, file: Path, column: int) -> str | None:
+        """Return the first date of a column, by its number, if its dates have another form than ISO 8601."""
+        return other_date(self._table(file)[1][column])
 
     def find(self, name: str | None, signal: str) -> Path:
         """Return the file with this name, or the only file if no name is given; `signal` begins the error message."""
@@ -147,11 +151,13 @@ class Tables:
         if not len(wrong):
             return
         line, _ = next(islice(cells_of(file, self._forms[file].separator), int(wrong[0]) + 1, None))
-        remedy = (
-            "Write times as seconds, such as 12.5, or as dates, such as 2026-05-01T10:00:12.5."
-            if signal.startswith("the times")
-            else "Leave a missing sample empty, and write numbers with a decimal point."
-        )
+        sign, form = ("point", "12.5") if self._forms[file].decimal == "." else ("comma", "12,5")
+        if not signal.startswith("the times"):
+            remedy = f"An empty cell is a missing sample. Numbers have a decimal {sign} here, such as {form}."
+        elif other_date(cells) is not None:
+            remedy = f"Write dates in the form of ISO 8601, such as {ISO}."
+        else:
+            remedy = "Write times as seconds, such as 12.5, or as dates, such as 2026-05-01T10:00:12.5."
         raise RecordingError(
             f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number. {remedy}"
         )
@@ -185,6 +191,9 @@ class Tables:
                 raise RecordingError(
                     f"{fspath(file)} is no CSV table with commas and a first row of names: {reason}."
                 ) from None
+            if form.decimal != ".":  # pandas leaves decimal commas in a column with a text
+                texts = table.select_dtypes(exclude=["number", "bool"])
+                table[texts.columns] = texts.map(lambda cell: form.number(cell) if isinstance(cell, str) else cell)
             self._read[file] = header, table
         return self._read[file]
 

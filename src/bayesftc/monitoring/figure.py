@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from bayesftc.monitoring.run import Monitored
 
 
+LEAST_WIDTH = 0.003
+"""Least width of the shade of an alarm, as a share of the recording: two or three pixels."""
+
 MAIN, STRIP = 1.9, 0.85
 """Heights of panels in inches: for a quantity, and for one sensor's samples."""
 
@@ -112,12 +115,21 @@ class _Span:
         self.start, self.end = clock.ends(event)
         self.sensor, self.kind, self.colour = sensor, event.kind or "", colour_of(sensor)
 
+    def wide(self, least: float) -> tuple[float, float]:
+        """Return start and end, at least so far from each other."""
+        more = max(least - (self.end - self.start), 0.0) / 2
+        return self.start - more, self.end + more
+
 
 def _shade(axes: list[Axes], clock: _Clock, monitored: Monitored, spans: list[_Span]) -> None:
-    """Shade alarms in all panels, and name what is shaded beside the first."""
+    """Shade alarms in all panels, short ones wider and darker, and name what is shaded beside the first."""
+    ends = clock(monitored.time[[0, -1]])
+    least = LEAST_WIDTH * float(ends[1] - ends[0])
     for axis in axes:
         for span in spans:
-            axis.axvspan(span.start, span.end, color=span.colour, alpha=0.12, lw=0)
+            axis.axvspan(
+                *span.wide(least), color=span.colour, alpha=0.12 if span.end - span.start > least else 0.4, lw=0
+            )
         for alarm in monitored.actuator_events:
             axis.axvspan(*clock.ends(alarm), fc="none", ec="0.8", hatch="///", lw=0, zorder=0)
     if monitored.events or monitored.actuator_events:

@@ -170,3 +170,24 @@ def test_a_date_that_is_none_is_named(tmp_path):
         RecordingError, match=r"'noon' in line 5, column 't', is no number. Write times as .* or as dates"
     ):
         monitoring.redundant_signals([file])
+
+
+@pytest.mark.parametrize("name", ["Zeit", "t"])
+def test_dates_in_another_form_are_refused_with_the_right_one(name, tmp_path):
+    dates = ["28.03.2026 08:00:00", "28.03.2026 08:01:00", "28.03.2026 08:02:00", "28.03.2026 08:03:00"]
+    file = tmp_path / "drive.csv"
+    rows = [f"{date};{left};{left}" for date, left in zip(dates, LEFT, strict=True)]
+    file.write_text("\n".join([f"{name};left;right", *rows]))
+    with pytest.raises(
+        RecordingError, match=rf"column '{name}', such as '28.* ISO 8601. Write them as 2026-03-28 08:00:00"
+    ):
+        monitoring.redundant_signals([file])
+
+
+@pytest.mark.parametrize(("separator", "decimal", "words"), [(",", ".", "point"), (";", ",", "comma")])
+def test_a_text_among_numbers_is_named_with_the_sign_of_the_file(separator, decimal, words, tmp_path):
+    file = write(tmp_path / "drive.csv", separator, decimal)
+    file.write_text(file.read_text() + separator.join(["2", "Bad", "1"]) + "\n")
+    match = rf"'Bad' in line 6, column 'left', is no number. An empty cell is a missing sample. .* decimal {words}"
+    with pytest.raises(RecordingError, match=match):
+        monitoring.redundant_signals([file])

@@ -69,6 +69,29 @@ def test_a_motion_that_is_too_small_is_named_with_what_it_needs(plant, words):
     )
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_alarms_of_sensors_that_agree_are_named_from_the_second_time_on(seed, monkeypatch):
+    monkeypatch.setitem(globals(), "STEPS", 9000)
+    for times in (1, 2):
+        y = samples(seed, 2)
+        for begin in (3000, 6000)[:times]:  # a pump runs for 15 s
+            y += 0.15 * np.clip(np.arange(9000.0) - begin, 0, 15)[:, None]
+        monitored, suspicion = found(y)
+        assert {event.sensor for event in monitored.events} == {"T0", "T1"}
+        assert (suspicion is None) == (times == 1)
+    assert suspicion.share < suspect.LEAST_SHARE
+    assert suspicion.setting == "motion"
+    assert "agree with each other, but are blamed at the same time, 2 times." in suspicion.sentence
+    assert found(y, RandomWalk(std=0.03 * suspicion.factor))[1] is None
+
+
+def test_two_failures_from_one_cause_are_no_reason_to_suspect_the_model():
+    y = samples()
+    for begin in (100, 250, 400):
+        y[begin : begin + 8, :2] += 1.0  # the third sensor disagrees
+    assert found(y)[1] is None
+
+
 @pytest.mark.parametrize("sensors", [2, 3])
 def test_noise_that_is_too_small_is_named_with_what_it_needs(sensors):
     _, suspicion = found(samples(sensors=sensors), std=0.02)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
+from bayesftc.cosim.base.recordings.dates import ISO, seconds_of, span_text
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
@@ -123,6 +123,13 @@ def _column(name: str, columns: Sequence[str]) -> str:
 def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
     """Return the column of times: by its name, else the first one, if that increases."""
     every = tables.names(file)
+    named = time_column(every)
+    first = every.index(named) if named is not None and every.count(named) == 1 else 0
+    if (date := tables.other_date(file, first)) is not None:
+        raise RecordingError(
+            f"{os.fspath(file)}: the dates in the column {every[first]!r}, such as {date!r}, are not in the form of ISO 8601. "
+            f"Write them as {ISO}."
+        )
     if (name := time_column(every)) is not None:
         return name
     why = "has no number"

@@ -16,6 +16,7 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.switching.fault_modes import DroppedOut, Frozen
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.fit.moments import MAD
 from bayesftc.monitoring.models import Matrices
@@ -31,6 +32,12 @@ LEAST_SAMPLES = 20
 
 LEAST_SHARE = 0.02
 """Least share of a recording in which sensors that agree are blamed at the same time."""
+
+APART = 100
+"""Least number of steps between two times: within fewer, an alarm comes again for the same reason."""
+
+LEAST_TIMES = 2
+"""Least number of times that sensors that agree, also with every sensor that is not blamed, are blamed together for a moment."""
 
 AGREE = 1.5
 """Root mean square of the difference of two sensors, relative to the model's, up to which they agree."""
@@ -98,9 +105,10 @@ class ModelSuspicion:
 def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | None:
     """Say whether the model is suspect, because it makes a monitor blame sensors that agree with each other.
 
-    It is, if redundant sensors agree within the noise of the model, but are blamed at the same time: the monitor then runs again
-    with more motion, up to the least factor with which this ends. It may be, if most sensors are blamed for most of the time:
-    then their noise, or biases, are compared with the model's. Frozen sensors and dropouts do not count.
+    It is, if redundant sensors agree within the noise of the model, but are blamed at the same time, for a fiftieth of the
+    recording, or a second time if more motion ends it: the monitor then runs again with more motion, up to the least factor with
+    which this ends. It may be, if most sensors are blamed for most of the time: then their noise, or biases, are compared with
+    the model's. Frozen sensors and dropouts do not count.
 
     Parameters
     ----------
@@ -131,6 +139,8 @@ def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | No
     if not blame.sensors:
         return None
     setting, factor = _remedy(monitor, monitored, blame)
+    if blame.times and not setting:
+        return None  # a few moments are not enough to blame another part of the model
     ratio = max(excess(errors, expected)[0] for errors, expected in blame.innovations())
     return ModelSuspicion(
         tuple(monitored.recording.sensors[i] for i in blame.sensors),
@@ -150,7 +160,7 @@ class _Blame:
         self.innovation = monitored.innovation
         blamed: Flags = _blamed(monitored, monitor.alarm.threshold)
         self.apart = _differences(monitor, monitored.recording, self.model)
-        self.agreeing = self._agreeing(blamed)
+        self.agreeing, self.times = self._agreeing(blamed), 0
         self.sensors = sorted({i for pair in self.agreeing for i in pair})
         self.when: Flags = np.zeros(len(blamed), dtype=bool)
         for i, j in self.agreeing:
@@ -158,6 +168,11 @@ class _Blame:
         often = [int(i) for i in np.flatnonzero(blamed.mean(axis=0) > MOST_TIME)]
         if not self.sensors and len(often) > 1 and 2 * len(often) > len(blamed.T):
             self.sensors, self.when = often, blamed[:, often].sum(axis=1) > 1
+        self.moments = self._moments(blamed)
+        if not self.sensors and self.occasions >= LEAST_TIMES:
+            self.agreeing = sorted({pair for _, _, pairs in self.moments for pair in pairs})
+            self.sensors, self.when = sorted({i for pair in self.agreeing for i in pair}), self.momentary
+            self.times = self.occasions
         self.share = float(self.when.mean())
 
     def _agreeing(self, blamed: Flags) -> list[tuple[int, int]]:
@@ -171,6 +186,50 @@ class _Blame:
             if enough and excess(difference, expected)[0] <= AGREE:
                 pairs.append((i, j))
         return pairs
+
+    def _moments(self, blamed: Flags) -> list[tuple[int, int, list[tuple[int, int]]]]:
+        """Return when blamed sensors agree with all sensors of their quantity: first step, step after the last, and their pairs.
+
+        Two sensors that have failed from the same cause agree with each other, too, but not with a healthy one.
+        """
+        moments = []
+        for group in self.model.alike:
+            members = list(group)
+            if len(members) < 2:
+                continue
+            for begin, end in periods(blamed[:, members].sum(axis=1) > 1):
+                part = slice(begin, end)
+                there = [i for i in members if np.isfinite(self.y[part, i]).any()]
+                pairs = [pair for pair in combinations(there, 2) if self._agree(pair, part)]
+                together = [pair for pair in pairs if (blamed[part, pair[0]] & blamed[part, pair[1]]).any()]
+                if together and len(pairs) == len(there) * (len(there) - 1) // 2:
+                    moments.append((begin, end, together))
+        return sorted(moments)
+
+    def _agree(self, pair: tuple[int, int], part: slice) -> bool:
+        """Return whether two sensors agree; also if they have no samples at the same steps."""
+        difference = self.y[part, pair[0]] - self.y[part, pair[1]]
+        difference = difference[np.isfinite(difference)]
+        return not len(difference) or excess(difference, self.apart[pair])[0] <= AGREE
+
+    @property
+    def occasions(self) -> int:
+        """Number of times that sensors that agree are blamed together, at least `APART` steps from each other."""
+        steps = np.flatnonzero(self.momentary)
+        return int(len(steps) > 0) + int((np.diff(steps) > APART).sum())
+
+    @property
+    def momentary(self) -> Flags:
+        """Steps at which sensors that agree are blamed together for a moment."""
+        when: Flags = np.zeros(len(self.y), dtype=bool)
+        for begin, end, _ in self.moments:
+            when[begin:end] = True
+        return when
+
+    def ends(self, other: _Blame, most: float) -> bool:
+        """Return whether another monitor of the same recording blames sensors in this way at no more steps than these."""
+        remaining = other.momentary if self.times else other.when
+        return bool(remaining.sum() <= most) and (not self.agreeing or other.occasions < LEAST_TIMES)
 
     def difference(self, i: int, j: int) -> Floats:
         """Return the differences of two sensors, where both have a sample."""
@@ -233,7 +292,7 @@ def _remedy(monitor: Monitor, monitored: Monitored, blame: _Blame) -> tuple[str,
     for setting, factor in tried:
         other = _with(monitor, setting, factor)
         with suppress(ModelError):  # of a number whose square is too large
-            if other is not None and _Blame(other, other.run(recording)).when.sum() <= most:
+            if other is not None and blame.ends(_Blame(other, other.run(recording)), most):
                 return setting, factor
     return "", 1.0
 
@@ -253,7 +312,7 @@ def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: st
     names, units = monitored.recording.sensors, monitored.recording.units
     listed = [names[i] for i in blame.sensors]
     who = f"{', '.join(listed[:-1])} and {listed[-1]}"
-    share = f"for {blame.share:.0%} of the recording"
+    share = f"{blame.times} times" if blame.times else f"for {blame.share:.0%} of the recording"
     if blame.agreeing:
         said = [
             f"Suspect the model, not the sensors: {who} agree with each other, but are blamed at the same time, {share}."

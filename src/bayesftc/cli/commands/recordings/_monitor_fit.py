@@ -138,9 +138,9 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     )
     if part.start is not None or part.stop is not None:
         say(
-            "Biases, repeats and missing are those of the stretch between --from and --to. Motion, noise up to twice as large, "
-            "and biases that change are those of the whole recording, because a calm stretch does not show them. To leave the "
-            "rest out, fit a file without it."
+            "Biases, repeats and missing come from the stretch between --from and --to. The motion and the lasting errors come "
+            "from the whole recording, because a calm stretch shows too little of them. So does the noise, up to twice that of "
+            "the stretch. For a fit of the stretch alone, write it to a file of its own."
         )
     if gaps := _gaps(recording):
         say(gaps)

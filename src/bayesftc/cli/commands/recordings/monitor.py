@@ -32,6 +32,7 @@ from bayesftc.monitoring import (
     FaultEvent,
     FittedModel,
     Gap,
+    ModelSuspicion,
     Monitor,
     Monitored,
     Recording,
@@ -157,7 +158,9 @@ def monitor(
     monitored = loaded.run(samples)
     suspicion = None if mismatch and loaded.inputs else suspect_model(loaded, monitored)
     numbers = summary(monitored, mismatch) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
-    numbers["notes"] = [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted)}".rstrip()]
+    numbers["notes"] = (
+        [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
+    )
     if out is not None:
         _write(out, monitored, numbers)
     if json:
@@ -168,8 +171,10 @@ def monitor(
         output.say_notes(fit_notes(fitted))
 
 
-def _remedy(monitor: Monitor, fitted: FittedModel | None) -> str:
+def _remedy(monitor: Monitor, fitted: FittedModel | None, suspicion: ModelSuspicion, model: Path) -> str:
     """Return a sentence about the fit of a better model; empty for a model with inputs, which is not fitted."""
+    if fitted is not None and suspicion.setting == "motion":
+        return f"Change it in {model} and give --model {model} without --fit, or fit a stretch with the fastest motion."
     if fitted is not None:
         return "Fit a stretch in which the sensors are healthy, with --from and --to."
     return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
@@ -254,6 +259,11 @@ def _gaps(recording: Recording) -> str:
     )
 
 
+def _sampling(rate: float) -> str:
+    """Return the samples per second, or the seconds between two samples if they are more than one."""
+    return f"every {1 / rate:.4g} s" if 0 < rate < 1 else f"{rate:.4g} per second"
+
+
 def _zone(recording: Recording) -> str:
     """Return the time zone of a recording's dates, in brackets; empty without one."""
     zone = None if recording.origin is None else recording.origin.tzname()
@@ -267,14 +277,16 @@ def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -
         f"{span_text(numbers['start'], numbers['end'], recording.origin)}{_zone(recording)}, {len(monitored.time)} steps of "
         f"{float(recording.dt):g} s\n"
     )
-    sensors = output.empty_table("samples", "per second", "left out", "mean probability", "alarms")
+    sensors = output.empty_table("samples", "sampling", "left out", "mean probability", "alarms")
     for name, row in numbers["sensors"].items():
         mean = "{:.4f}".format(row["mean_probability"])
-        sensors.add_row(name, str(row["samples"]), f"{row['rate']:.4g}", str(row["replaced"]), mean, str(row["alarms"]))
+        sensors.add_row(
+            name, str(row["samples"]), _sampling(row["rate"]), str(row["replaced"]), mean, str(row["alarms"])
+        )
     console.print(sensors)
     if any(recording.replaced):
         say(
-            "Left out: samples that a later sample of the same sensor in the same step replaces. A shorter dt keeps more."
+            "Left out: if a sensor has several samples in one step, only the last one is used. A shorter dt uses more of them."
         )
     if monitored.actuators:
         actuators = output.empty_table("mean probability", "alarms")
