@@ -198,6 +198,8 @@ def realise(
     result, told = _realised(fmu, digest, step, tuple(held.tolist()), tuple(scale.items()), tuple(rows), order)
     for text, category in told:
         warn_user(text, category)
+    if isinstance(result, ModelError):
+        raise result
     return result
 
 
@@ -205,11 +207,15 @@ def realise(
 def _realised(
     fmu: FMU, _digest: str, step: Fraction, held: tuple[float, ...], scale: tuple[tuple[int, float], ...],
     rows: tuple[int, ...], order: int | None,
-) -> tuple[Realisation, tuple[tuple[str, type[Warning]], ...]]:  # fmt: skip
-    """Return the model of an FMU with this content, and the warnings about it."""
+) -> tuple[Realisation | ModelError, tuple[tuple[str, type[Warning]], ...]]:  # fmt: skip
+    """Return the model of an FMU with this content, or why there is none, and the warnings about it."""
+    result: Realisation | ModelError
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        result = _experimented(fmu, step, np.array(held), dict(scale), rows, order)
+        try:
+            result = _experimented(fmu, step, np.array(held), dict(scale), rows, order)
+        except ModelError as error:
+            result = error.with_traceback(None)
     return result, tuple((str(each.message), each.category) for each in caught)
 
 

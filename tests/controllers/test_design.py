@@ -7,10 +7,16 @@ from scipy.linalg import expm
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
+from bayesftc.controllers.models import pulse_responses
 from bayesftc.controllers.models.differences import derivative
 from bayesftc.controllers.models.linearization import linearize
 from bayesftc.cosim.errors import ConnectionError, ModelError, StepSizeError, UnknownNameError
 from bayesftc.cosim.fmi.running.instance import Instance
+
+
+def without_cache(monkeypatch):
+    """Repeat the experiments with an FMU, which are usually made once, because this one is another in a test."""
+    monkeypatch.setattr(pulse_responses, "_realised", pulse_responses._realised.__wrapped__)
 
 
 def pendulum_at(angle, m=0.2, M=0.5, length=0.3, inertia=0.006, c=0.1, b=1e-3, g=9.81):
@@ -106,6 +112,7 @@ def test_an_fmu_for_model_exchange_is_known_by_its_equations(casadi_fmu):
 def test_an_fmu_that_saves_no_state_is_made_anew_for_each_experiment(monkeypatch):
     settings = {"measured": "power", "actuated": "command", "at": {"command": 0.8}}
     saved = linearize(fmus.path("HydroTurbine"), **settings)  # it must first come to 0.8
+    without_cache(monkeypatch)
     monkeypatch.setattr(Instance, "can_save", property(lambda self: False))
     anew = linearize(fmus.path("HydroTurbine"), **settings)
     for name in "ABCuy":
@@ -245,6 +252,7 @@ def test_a_plant_that_rests_at_a_limit_is_said(monkeypatch):
     def pump(self, inputs, outputs, t):  # the voltage cannot be negative
         return one_sided(self, np.maximum(inputs, 0.0), outputs, t)
 
+    without_cache(monkeypatch)
     monkeypatch.setattr(Instance, "update", pump)
     with pytest.warns(PoorFitWarning, match=r"'voltage' up and down differ by 100 %"):
         linearize(fmus.path("PositionServo"), measured="angle", actuated="voltage")
@@ -256,6 +264,7 @@ def test_a_dead_band_is_no_derivative_of_zero(monkeypatch):
     def stiff(self, inputs, outputs, t):
         return usual(self, np.sign(inputs) * np.maximum(np.abs(inputs) - band, 0.0), outputs, t)
 
+    without_cache(monkeypatch)
     monkeypatch.setattr(Instance, "update", stiff)
     settings = {"measured": "angle", "actuated": "voltage"}
     with pytest.raises(ModelError, match=r"larger pulses of 'voltage', but not to one of 0\.1: it has a dead band"):
@@ -281,6 +290,7 @@ def test_outputs_that_are_rounded_too_coarsely_are_said(monkeypatch, name, words
         outputs[:] = np.round(outputs / 1e-3) * 1e-3
         return status
 
+    without_cache(monkeypatch)
     monkeypatch.setattr(Instance, "output", rounded)
     *_, measured, actuated, _ = PLANTS[name]
     with (
