@@ -14,7 +14,7 @@ from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
 from bayesftc.controllers.estimation.innovation import predicted_covariance
 from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
-from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector
+from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector, check_limits
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import (
@@ -30,6 +30,7 @@ from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.arguments import with_named_arguments
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.blocks.linear_system import is_system, signal_names
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
@@ -238,8 +239,8 @@ def _too_many_goals(goals: Sequence[str | int], controls: int) -> str:
     """Return the message about a design without goal= where more outputs are measured than there are controls."""
     example = ", ".join(f'"{goal}"' if isinstance(goal, str) else str(goal) for goal in goals[:controls])
     return (
-        f"There are {len(goals)} goals but only {controls} controls. Without goal= each measured output has a goal, and each "
-        f"goal needs a control. Name the outputs that have a goal, such as goal=[{example}], or actuate further inputs."
+        f"There are {len(goals)} goals but only {counted(controls, 'control')}. Without goal= each measured output has a goal, "
+        f"and each goal needs a control. Name the outputs that have a goal, such as goal=[{example}], or actuate further inputs."
     )
 
 
@@ -253,8 +254,7 @@ def _named(plant: Identification, name: str) -> list[int]:
 def _half_range(u_min: object, u_max: object, size: int) -> Floats:
     """Return half the range between the limits of each control; NaN where a limit is infinite."""
     low, high = as_vector("u_min", u_min, size, finite=False), as_vector("u_max", u_max, size, finite=False)
-    if (low > high).any():
-        raise ModelError(f"u_min {low.tolist()} lies above u_max {high.tolist()}; exchange them.")
+    check_limits(low, high)
     if (low == high).any():
         raise ModelError(
             f"u_min {low.tolist()} and u_max {high.tolist()} leave a control no range. Leave out a control that cannot move."

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from bayesftc.controllers.models.checks import Matrix, as_matrix, as_numbers, as_vector
+from bayesftc.controllers.models.checks import Matrix, as_matrix, as_numbers, as_vector, check_limits
 from bayesftc.controllers.signals import port
 from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.block import Block, Definition
@@ -122,10 +122,7 @@ class Proportional(ControlLaw):
         for name in ("u_min", "u_max"):
             value = as_vector(f"{name} of {type(self).__name__}", getattr(self, name), self.controls, finite=False)
             object.__setattr__(self, name, tuple(value.tolist()))
-        if (np.asarray(self.u_min) > np.asarray(self.u_max)).any():
-            raise ModelError(
-                f"{type(self).__name__} has u_min={self.u_min}, which is greater than u_max={self.u_max}; exchange them."
-            )
+        check_limits(np.asarray(self.u_min), np.asarray(self.u_max), owner=f"{type(self).__name__}: ")
         if float("inf") in self.u_min or float("-inf") in self.u_max:  # type: ignore[operator]
             raise ModelError(
                 f"{type(self).__name__} has u_min={self.u_min} and u_max={self.u_max}, which no control can keep. Give finite "

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.ports import Port
 
 MOST_NAMES = 12
@@ -89,11 +90,11 @@ def named(model: Any, which: str) -> Sequence[str]:
 
 def summary_of(block: Any) -> str:
     """Return the kind, the sizes and the kind of learner of a controller or an estimator, in one line."""
-    parts = [f"{block.port(name).size} {kind}" for name, kind in _SIZES.items()]
+    parts = [counted(block.port(name).size, kind) for name, kind in _SIZES.items()]
     if block.sample_time is not None:
         parts.append(f"dt = {float(block.sample_time):g} s")
     return f"{type(block).__name__} of {', '.join(parts)}, with {type(block.precision).__name__}"
 
 
-_SIZES = {"x_hat": "states", "u": "controls", "y": "sensors"}
+_SIZES = {"x_hat": "state", "u": "control", "y": "sensor"}
 """The ports of the size of a model's states, controls and sensors."""

@@ -19,6 +19,7 @@ from bayesftc.controllers.models.checks import (
     as_vector,
     check_choice,
     check_flags,
+    check_limits,
     frozen,
 )
 from bayesftc.controllers.models.delays import extended_covariance, extended_rows
@@ -124,10 +125,8 @@ class BayesianBlock(Block, ABC):
             values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        if (values["u_min"] > values["u_max"]).any():
-            raise ModelError(
-                f"u_min {values['u_min'].tolist()} lies above u_max {values['u_max'].tolist()}; exchange them."
-            )
+        names = getattr(self.model, "names", None)
+        check_limits(values["u_min"], values["u_max"], names.controls if names else ())
         if (values["u_rate"] <= 0).any():
             raise ModelError(
                 f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second)."

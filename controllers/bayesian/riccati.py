@@ -9,6 +9,7 @@ import numpy as np
 from bayesftc.controllers.bayesian.stabilisability import refuse_unseen_by_goal
 from bayesftc.controllers.models.integrators import Quotient, without_integrators
 from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
@@ -69,8 +70,8 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
     others = np.vstack([model.matrix("A")[:plant, plant:], -outputs[:, plant:]])
     if len(H) > B.shape[1]:
         raise ModelError(
-            f"There are {len(H)} goals but only {B.shape[1]} controls. Each goal needs a control of its own; set goals for fewer "
-            "outputs, or actuate further inputs."
+            f"There are {len(H)} goals but only {counted(B.shape[1], 'control')}. Each goal needs a control of its own; set "
+            "goals for fewer outputs, or actuate further inputs."
         )
     reduced = without_integrators(A, H)
     if reduced is not None:

@@ -211,6 +211,22 @@ def as_number(
     raise ModelError(f"{title}={brief(value)}; it must be a {kind} {required}".rstrip() + f"{also}.")
 
 
+def check_limits(low: Floats, high: Floats, names: Sequence[str] = (), owner: str = "") -> None:
+    """Refuse lower limits of controls above their upper limits.
+
+    Raises
+    ------
+    ModelError
+        With the controls and their limits.
+    """
+    wrong = [j for j in range(len(low)) if low[j] > high[j]]
+    if not wrong:
+        return
+    who = [f" of {names[j]}" if len(names) == len(low) else f" of control {j}" if len(low) > 1 else "" for j in wrong]
+    pairs = [f"u_min{of} is {low[j]:g}, above its u_max of {high[j]:g}" for j, of in zip(wrong, who, strict=True)]
+    raise ModelError(f"{owner}{'; '.join(pairs)}. The lower limit of a control must lie below its upper limit.")
+
+
 def check_number(owner: object, name: str, *, optional: bool = False, **bounds: Any) -> None:
     """Check a setting of `owner` by `as_number`; None is allowed if it is `optional`.
 

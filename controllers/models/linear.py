@@ -15,6 +15,7 @@ from bayesftc.controllers.models.delays import Delays, with_delays
 from bayesftc.controllers.models.sensor_errors import with_sensor_errors
 from bayesftc.cosim.base.arguments import NamedArguments
 from bayesftc.cosim.base.html import settings
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.blocks.linear_system import is_system
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 def sizes_of(model: Any) -> str:
     """Return the numbers of states, controls and sensors of a model, and its sample time, as text."""
-    parts = [f"{getattr(model, name)} {name}" for name in ("states", "controls", "sensors")]
+    parts = [counted(getattr(model, f"{name}s"), name) for name in ("state", "control", "sensor")]
     return f"{', '.join(parts)}, dt = {float(model.step):g} s"
 
 

@@ -14,6 +14,11 @@ from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.types import Floats
 
 
+def counted(number: int, one: str) -> str:
+    """Return a number and a noun in the singular or plural: ``"1 control"``, ``"2 controls"``."""
+    return f"{number} {one}" + "s" * (number != 1)
+
+
 def real(value: object) -> float:
     """Return a number as a float: NaN for anything else (strings, truth values), infinity if it is too large for a float."""
     if isinstance(value, bool) or not isinstance(value, Real):
@@ -76,4 +81,4 @@ def _short(value: Any) -> str:
     return repr(value)
 
 
-__all__ = ["check_count", "real", "reals", "short"]
+__all__ = ["check_count", "counted", "real", "reals", "short"]

@@ -85,7 +85,10 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     ModelError
         If the diagram is no closed loop, or a part of it cannot be linearized.
     """
-    sensors, controller = find_sensors(diagram), find_controller(diagram)
+    try:
+        sensors, controller = find_sensors(diagram), find_controller(diagram)
+    except ModelError as error:
+        raise ModelError(f"{error} {_OTHER_LOOPS}") from None
     rows = sensors.block.rows  # type: ignore[attr-defined]
     if rows is None:
         raise ModelError(
@@ -127,6 +130,11 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
 
 # --- Find the parts --------------------------------------------------------------------------------------------------
 
+_OTHER_LOOPS = (
+    "For a loop of other blocks, system = diagram.to_control(inputs=['pi.u'], outputs=['pi.u']) opens the loop at the output u "
+    "of a block 'pi', and control.margin(-system.linearize(system.initial_state)) has its margins. With the reference as the "
+    "input, inputs=['reference.y'], it is the closed loop, for poles() and control.step_info."
+)
 _WHOLE = "Linearize the whole loop: loop.to_control(inputs=['controller.u'], ...).linearize(state)."
 
 

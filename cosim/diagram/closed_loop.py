@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.invalid import invalid_values
-from bayesftc.cosim.base.numbers import real
+from bayesftc.cosim.base.numbers import counted, real
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
@@ -170,7 +170,7 @@ def closed_loop(
     controller_node = diagram.add(controller, "controller", every=_every(controller, "controller", diagram.step))
     if len(controller_node["y"]) != len(sensors):
         raise ConnectionError(
-            f"The controller has {len(controller_node['y'])} sensors, but the loop has {len(sensors)}. Give the loop "
+            f"The controller has {counted(len(controller_node['y']), 'sensor')}, but the loop has {len(sensors)}. Give the loop "
             f"sensors=cosim.Sensors(count={_count_for(controller, sum(map(len, outputs)))}, std=...), or the controller's model "
             "a row of C, or a modality, for each sensor of the loop."
         )
@@ -180,7 +180,8 @@ def closed_loop(
     diagram.connect(goals, controller_node["goal"])
     if len(controller_node["u"]) != sum(map(len, inputs.values())):
         raise ConnectionError(
-            f"The controller has {len(controller_node['u'])} controls, but control= names {sum(map(len, inputs.values()))} of "
+            f"The controller has {counted(len(controller_node['u']), 'control')}, but control= names "
+            f"{sum(map(len, inputs.values()))} of "
             f"the plant's inputs: {', '.join(inputs)}."
         )
     if not isinstance(input_faults, Mapping | None):

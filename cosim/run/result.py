@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.html import table
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.paths import is_file
 from bayesftc.cosim.diagram.roles import LoopRoles, known_roles, units_of
 from bayesftc.cosim.errors import ModelError, ResultFileError, UnknownNameError, did_you_mean
@@ -94,7 +95,7 @@ class Result(Mapping[str, Floats]):
     >>> ramp = diagram.add(cosim.Ramp(2.0, unit="m"), "ramp")
     >>> run = diagram.simulate(2.0, engine="interpreted")
     >>> run
-    <Result: 1 signals, 5 rows to t = 2 s>
+    <Result: 1 signal, 5 rows to t = 2 s>
     >>> run["ramp.y"].tolist(), run.units
     ([0.0, 1.0, 2.0, 3.0, 4.0], {'ramp.y': 'm'})
     >>> run.to_pandas().reset_index().tail(2)
@@ -207,7 +208,7 @@ class Result(Mapping[str, Floats]):
         rows = len(self._recording)
         end = float(self.time[-1]) if rows else 0.0
         notes = "".join(f", {note}" for note in self._explained())
-        return f"<Result: {len(self)} signals, {rows} rows to t = {end:g} s{notes}>"
+        return f"<Result: {counted(len(self), 'signal')}, {counted(rows, 'row')} to t = {end:g} s{notes}>"
 
     @property
     def notes(self) -> list[str]:

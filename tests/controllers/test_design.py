@@ -462,7 +462,7 @@ def test_of_a_linear_model_the_sensors_have_numbers():
     np.testing.assert_array_equal(controller.goal_matrix, [[1, 0]])
     np.testing.assert_array_equal(design(model, goal=[[1, 0]]).goal_matrix, [[1, 0]])
     assert isinstance(controller.precision, controllers.SwitchingPrecision)
-    with pytest.raises(ModelError, match=r"2 goals but only 1 controls.* such as goal=\[0\]"):
+    with pytest.raises(ModelError, match=r"2 goals but only 1 control.* such as goal=\[0\]"):
         design(model)
     with pytest.raises(ModelError, match="numbers of sensors, from 0 to 2"):
         design(model, goal=[3])
@@ -514,8 +514,8 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
         ({"sensors": 0}, ModelError, "at least 1"),
         ({"at": {"volts": 1.0}}, UnknownNameError, "volts"),
         ({"acceptable_error": 0.0}, ModelError, "must be positive"),
-        ({"goal": ["angle", "speed"]}, ModelError, "2 goals but only 1 controls"),
-        ({"measured": ["speed", "angle"]}, ModelError, r'2 goals but only 1 controls.* such as goal=\["speed"\]'),
+        ({"goal": ["angle", "speed"]}, ModelError, "2 goals but only 1 control"),
+        ({"measured": ["speed", "angle"]}, ModelError, r'2 goals but only 1 control.* such as goal=\["speed"\]'),
         ({"dt": "soon"}, StepSizeError, "soon"),
         ({"sensor_std": -0.01}, ModelError, "must not be negative"),
         ({"sensor_std": 0.0}, ModelError, r"sensor_std is \[0.0\]; a sensor without noise"),
@@ -527,7 +527,7 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
         ({"plant": BLIND, "measured": "y", "actuated": "u", "dt": 0.1}, ModelError, "y: no state of the model moves"),
         ({"noise": 0.1}, ModelError, r"a number for each input by name, as noise=\{'load'"),
         ({"at": 0.1}, ModelError, r"a number for each input by name, as at="),
-        ({"u_min": 5.0, "u_max": -5.0}, ModelError, "lies above u_max"),
+        ({"u_min": 5.0, "u_max": -5.0}, ModelError, "u_min is 5, above its u_max of -5"),
     ],
 )  # fmt: skip
 def test_wrong_settings_are_said_in_a_sentence(settings, error, words):

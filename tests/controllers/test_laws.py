@@ -106,7 +106,7 @@ def test_the_integral_is_held_on_both_sides():
     ("make", "words"),
     [
         (lambda: controllers.Proportional([[np.nan]]), "NaN or infinite"),
-        (lambda: controllers.Proportional(1.0, u_min=2.0, u_max=1.0), "exchange them"),
+        (lambda: controllers.Proportional(1.0, u_min=2.0, u_max=1.0), "u_min is 2, above its u_max of 1"),
         (lambda: controllers.ProportionalDerivative([1.0, 1.0], states=3), "reads 4 states for 2 goals"),
         (lambda: controllers.ProportionalDerivative([1.0, 1.0], derivative_gain=[[1.0]]), "it must be 2 x 2"),
         (lambda: controllers.PID(1.0, u_max=-np.inf), "no control can keep"),
@@ -133,3 +133,19 @@ def test_bad_settings_are_said_in_a_sentence(make, words):
 def test_a_law_alone_needs_a_sample_time():
     with pytest.raises(StepSizeError, match="sample time"):
         controllers.Proportional(1.0).online()
+
+
+def test_limits_that_are_crossed_are_named():
+    with pytest.raises(
+        ModelError, match=r"Proportional: u_min of control 1 is 7, above its u_max of 6\. The lower limit"
+    ):
+        controllers.Proportional([1.0, 1.0], u_min=[0.0, 7.0], u_max=[3.0, 6.0])
+    model = controllers.LinearModel(
+        0.9 * np.eye(2), np.eye(2), np.eye(2), 0.01 * np.eye(2), np.eye(2), dt=0.1,
+        names=controllers.SignalNames(controls=("inflow", "heater"), sensors=("a", "b"), states=("a", "b")),
+    )  # fmt: skip
+    sentence = (
+        r"u_min of inflow is 100, above its u_max of 30; u_min of heater is 100, above its u_max of 60\. The lower"
+    )
+    with pytest.raises(ModelError, match=sentence):
+        controllers.LQGController(model, goal_covariance=np.eye(2), u_min=[100.0, 100.0], u_max=[30.0, 60.0])

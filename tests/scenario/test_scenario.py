@@ -305,7 +305,7 @@ WRONG = {
     "parameter": (("v0 = 20.0", "v00 = 20.0"), UnknownNameError, ["'plant'", "'v00'", "did you mean 'v0'"]),
     "control": (('"force"', '"forces"'), UnknownNameError, ["'forces'", "did you mean 'force'"]),
     "noise input": (("[noise.disturbance]", "[noise.disturb]"), UnknownNameError, ["'disturb'"]),
-    "sensor count": (("C = [[1.0], [1.0]]", "C = [[1.0]]"), ConnectionError, ["1 sensors", "2"]),
+    "sensor count": (("C = [[1.0], [1.0]]", "C = [[1.0]]"), ConnectionError, ["1 sensor,", "2"]),
     "duration": (("duration = 20.0", "duration = '20 s'"), StepSizeError, ["'simulation'", "'20 s'"]),
     "dt": (("dt = 0.02", "dt = 'x'"), StepSizeError, ["'model'", "'x'"]),
     "dt of the simulation": (("seed = 1", "dt = 0"), StepSizeError, ["'simulation': dt is 0.0 s"]),
@@ -732,7 +732,7 @@ def test_a_design_knows_the_sensors_of_the_file(write, more, covariance):
         ("sensor_stdd = 1", ScenarioError, "'controller' has the unknown key 'sensor_stdd'; did you mean 'sensor_std'"),
         ("goal = true", ScenarioError, "'controller.goal' is true; it must be a text in quotes"),
         ("goal = 'z'", UnknownNameError, "'controller': "),
-        ("u_min = 3\nu_max = 2", ModelError, "'controller': u_min [3.0] lies above u_max [2.0]"),
+        ("u_min = 3\nu_max = 2", ModelError, "'controller': u_min is 3, above its u_max of 2"),
         ("precision = 'x'", ScenarioError, "'controller.precision' is 'x'; it must be a table such as"),
         (
             "[model]\nA = [[1]]",

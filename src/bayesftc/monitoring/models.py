@@ -143,7 +143,7 @@ class Matrices(PlantModel):
     >>> sensors = {name: monitoring.Sensor(std=0.1) for name in "ab"}
     >>> monitor = monitoring.Monitor(0.1, tank, sensors, {"heater": monitoring.Input()})
     >>> monitor.model.sizes
-    '1 states, 1 controls, 2 sensors, dt = 0.1 s'
+    '1 state, 1 control, 2 sensors, dt = 0.1 s'
     """
 
     A: Sequence[Sequence[float]]

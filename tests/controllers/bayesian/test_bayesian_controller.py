@@ -334,7 +334,7 @@ def test_models_that_cannot_be_right(change, words):
         ({"goal_covariance": 0.0}, "goal_covariance is not positive definite"),
         ({"control_covariance": -1.0}, "control_covariance is not positive definite"),
         ({"initial_mean": [1.0, 2.0]}, "initial_mean has the shape"),
-        ({"u_min": 1.0, "u_max": 0.0}, "lies above u_max"),
+        ({"u_min": 1.0, "u_max": 0.0}, "u_min is 1, above its u_max of 0"),
         ({"u_rate": 0.0}, "u_rate"),
         ({"belief": "kalman"}, "must be 'filtered' or 'joint'"),
         ({"goal_on": "inputs"}, "must be 'states', 'outputs' or a matrix"),

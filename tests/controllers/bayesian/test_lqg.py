@@ -336,7 +336,7 @@ def test_a_lost_effect_that_is_known_leaves_the_loop_as_it_was_designed():
     [
         (lambda: (np.diag([1.05, 0.5]), [[0], [1]], np.eye(2), {}), r"no control moves .* eigenvalue 1\.05, which grows"),
         (lambda: (np.diag([1.05, 0.5]), np.eye(2), [[0, 1]], {}), r"no sensor sees the mode with the eigenvalue 1\.05"),
-        (lambda: (np.diag([0.9, 0.5]), [[1], [1]], np.eye(2), {}), "There are 2 goals but only 1 controls"),
+        (lambda: (np.diag([0.9, 0.5]), [[1], [1]], np.eye(2), {}), "There are 2 goals but only 1 control"),
         (lambda: ([[0, 0], [1, 0]], [[1], [0]], [[1, -1]], {}), "zero at 1"),
         (lambda: (np.diag([-1.0, 0.5]), np.eye(2), np.eye(2), {"goal_on": [[0, 1]]}), "goals do not see .* -1, which stays"),
         (lambda: (np.diag([1.0, 1.0 + 1e-9]), np.eye(2), np.eye(2), {"goal_on": [[0, 1]]}), None),

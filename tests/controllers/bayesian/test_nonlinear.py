@@ -660,7 +660,7 @@ def infinite(x, y):
             ({"iterations": n}, "iterations=.* whole number")
             for n in (0, -3, 20.5, "20", None, True, np.nan, np.inf, [3])
         ),
-        ({"u_min": 1.0, "u_max": 0.0}, "lies above u_max"),
+        ({"u_min": 1.0, "u_max": 0.0}, "u_min is 1, above its u_max of 0"),
         ({"model": replace(PENDULUM, g=infinite)}, "g is not finite at x = "),
     ],
 )

@@ -35,7 +35,7 @@ def test_a_result_has_its_signals_with_units_and_ranges(loop):
 
 def test_a_controller_has_its_settings_and_the_sizes_of_its_model(loop):
     rows = dict(cells(load_scenario("cruise_control").controller))
-    assert rows["model"] == "LinearModel: 1 states, 1 controls, 2 sensors, dt = 0.02 s"
+    assert rows["model"] == "LinearModel: 1 state, 1 control, 2 sensors, dt = 0.02 s"
     assert rows["precision"] == "SwitchingPrecision()"
     assert rows["inputs"] == "y(2), goal(1)"
     assert dict(cells(load_scenario("cruise_control").controller.model))["C"] == "[[1.]\n [1.]]"

@@ -33,7 +33,7 @@ def first_twice(x, y):
 
 def test_models_and_controllers_are_printed_in_one_line_and_repr_has_all():
     model = controllers.LinearModel(0.9 * np.eye(3), np.eye(3, 1), np.eye(3)[[0, 0]], 0.01, 1.0, dt=0.1)
-    sizes = "of 3 states, 1 controls, 2 sensors, dt = 0.1 s"
+    sizes = "of 3 states, 1 control, 2 sensors, dt = 0.1 s"
     nonlinear = controllers.NonlinearModel(motion, first_twice, 3, 1, 2, 1e-3, 1.0, 0.1)
     controller = controllers.LQGController(model, goal_on=[[1.0, 0.0, 0.0]])
     assert f"{model} / {nonlinear}" == f"LinearModel {sizes} / NonlinearModel {sizes}"
@@ -48,9 +48,7 @@ def test_models_and_controllers_are_printed_in_one_line_and_repr_has_all():
     places = controllers.Modality("positions", matrix=[[1.0], [1.0]], std=0.1)
     law = controllers.Proportional(gain=2.0)
     paper = controllers.UnbiasedActiveInference(places, law, dt=0.05, belief_rate=4.0, control_rate=2.0)
-    assert str(paper) == (
-        "UnbiasedActiveInference of 1 states, 1 controls, 2 sensors, dt = 0.05 s, with FixedPrecision"
-    )
+    assert str(paper) == ("UnbiasedActiveInference of 1 state, 1 control, 2 sensors, dt = 0.05 s, with FixedPrecision")
     assert "goal_covariance=array([[" in repr(controller)
     assert "process_covariance=array([[" in repr(controller)
 

@@ -395,3 +395,24 @@ def test_a_nonlinear_plant_is_linearized_with_the_controls_of_the_operating_poin
     described = controller.describe().split("filter's included: ")[1].split(";")[0]
     poles = sorted(float(pole) for pole in described.split(", "))
     np.testing.assert_allclose(np.sort(loop.poles().real), poles, rtol=1e-4)
+
+
+def test_a_loop_of_other_blocks_is_refused_with_what_to_use_and_that_works(make_block):
+    def act(y, goal, integral, u):
+        integral[0] = integral[0] + (goal[0] - y[0]) / 30.0
+        u[0] = 2.0 * (goal[0] - y[0] + integral[0])
+
+    ports = {"inputs": [cosim.Port("y"), cosim.Port("goal")], "outputs": [cosim.Port("u")]}
+    diagram = cosim.Diagram(dt=0.1)
+    plant = diagram.add(cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1)), "plant")
+    pi = diagram.add(make_block(output=act, state={"integral": 0.0}, **ports), "pi")
+    diagram.connect(diagram.add(cosim.Constant(0.0), "reference")["y"], pi["goal"])
+    diagram.connect(plant["y"], pi["y"])
+    diagram.connect(pi["u"], plant["u"])
+    for refused in (diagram.margins, diagram.bode, diagram.poles, diagram.step_info):
+        with pytest.raises(ModelError, match=r"has 0\. For a loop of other blocks, system = diagram\.to_control\("):
+            refused()
+    system = diagram.to_control(inputs=["pi.u"], outputs=["pi.u"])
+    z = np.exp(0.05j)
+    expected = 0.1 / (z - 0.9) * 2.0 * (1.0 + 1.0 / 30.0 / (1.0 - 1.0 / z))
+    assert complex(-system.linearize(system.initial_state)(z)) == pytest.approx(expected)

@@ -191,7 +191,7 @@ def test_references(reference):
         (
             {"control": ["force", "gust"]},
             cosim.ConnectionError,
-            r"The controller has 1 controls, but control= names 2 of the plant",
+            r"The controller has 1 control, but control= names 2 of the plant",
         ),
         (
             {"noise": {"force": cosim.Gaussian(1.0)}},
@@ -201,7 +201,7 @@ def test_references(reference):
         (
             {"sensors": cosim.Sensors(count=2)},
             cosim.ConnectionError,
-            r"The controller has 1 sensors, but the loop has 2",
+            r"The controller has 1 sensor, but the loop has 2",
         ),
         ({"faults": ["freeze"]}, cosim.ModelError, r"faults must contain only faults, such as Freeze"),
         ({"faults": 3}, cosim.ModelError, r"faults must contain only faults, .* not 3"),
