@@ -173,8 +173,8 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
 
     ``summary["errors"]`` has the root-mean-square errors by quantity and phase, ``summary["sensors"]`` the detection of faults by
     sensor. Where there are any, ``summary["findings"]`` has the faults that the controller infers, ``summary["inputs"]`` the
-    faults of the plant's inputs, and ``summary["actuators"]`` the detection of faults by actuator. `bayesftc.cosim.Result.summary` makes
-    it.
+    faults of the plant's inputs, and ``summary["actuators"]`` the detection of faults by actuator.
+    `bayesftc.cosim.Result.summary` makes it.
 
     Parameters
     ----------

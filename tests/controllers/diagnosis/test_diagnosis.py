@@ -506,3 +506,24 @@ def test_the_remedy_for_a_model_without_control_needs_no_control():
     assert "monitor --fit --from --to" in words
     assert "linearis" not in words
     assert "monitor" not in sentence("nonlinear", (), replace(model, B=[[0.1]]))
+
+
+def test_times_of_a_slow_plant_have_no_exponent():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=10.0)
+    words = sentence("onset", (14410.0, float("inf"), 0.5), model)
+    assert "from 14410 s after the first sample on" in words
+
+
+def test_a_lost_effect_looks_at_the_actuator_modes():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    loss = (5.0, float("inf"), 0.6, 0.0)
+    assert "actuator_modes=ACTUATOR_MODES" in sentence("loss", loss, model)
+    inferred = sentence("loss", loss, model, inferred=[0.99])
+    assert "ACTUATOR_MODES" not in inferred
+    assert "The controller infers a fault of the control: its fault probability reaches 0.99." in inferred
+    assert "do not see it" in sentence("loss", loss, model, inferred=[0.1])
+
+
+def test_what_no_explanation_covers_says_what_to_do():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    assert "LinearModel.identify" in sentence("unknown", (), model)
