@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bayesftc.cli import output
+from bayesftc.cli import completion, output
 from bayesftc.cli.inspection.elements import COLUMNS, rows
 from bayesftc.cli.inspection.verdicts import Verdict, verdicts
 from bayesftc.cli.options import Json
@@ -43,7 +43,13 @@ OTHER_COMMANDS = {
 
 
 def inspect(
-    fmu: Annotated[str, typer.Argument(help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.")],
+    fmu: Annotated[
+        str,
+        typer.Argument(
+            help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.",
+            autocompletion=completion.shipped_fmus,
+        ),
+    ],
     validate: Annotated[bool, typer.Option(help="Whether the description must follow the rules of FMI.")] = True,
     everything: Annotated[
         bool, typer.Option("--all", help="Show local variables as well, and each element of arrays.")
