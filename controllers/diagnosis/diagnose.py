@@ -11,7 +11,7 @@ needed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
 from bayesftc.cosim.base.announcing import reported
+from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.wiring import find_controller
@@ -115,6 +116,20 @@ class ModelFinding:
     def __repr__(self) -> str:
         return short(self)
 
+    def __str__(self) -> str:
+        return self.sentence
+
+    def _repr_html_(self) -> str:
+        """Return the sentence and what it is based on, for notebooks."""
+        rows: list[tuple[str, object]] = [("kind", self.kind), ("finding", self.sentence)]
+        if self.values:
+            rows.append(("values", ", ".join(f"{value:.6g}" for value in self.values)))
+        if np.isfinite(self.evidence):
+            rows.append(("evidence (log-likelihood ratio)", f"{self.evidence:.4g}"))
+        if self.others:
+            rows.append(("nearly as likely", ", ".join(self.others)))
+        return table("The model", rows)
+
 
 def diagnose(
     signals: Mapping[str, Any], controller: Any, *, y: str | None = None, name: str = "controller"
@@ -174,10 +189,21 @@ def diagnose(
         words = sentence("suspect", (), model.linearised(controller.initial_mean, controller.control_mean))
         return ModelFinding("unknown", words) if raised else None
     samples = samples_of(signals, y, name, reader)
-    result = _finding(model, samples, signals[f"{name}.u"], controller.initial_mean, alone=raised)
+    inferred = _inferred(signals, controller, name)
+    result = _finding(model, samples, signals[f"{name}.u"], controller.initial_mean, alone=raised, inferred=inferred)
     if result is None and raised:
         return ModelFinding("unknown", sentence("unknown", (), model))
     return result
+
+
+def _inferred(signals: Mapping[str, Any], controller: Any, name: str) -> list[float] | None:
+    """Return the largest recorded fault probability of each actuator; None if none is inferred or recorded."""
+    signal = f"{name}.actuator_fault_probability"
+    if not getattr(controller, "actuator_kinds", ()) or signal not in signals:
+        return None
+    values = np.nan_to_num(signals[signal])
+    largest: list[float] = values.reshape(len(values), -1).max(axis=0).tolist()
+    return largest
 
 
 def checked_model(controller: Any) -> LinearModel | NonlinearModel | None:
@@ -229,7 +255,13 @@ def diagnose_recording(
 
 
 def _finding(
-    model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike, *, alone: bool
+    model: LinearModel,
+    y: ArrayLike,
+    u: ArrayLike,
+    initial_mean: ArrayLike,
+    *,
+    alone: bool,
+    inferred: Sequence[float] | None = None,
 ) -> ModelFinding | None:
     """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`."""
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
@@ -242,7 +274,7 @@ def _finding(
     if not result:
         return None
     best = result[0]
-    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]])
+    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]], inferred)
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.cosim.judging.signals import ALARM
+
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
@@ -26,16 +28,45 @@ UNMOVED = (
 
 
 def sentence(
-    kind: str, values: Sequence[float], model: LinearModel, others: Sequence[tuple[str, Sequence[float]]] = ()
+    kind: str,
+    values: Sequence[float],
+    model: LinearModel,
+    others: Sequence[tuple[str, Sequence[float]]] = (),
+    inferred: Sequence[float] | None = None,
 ) -> str:
-    """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well."""
+    """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
+
+    `inferred` has the largest fault probability of each actuator; None if the controller infers none.
+    """
     alone = _alone(model)
     also = "".join(
         f" Or, nearly as likely by this run: {_WORDS[other](other_values, model)}" for other, other_values in others
     )
     if not np.any(model.B):
         return f"{ALIKE}: {UNMOVED}{alone}"
-    return f"{ALIKE}: {_WORDS[kind](values, model)}{also}{alone}"
+    actuators = _actuators([(kind, values), *others], model, inferred)
+    return f"{ALIKE}: {_WORDS[kind](values, model)}{also}{actuators}{alone}"
+
+
+def _actuators(
+    found: Sequence[tuple[str, Sequence[float]]], model: LinearModel, inferred: Sequence[float] | None
+) -> str:
+    """Return a sentence on the actuator modes for faults of an actuator; else nothing."""
+    lost = [values for kind, values in found if kind == "loss"]
+    if not lost and not (inferred is not None and any(kind == "onset" for kind, _ in found)):
+        return ""
+    if inferred is None:
+        return " SwitchingPrecision can infer faults of actuators (actuator_modes=ACTUATOR_MODES)."
+    j = int(lost[0][3]) if lost else int(np.argmax(inferred))
+    if inferred[j] >= ALARM:
+        return (
+            f" The controller infers a fault of {_named(j, model)}: its fault probability reaches {inferred[j]:.2g}. "
+            "result.findings() has its kind and size."
+        )
+    return (
+        f" The actuator modes of the controller do not see it: the fault probability of {_named(j, model)} is at most "
+        f"{inferred[j]:.2g}."
+    )
 
 
 def _alone(model: LinearModel) -> str:
@@ -120,9 +151,17 @@ def _noise(values: Sequence[float], model: LinearModel) -> str:
 
 
 def _since(values: Sequence[float]) -> str:
-    if isfinite(values[1]):
-        return f"from {values[0]:.4g} s to {values[1]:.4g} s after the first sample"
-    return f"from {values[0]:.4g} s after the first sample on"
+    begin, end = map(_seconds, values[:2])
+    return (
+        f"from {begin} to {end} after the first sample"
+        if isfinite(values[1])
+        else f"from {begin} after the first sample on"
+    )
+
+
+def _seconds(time: float) -> str:
+    """Return a time with four digits, without an exponent below a year: ``14410 s``."""
+    return f"{time:.0f} s" if 1e3 <= time < 1e8 else f"{time:.4g} s"
 
 
 def _onset(values: Sequence[float], model: LinearModel) -> str:
@@ -135,10 +174,7 @@ def _onset(values: Sequence[float], model: LinearModel) -> str:
 
 def _loss(values: Sequence[float], model: LinearModel) -> str:
     effect = f"{values[2]:.2g} times as strongly as in the model" if abs(values[2]) >= NO_EFFECT else "not at all"
-    return (
-        f"{_named(values[3], model)} moves the plant {effect} {_since(values)}. Look for a fault of the actuator. "
-        "SwitchingPrecision can infer such faults (actuator_modes=ACTUATOR_MODES)."
-    )
+    return f"{_named(values[3], model)} moves the plant {effect} {_since(values)}. Look for a fault of the actuator."
 
 
 def _nonlinear(values: Sequence[float], model: LinearModel) -> str:
@@ -157,8 +193,10 @@ def _dynamics(values: Sequence[float], model: LinearModel) -> str:
 
 def _unknown(values: Sequence[float], model: LinearModel) -> str:
     return (
-        "the samples differ from the predictions by A, B and C. Check the sign of B and dt, and whether the control acts without "
-        "delay and limit. No single one of these explains the run."
+        "the plant moves differently from A, B and C of the model, and no simple explanation fits the run: not the sign, gain, "
+        "delay or limit of a control, not dt, not a load, not other linear dynamics. Identify the model anew from a recording in "
+        "which the controls move the plant (LinearModel.identify), or give the model more process noise (noise in design and "
+        "in a scenario)."
     )
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.cosim.base.html import table
 from bayesftc.cosim.fitting.uncertainty import Combination
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
@@ -78,6 +80,32 @@ class FittedFMU:
     weights: Floats = field(repr=False)
     fitted: Floats = field(repr=False)
     split: int = field(repr=False)
+
+    def __repr__(self) -> str:
+        fitted = ", ".join(f"{name}={value:.4g} {self.units[name]}".rstrip() for name, value in self.parameters.items())
+        return f"FittedFMU({fitted})"
+
+    def _repr_html_(self) -> str:
+        """Return the fitted parameters and the errors of the outputs, for notebooks."""
+        units = self.units
+        rows = [
+            (
+                f"{name}{' (not determined)' * (name in self.undetermined)}",
+                *(f"{number:.6g} {units[name]}".rstrip() for number in (value, float(f"{self.std[name]:.2g}"))),
+            )
+            for name, value in self.parameters.items()
+        ]
+        errors = [
+            (column, f"{rms:.3g}", "" if np.isnan(self.held_out[column]) else f"{self.held_out[column]:.3g}")
+            for column, rms in self.rms.items()
+        ]
+        return "\n".join(
+            [
+                table("Fitted parameters", rows, ("parameter", "value", "standard error")),
+                table("Errors (root mean square)", errors, ("column", "fitted part", "held-out part")),
+                *(f"<p>{escape(sentence)}</p>" for sentence in self.sentences),
+            ]
+        )
 
     def __str__(self) -> str:
         units = self.units

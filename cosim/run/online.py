@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import ExternalBlock
 from bayesftc.cosim.diagram.contract import checked
@@ -43,6 +44,10 @@ class Outputs(dict[str, Any]):
 
     def __repr__(self) -> str:
         return f"Outputs({', '.join(f'{name}={brief(value, MOST_SHOWN)}' for name, value in self.items())})"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the outputs, for notebooks."""
+        return table("Outputs", self.items(), ("output", "value"))
 
 
 class Online:

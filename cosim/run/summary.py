@@ -156,7 +156,7 @@ def findings_table(inferred: Sequence[Mapping[str, Any]]) -> FiguresTable:
     for each in sorted(longest, key=lambda each: each["start"]):
         unit = each["unit"].replace("{", "{{").replace("}", "}}")
         values = (each["kind"] or None, *(each[name] for name in ("onset", "start", "end", "size", "probability")))
-        rows.append((each["where"], values, ("{}", *["{:.6g}"] * 3, f"{{:.3g}} {unit}".rstrip(), "{:.3f}")))
+        rows.append((each["where"], values, ("{}", *["{:.5g}"] * 3, f"{{:.3g}} {unit}".rstrip(), "{:.3f}")))
     columns = ("kind", "onset (s)", "from (s)", "until (s)", "size", "probability")
     left_out = len(inferred) - len(rows)
     only = f" The table has the {len(rows)} longest of {len(inferred)} alarms." if left_out else ""

@@ -17,6 +17,7 @@ from sklearn.metrics import roc_auc_score
 import bayesftc
 from bayesftc import controllers, cosim
 from bayesftc.bench import SECTIONS
+from bayesftc.cli import output
 from bayesftc.cli.application import COMMANDS
 from bayesftc.cli.commands.loops import _compare as compare_module, run as run_module
 from bayesftc.cli.guard import guarded
@@ -767,3 +768,17 @@ def test_a_warning_is_printed_once(capsys):
         for angle in (1, 2, 2, 1):
             warnings.warn(f"The plant reached {angle} rad.", UserWarning, stacklevel=1)
     assert capsys.readouterr().err == "Warning: The plant reached 1 rad.\nWarning: The plant reached 2 rad.\n"
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_tables_of_a_run_break_no_word(width, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(width))
+    columns = tuple(f"sensor {i} (temperature)" for i in range(5))
+    rows = [("share of time in fault", *["13.0%"] * 5), ("mean detection delay (s)", *["130.00"] * 5)]
+    console = output.terminal()
+    for table in output._fitting(console, columns, rows, turned=True):
+        console.print(table)
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= width
+    assert printed.count("(temperature)") in {5, 10}
+    assert {"detection", "130.00", "13.0%"} <= set(printed.split())

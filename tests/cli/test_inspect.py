@@ -1,5 +1,6 @@
 """What ``bayesftc inspect`` says that works, tried out."""
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from bayesftc import cosim, fmus
+from bayesftc.cli import output
 from bayesftc.cli.inspection.elements import rows
 from bayesftc.cli.inspection.verdicts import verdicts
 from bayesftc.cosim.fmi.fmu import FMU, FMUVariable, describe
@@ -102,7 +104,7 @@ def test_long_names_are_not_broken(tmp_path):
     name = "vehicle.body.suspension.damper.coefficient"
     path = edited(SHIPPED["CruiseControl", "2.0"], tmp_path / "x.fmu", ('name="m"', f'name="{name}"'))
     (line,) = (line for line in inspected(str(path), width=80).splitlines() if name in line)
-    assert line.split()[1:4] == ["parameter", "Real", "kg"]
+    assert line.split()[1:4] == ["parameter", "kg", "100.0"]
 
 
 def test_local_variables_are_shown_on_demand(tmp_path):
@@ -150,3 +152,15 @@ def test_elements_of_an_array_share_a_row():
     assert [(row[0], row[4]) for row in shown if row[4]] == [("R[1..2,0..2]", "1.0"), ("s[0..1]", "0.0, 1.0")]
     assert [row[0] for row in shown] == names
     assert len(rows([*matrix, *gap], apart=True)) == len(matrix) + len(gap)
+
+
+def test_columns_that_no_variable_fills_are_left_out(capsys, monkeypatch):
+    from bayesftc.cli.commands.fmus import inspect as module
+
+    description = describe(fmus.path("CruiseControl"))
+    without = dataclasses.replace(
+        description, variables=tuple(dataclasses.replace(v, unit=None) for v in description.variables)
+    )
+    for each, has in ((description, True), (without, False)):
+        module._print_variables(output.terminal(100), each, everything=False)
+        assert (" unit " in capsys.readouterr().out) == has

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.units import BASE, Unit, UnitDefinition
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.fmi.reading import version1
@@ -123,6 +124,10 @@ class FMUVariable:
         return self.type not in {"String", "Binary", "Clock"}
 
 
+MOST_SHOWN = 200
+"""Most variables in a table for notebooks."""
+
+
 @dataclass(frozen=True)
 class FMUDescription:
     """The model description of an FMU.
@@ -186,6 +191,19 @@ class FMUDescription:
     origins: Mapping[str, str] = field(default_factory=dict, repr=False)
     finite: bool = True
     lax: str | None = None
+
+    def __repr__(self) -> str:
+        kinds = ", ".join(self.kinds)
+        return f"FMUDescription({self.name!r}, FMI {self.fmi_version}, {kinds}, {len(self.variables)} variables)"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the variables, for notebooks."""
+        rows = [
+            (v.name, v.causality, v.unit or "", "" if v.start is None else v.start, v.description or "")
+            for v in self.variables[:MOST_SHOWN]
+        ]
+        title = repr(self) if len(rows) == len(self.variables) else f"{self!r}, the first {len(rows)}"
+        return table(title, rows, ("variable", "causality", "unit", "start", "description"))
 
     @property
     def fmi_major(self) -> int:

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from bayesftc.cli.completion import scenarios
 from bayesftc.cosim.errors import BayesFTCError
 
 Timing = StrEnum("Timing", ["plant", "sampled"])
@@ -19,7 +20,9 @@ Timing = StrEnum("Timing", ["plant", "sampled"])
 Json = Annotated[bool, typer.Option("--json", help="Print plain JSON instead of tables.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings and errors.")]
-AScenario = Annotated[str, typer.Argument(help="A scenario file, or the name of a shipped one.")]
+AScenario = Annotated[
+    str, typer.Argument(help="A scenario file, or the name of a shipped one.", autocompletion=scenarios)
+]
 Duration = Annotated[float | None, typer.Option(help="Seconds, instead of the scenario's.")]
 Seed = Annotated[int | None, typer.Option(help="Seed of all noise, instead of the scenario's.")]
 RunFolder = Annotated[

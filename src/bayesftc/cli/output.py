@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 RESULT, FIGURE, NUMBERS = "result.npz", "figure.png", "figures.json"
 DOTS_PER_INCH = 150
+GUTTER = 3
+"""Characters between two columns of a table."""
 PERIOD = 10.0
 """Seconds between two progress lines, which replace the bar where there is no terminal."""
 
@@ -235,7 +237,9 @@ def print_report(numbers: Mapping[str, Any]) -> None:
     console.print(Text(title), soft_wrap=True)
     for figures in (figures for figures in tables_of(numbers) if not figures.empty):
         law = numbers.get("law", "") if figures.key == "errors" else ""
-        _print_table(console, figures.heading, figures.columns, figures.texts(), f"{figures.remark} {law}".strip())
+        turned = figures.key not in ("errors", "findings")  # their columns are sensors, inputs or actuators
+        remark = f"{figures.remark} {law}".strip()
+        _print_table(console, figures.heading, figures.columns, figures.texts(), remark, turned=turned)
     if check := numbers.get("kalman"):
         kinds = {"relative": "difference", "absolute": "absolute"}
         values = {what: [check[f"{what}_{kind}"] for kind in kinds.values()] for what in ("mean", "covariance")}
@@ -258,18 +262,73 @@ def say_written(folder: Path) -> None:
 
 
 def _print_table(
-    console: Console, heading: str, columns: Sequence[str], rows: Iterable[Sequence[str]], remark: str
+    console: Console,
+    heading: str,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    remark: str,
+    *,
+    turned: bool = False,
 ) -> None:
     from rich.text import Text
 
-    table = empty_table(*columns)
-    for row in rows:
-        table.add_row(*row)
     console.print()
     console.print(Text(heading, style="bold"))
-    console.print(table)
+    for table in _fitting(console, columns, list(rows), turned):
+        console.print(table)
     if remark:
         console.print(Text(remark))
+
+
+def _fitting(console: Console, columns: Sequence[str], rows: Sequence[Sequence[str]], turned: bool) -> Iterator[Table]:
+    """Give a table, in parts with some of its columns each if it does not fit the terminal without breaking a word.
+
+    If `turned`, a table that does not fit gets a row for each of its columns first.
+    """
+    if turned and not _fits(console, _filled(columns, rows, whole=True)):
+        columns, rows = [row[0] for row in rows], list(zip(columns, *(row[1:] for row in rows), strict=True))
+    begin, whole = 0, turned
+    while begin < len(columns):
+        end = begin + 1
+        made = _part(columns, rows, begin, end, whole)
+        while end < len(columns) and _fits(console, more := _part(columns, rows, begin, end + 1, whole)):
+            end, made = end + 1, more
+        if made.__rich_measure__(console, console.options.update(max_width=10_000)).maximum > console.width:
+            _narrow(console, made)
+        yield made
+        begin = end
+
+
+def _part(columns: Sequence[str], rows: Sequence[Sequence[str]], begin: int, end: int, whole: bool) -> Table:
+    """Return the table of the columns from `begin` to before `end`."""
+    return _filled(columns[begin:end], [(row[0], *row[1 + begin : 1 + end]) for row in rows], whole=whole)
+
+
+def _filled(columns: Sequence[str], rows: Sequence[Sequence[str]], *, whole: bool) -> Table:
+    """Return a table whose columns are at least as wide as their longest word, and as their numbers."""
+    table = empty_table(*columns)
+    labels, *numbers = zip(*rows, strict=True) if rows else [(), *((),) * len(columns)]
+    words = [word for label in labels for word in ([label] if whole else label.split())]
+    texts = [words, *([*title.split(), *cells] for title, cells in zip(columns, numbers, strict=True))]
+    for column, each in zip(table.columns, texts, strict=True):
+        column.min_width = max(map(len, each), default=0)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _narrow(console: Console, table: Table) -> None:
+    """Give each column its least width, and the labels the rest of the terminal."""
+    for column in table.columns:
+        column.width = column.min_width
+    left = console.width - sum((column.min_width or 0) + GUTTER for column in table.columns)
+    labels = max((len(str(label)) for label in table.columns[0].cells), default=0)
+    table.columns[0].width = min(labels, (table.columns[0].min_width or 0) + max(left, 0))
+
+
+def _fits(console: Console, table: Table) -> bool:
+    """Return whether a table fits the terminal without breaking a word."""
+    return sum((column.min_width or 0) + GUTTER for column in table.columns) <= console.width
 
 
 def empty_table(*columns: str) -> Table:

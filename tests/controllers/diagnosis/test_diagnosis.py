@@ -530,3 +530,24 @@ def test_a_leak_is_found_beside_a_slow_quantity_that_some_sensors_do_not_see():
     assert finding.kind == "onset"
     assert finding.values == pytest.approx((6000.0, np.inf, -3.0, 0.0), abs=60.0)
     assert finding.values[2] == pytest.approx(-3.0, abs=0.3)
+
+
+def test_times_of_a_slow_plant_have_no_exponent():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=10.0)
+    words = sentence("onset", (14410.0, float("inf"), 0.5), model)
+    assert "from 14410 s after the first sample on" in words
+
+
+def test_a_lost_effect_looks_at_the_actuator_modes():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    loss = (5.0, float("inf"), 0.6, 0.0)
+    assert "actuator_modes=ACTUATOR_MODES" in sentence("loss", loss, model)
+    inferred = sentence("loss", loss, model, inferred=[0.99])
+    assert "ACTUATOR_MODES" not in inferred
+    assert "The controller infers a fault of the control: its fault probability reaches 0.99." in inferred
+    assert "do not see it" in sentence("loss", loss, model, inferred=[0.1])
+
+
+def test_what_no_explanation_covers_says_what_to_do():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    assert "LinearModel.identify" in sentence("unknown", (), model)

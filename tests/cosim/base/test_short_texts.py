@@ -3,9 +3,10 @@
 from fractions import Fraction
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from bayesftc import controllers, cosim, monitoring
+from bayesftc import controllers, cosim, fmus, monitoring
 
 
 def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
@@ -15,6 +16,9 @@ def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
     )
     assert margins.gain == 2.059427999239328
     finding = controllers.ModelFinding("late", "B acts late.", (1 / 3, 0.0), 20 / 3, ("dt",))
+    assert str(finding) == "B acts late."
+    assert "B acts late." in finding._repr_html_()
+    assert "nan" not in controllers.ModelFinding("unknown", "B is wrong.")._repr_html_()
     assert repr(finding).endswith("values=(0.3333, 0), evidence=6.667, others=('dt',))")
     event = monitoring.FaultEvent("wheel", 10 / 3, 20.0, 0.999999, "Frozen", 3.2999999999999998)
     assert repr(event) == (
@@ -72,3 +76,19 @@ def test_a_recording_shows_the_shapes_of_its_samples():
     recording = monitoring.align({"a": monitoring.Signal(t, t), "b": monitoring.Signal(t, t)}, {}, 0.1)
     assert recording.dt == Fraction(1, 10)
     assert "dt=0.1 s, sensors=('a', 'b'), y=<30 x 2 numbers>, u=<30 x 1 numbers>, loss=(0.01, 0.01)" in repr(recording)
+
+
+def test_descriptions_and_fits_are_short_and_have_tables():
+    description = cosim.FMU(fmus.path("CruiseControl")).description
+    assert repr(description).startswith("FMUDescription('CruiseControl', FMI 2.0, coSimulation, ")
+    assert "<td" in description._repr_html_()
+    time = 0.1 * np.arange(200)
+    recording = pd.DataFrame({"time": time, "v": 20.0 * np.exp(-0.05 * time)})
+    fitted = cosim.fit(fmus.path("CruiseControl"), recording, {"m": (50.0, 300.0)}, outputs="v")
+    assert repr(fitted).startswith("FittedFMU(m=")
+    assert repr(fitted).endswith(" kg)")
+    assert "Fitted parameters" in fitted._repr_html_()
+
+
+def test_the_outputs_of_a_step_have_a_table():
+    assert "<td" in cosim.Integrator().online(dt=0.5, compiled=False)(u=2.0)._repr_html_()

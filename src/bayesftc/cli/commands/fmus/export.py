@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bayesftc.cli import output
+from bayesftc.cli import completion, output
 from bayesftc.cli.options import AScenario, Quiet, Timing
 from bayesftc.cosim.diagram.diagram import is_external
 from bayesftc.cosim.errors import ModelError
@@ -32,7 +32,11 @@ def export(
     block: Annotated[
         list[str] | None,
         typer.Option(
-            "--block", "-b", help="A block of its loop, such as controller; several become one.", show_default=False
+            "--block",
+            "-b",
+            help="A block of its loop, such as controller; several become one.",
+            show_default=False,
+            autocompletion=completion.blocks,
         ),
     ] = None,
     out: Annotated[

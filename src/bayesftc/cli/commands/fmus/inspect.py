@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bayesftc.cli import output
+from bayesftc.cli import completion, output
 from bayesftc.cli.inspection.elements import COLUMNS, rows
 from bayesftc.cli.inspection.verdicts import Verdict, verdicts
 from bayesftc.cli.options import Json
@@ -32,6 +32,9 @@ ORDER = ("input", "output", "parameter", "structuralParameter", "calculatedParam
 LEAST = 30
 """Least width of the columns after those that are never broken: start and description."""
 
+EMPTIABLE = frozenset({"unit", "start", "description"})
+"""Columns that are left out if they are empty."""
+
 OTHER_COMMANDS = {
     ".csv": ("a table of samples", "bayesftc monitor {} --fit"),
     ".toml": ("a scenario, a campaign or a model of a monitor", "bayesftc run {}"),
@@ -40,7 +43,13 @@ OTHER_COMMANDS = {
 
 
 def inspect(
-    fmu: Annotated[str, typer.Argument(help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.")],
+    fmu: Annotated[
+        str,
+        typer.Argument(
+            help="An FMU or SSP file, or the name of a shipped FMU, as CruiseControl.",
+            autocompletion=completion.shipped_fmus,
+        ),
+    ],
     validate: Annotated[bool, typer.Option(help="Whether the description must follow the rules of FMI.")] = True,
     everything: Annotated[
         bool, typer.Option("--all", help="Show local variables as well, and each element of arrays.")
@@ -105,16 +114,28 @@ def _print(path: Path, description: FMUDescription, works: list[Verdict], everyt
 def _print_variables(console: Console, description: FMUDescription, everything: bool) -> None:
     from rich.text import Text
 
-    table = output.plain_table(*COLUMNS, right={"start"}, whole=COLUMNS[:4])
     shown = [v for v in description.variables if everything or v.causality in ORDER[:5]]
     ranked = sorted(shown, key=lambda v: ORDER.index(v.causality) if v.causality in ORDER else len(ORDER))
     texts = rows(ranked, apart=everything)
+    types = {row[COLUMNS.index("type")] for row in texts}
+    # Columns that no variable fills, or that are all the same, leave their width to the descriptions.
+    dropped = {"type"} if len(types) == 1 < len(texts) else set()
+    dropped |= {name for i, name in enumerate(COLUMNS) if name in EMPTIABLE and not any(row[i] for row in texts)}
+    filled = [i for i, name in enumerate(COLUMNS) if name not in dropped]
+    columns, texts = [COLUMNS[i] for i in filled], [tuple(row[i] for i in filled) for row in texts]
+    whole = [name for name in columns if name in COLUMNS[:4]]
+    table = output.plain_table(*columns, right={"start"}, whole=whole)
     for row in texts:
         table.add_row(*map(Text, row))
-    needed = sum(2 + max(map(len, column)) for column in zip(COLUMNS[:4], *(row[:4] for row in texts), strict=True))
+    kept = len(whole)
+    needed = sum(
+        2 + max(map(len, column)) for column in zip(columns[:kept], *(row[:kept] for row in texts), strict=True)
+    )
     # Long names make the table wider than the terminal, so that the columns beside them keep some width.
     console.width = max(console.width, needed + LEAST)
     console.print(table)
+    if "type" in dropped:
+        console.print(f"All are of the type {types.pop()}.")
     hidden = len(description.variables) - len(shown)
     if hidden:
         console.print(f"{hidden} more (time and local variables): --all shows them.")

@@ -6,13 +6,16 @@ from typing import Annotated
 
 import typer
 
-from bayesftc.cli import output
+from bayesftc.cli import completion, output
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
 from bayesftc.scenario._files import KINDS, shipped_files, use_of, used_with
 
 
 def example(
-    name: Annotated[str | None, typer.Argument(help="A shipped file; without a name all are listed.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(help="A shipped file; without a name all are listed.", autocompletion=completion.examples),
+    ] = None,
 ) -> None:
     """Print a shipped file's text, or the names, kinds and uses of all.
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from bayesftc.cli import completion
 from bayesftc.cosim.errors import ScenarioError, did_you_mean
 from bayesftc.scenario._keys import Part, keys_of, summary, thing
 
@@ -65,24 +66,37 @@ FILES: dict[str, dict[str, list[Part]]] = {
 
 
 def keys(
-    file: Annotated[str | None, typer.Argument(help=f"{', '.join(FILES)}; without it all sections are listed.")] = None,
+    file: Annotated[
+        str | None,
+        typer.Argument(
+            help=f"{', '.join(FILES)}; without it all sections are listed.", autocompletion=completion.kinds_of_files
+        ),
+    ] = None,
     section: Annotated[
-        str | None, typer.Argument(help="A section such as faults, or a kind such as Freeze; all if left out.")
+        str | None,
+        typer.Argument(
+            help="A section such as faults, or a kind such as Freeze; all if left out.",
+            autocompletion=completion.sections,
+        ),
     ] = None,
 ) -> None:
     """Print the keys of a file: values with their units, default, and meaning."""
     if file is None:
         for name, titles in FILES.items():
             for title in titles:
-                typer.echo(f"{f'bayesftc keys {name} {_words(title)[0]}':36}  {title}")
+                typer.echo(f"{f'bayesftc keys {name} {section_words(title)[0]}':36}  {title}")
         return
     if file not in FILES:
         raise ScenarioError(f"There is no kind of file {file!r}; {did_you_mean(file, FILES)}")
     parts = [(f"{title}  {p.title}".rstrip(), p) for title, ps in FILES[file].items() for p in ps]
     tables = [(title, kind, cls, part.without) for title, part in parts for kind, cls in classes(part)]
-    chosen = [t for t in tables if section is None or section in _words(t[0]) or section in (t[1], t[2].__name__)]
+    chosen = [
+        t for t in tables if section is None or section in section_words(t[0]) or section in (t[1], t[2].__name__)
+    ]
     if not chosen:
-        names = {name for title, kind, cls, _ in tables for name in (*_words(title)[:1], kind or cls.__name__) if name}
+        names = {
+            name for title, kind, cls, _ in tables for name in (*section_words(title)[:1], kind or cls.__name__) if name
+        }
         raise ScenarioError(f"A {file} file has no section or kind {section!r}; {did_you_mean(section, names)}")
 
     from bayesftc.cli.output import plain_table, terminal
@@ -106,7 +120,7 @@ def classes(part: Part) -> list[tuple[str, type]]:
     return [(cls.__name__, cls) for cls in found] if isinstance(found, tuple | list) else [("", found)]
 
 
-def _words(title: str) -> list[str]:
+def section_words(title: str) -> list[str]:
     """Return the names by which a section is chosen: those of its title in lower case."""
     return re.findall(r"[a-z_]+", title)
 

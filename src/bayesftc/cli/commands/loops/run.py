@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from bayesftc.cli import output
+from bayesftc.cli import completion, output
 from bayesftc.cli.commands.loops._compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed, check_numbers
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
@@ -58,6 +58,7 @@ def run(
         typer.Argument(
             metavar="SCENARIO",
             help="A scenario file (TOML), or the name of a shipped one such as cruise_control; several with --compare.",
+            autocompletion=completion.scenarios,
         ),
     ],
     out: RunFolder = None,
