@@ -37,6 +37,9 @@ from bayesftc.cosim.types import Floats
 INPUT_NOISE = 0.05
 """Default process noise: this share of each actuated input's scale, in every sample."""
 
+_STEADY = 1e-3
+"""Distance of an output at the start from its steady value, relative to its size or 1, up to which nobody need know of it."""
+
 _NEGLIGIBLE = 1e-12
 """An effect of a control below this, relative to the states' size or 1, counts as rounding."""
 
@@ -365,7 +368,8 @@ def _of_fmu(
         linear = _of_equations(fmu, u, columns, rows, names, measured, step, _free(actuated, into, at))
         return replace(linear, held=_held(into, at))
     realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
-    if realisation.waited and not at:
+    off = np.abs(realisation.C @ realisation.start) > _STEADY * np.maximum(np.abs(realisation.y), 1.0)
+    if realisation.waited and off.any() and not at:
         warn_user(
             f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(realisation.waited)} s with its "
             "inputs at their start values, and the model is about the steady state that it reached, with "
