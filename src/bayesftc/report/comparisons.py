@@ -112,10 +112,15 @@ def _cells(contents: Contents, beside: Pair) -> list[str]:
     lower = int((certain & (sign * rows["difference"] < 0)).sum())
     higher = int((certain & (sign * rows["difference"] > 0)).sum())
     rest = len(rows) - lower - higher
-    return [
-        f"Of the {len(rows)} combinations of {', '.join(by)}, {text_of(best)} is lower than {text_of(other)} in {lower}, higher "
-        f"in {higher}, and {rest} {'is' if rest == 1 else 'are'} undecided (tests at 5 %, corrected)."
-    ]
+    points = f"{len(rows)} {'values' if len(by) == 1 else 'combinations'} of {', '.join(by)}"
+    tested = (
+        f"{text_of(best)} and {text_of(other)} are tested at each of the {points} (5 %, corrected for several tests)."
+    )
+    if rest == len(rows):
+        return [f"{tested} None of the differences is significant."]
+    parts = [f"significantly {word} at {count}" for word, count in (("lower", lower), ("higher", higher)) if count]
+    more = f"; the difference is not significant at {rest}" if rest else ""
+    return [f"{tested} {text_of(best)} is {' and '.join(parts)} of them{more}."]
 
 
 def _tests(contents: Contents) -> tuple[pd.DataFrame, list[str], bool] | None:

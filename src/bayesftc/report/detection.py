@@ -56,7 +56,10 @@ def why_no_detection(contents: Contents) -> str:
     missing = [name for name in active if name not in contents.store.metadata.signals]
     if not scores or not missing:
         return ""
-    return f"There are no figures of detection, because {', '.join(missing)} was not recorded. Add it to record=."
+    one = len(missing) == 1
+    named = missing[0] if one else f"{', '.join(missing[:-1])} and {missing[-1]}"
+    were, them = ("was", "it") if one else ("were", "them")
+    return f"There are no figures of detection, because {named} {were} not recorded. Add {them} to the recorded signals (record)."
 
 
 def _recorded_scores(contents: Contents) -> list[str]:
