@@ -6,6 +6,8 @@ from documents import LOOP
 from harness import Case
 from test_files import CAMPAIGN, MONITOR, SAMPLES
 
+pytestmark = pytest.mark.slow
+
 MANY_FAULTS = '[[faults]]\nkind = "Freeze"\nstart = 0.04\n'
 MODE = "{ kind = 'Offset' }, "
 LEARNER = 'precision = { kind = "FixedPrecision" }'

@@ -12,6 +12,8 @@ from bayesftc import cosim, fmus
 from bayesftc.controllers import LinearModel, design
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 
+pytestmark = pytest.mark.slow
+
 SIZES = [
     0.0,
     -0.0,

@@ -8,6 +8,8 @@ from documents import LOOP, scenario
 from harness import Case
 from mutations import damaged, mutated, number
 
+pytestmark = pytest.mark.slow
+
 CAMPAIGN = """scenario = "loop.toml"
 seeds = 2
 piece = 3

@@ -16,6 +16,8 @@ from hostile_fmus import (
     hostile_description,
 )
 
+pytestmark = pytest.mark.slow
+
 SCENARIO = """
 [simulation]
 duration = 0.4

@@ -14,7 +14,7 @@ from test_files import CAMPAIGN
 
 from bayesftc._interrupt import EXIT_CODE, SENTENCE
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
+pytestmark = [pytest.mark.skipif(sys.platform == "win32", reason="signals"), pytest.mark.slow]
 
 TOLD = "from bayesftc.__main__ import main\nprint(flush=True)\nmain()"
 LONG = LOOP.replace("duration = 0.2", "duration = 20.0")

@@ -18,6 +18,8 @@ from harness import Case
 
 from bayesftc.cosim.campaign.store.folder import CampaignStore
 
+pytestmark = pytest.mark.slow
+
 FILE = """
 scenario = "loop.toml"
 seeds = 3

@@ -322,7 +322,7 @@ def test_a_lost_effect_that_is_known_leaves_the_loop_as_it_was_designed():
     goal = [np.sign(np.sin(k / 40)) for k in range(600)]
     runs = []
     for effect in (1.0, 0.2):
-        step, x, seen, rng = controller.online(compiled=False), np.zeros(2), [], np.random.default_rng(2)
+        step, x, seen, rng = controller.online(), np.zeros(2), [], np.random.default_rng(2)
         for k in range(600):
             u = step(y=C @ x + 1e-3 * rng.standard_normal(2), goal=[goal[k]]).u
             x = A @ x + (effect if k >= 100 else 1.0) * B @ u
