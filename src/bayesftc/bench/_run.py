@@ -73,9 +73,8 @@ def _measured(name: str, quick: bool) -> Section:
     from bayesftc.cosim.errors import BayesFTCError
     from bayesftc.fmus._compiler import CompilerError
 
-    console = Console(stderr=True)
-    if console.is_terminal:  # lines instead of a spinner, whose thread would disturb the measurement
-        console.print(f"measuring: {name.replace('_', ' ')}")
+    # Lines instead of a spinner, whose thread would disturb the measurement.
+    Console(stderr=True).print(f"measuring: {name.replace('_', ' ')}")
     try:
         section: Section = import_module(f"bayesftc.bench.measures.{name}").measure(quick)
     except (BayesFTCError, CompilerError, ChildError, OSError) as error:
