@@ -192,8 +192,12 @@ class Tables:
                     f"{fspath(file)} is no CSV table with commas and a first row of names: {reason}."
                 ) from None
             if form.decimal != ".":  # pandas leaves decimal commas in a column with a text
-                texts = table.select_dtypes(exclude=["number", "bool"])
-                table[texts.columns] = texts.map(lambda cell: form.number(cell) if isinstance(cell, str) else cell)
+                for column in table.select_dtypes(exclude=["number", "bool"]).columns:
+                    texts = [cell for cell in table[column] if isinstance(cell, str)]
+                    if not any(
+                        "." in text for text in texts
+                    ):  # else it has both signs, and a point may separate thousands
+                        table[column] = [form.number(c) if isinstance(c, str) else c for c in table[column]]
             self._read[file] = header, table
         return self._read[file]
 
