@@ -4,13 +4,14 @@ import pickle
 import warnings
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.image import imread
 
 from bayesftc import cosim
-from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision
+from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision, LinearModel, LQGController
 from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.judging.fault_panels import _logarithmic
 from bayesftc.cosim.judging.loop_figure import plot_run
@@ -220,6 +221,31 @@ def test_signals_by_unit():
     )
     with pytest.raises(UnknownNameError, match=r"did you mean 'plant\.v'"):
         result.plot(["plant.w"])
+
+
+@pytest.mark.parametrize("unit", [None, ("m", "degC")])
+def test_a_vector_of_several_quantities_has_a_panel_for_each(unit, tmp_path):
+    """A level of 1 m and a temperature of 50 degC would be unreadable on one axis."""
+    a, b, c = np.diag([0.9, 0.8]), np.eye(2), np.repeat(np.eye(2), [2, 1], axis=0)
+    model = LinearModel(a, b, c, 1e-4 * np.eye(2), np.diag([1e-4, 1e-4, 0.04]), dt=0.1)
+    plant = cosim.StateSpace(
+        control.ss(a, b, np.eye(2), 0, 0.1, inputs=["inflow", "heater"], outputs=["level", "temperature"])
+    )
+    loop = cosim.closed_loop(
+        plant, LQGController(model, goal_covariance=0.01, control_covariance=4.0), control=["inflow", "heater"],
+        measured=["level", "temperature"], sensors=cosim.Sensors(count=[2, 1], std=[0.01, 0.2], unit=unit),
+        faults=[cosim.Drift(sensor=0, start=0.5, slope=0.1)], reference=[1.0, 50.0],
+    )  # fmt: skip
+    loop.simulate(1.0, seed=1, engine="interpreted").save(tmp_path / "run.npz")
+    result = cosim.Result.load(tmp_path / "run.npz")
+    figure = result.plot_signals(["sensors.y", "drift_0.y", "controller.u", "controller.innovation"])
+    readings = ["sensors.y\nlevel", "sensors.y\ntemperature", "drift_0.y\nlevel", "drift_0.y\ntemperature"]
+    sensors = ["sensors in m", "sensors in degC"] if unit else ["level", "temperature"]
+    controls = [f"controller.u\n{name}" for name in ("inflow", "heater")]
+    labels = [axis.get_ylabel() for axis in figure.axes]
+    assert labels == [*(unit or readings), *controls, *(f"controller.innovation\n{name}" for name in sensors)]
+    assert names(figure.axes[0])[:2] == ["sensors.y[0]", "sensors.y[1]"]
+    assert names(figure.axes[-1]) == ["controller.innovation[2]"]
 
 
 def test_signals_without_a_number_long_names_and_small_changes():
