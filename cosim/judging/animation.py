@@ -78,7 +78,7 @@ def animate_run(result: Result, frames: int, speed: float) -> NotebookAnimation:
     parts.append(_Time(lower, signals.time))
     for part in parts:
         part.show(0)
-    figure.canvas.draw()
+    figure.draw_without_rendering()  # the layout; the canvas of a figure without pyplot draws nothing
     figure.set_layout_engine("none")  # nothing moves but the parts
     seconds = float(result.time[-1] - result.time[0]) / speed
 
