@@ -18,6 +18,7 @@ from bayesftc.cosim.judging.loop_figure import plot_run
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.plotting import plot_signals
 from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.cosim.judging.signals import InputSignals
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 from bayesftc.scenario import load_scenario
 
@@ -56,7 +57,7 @@ def test_the_panels_of_a_run(signals, tmp_path):
     ]  # fmt: skip
     quantity, first, second, control, deviation, detection = figure.axes
     assert names(quantity) == [
-        "reference", "true value", "belief: mean", "belief: 95 % interval", "shaded: a fault is present",
+        "reference", "true value", "belief: mean", "belief: 95 % interval", "shaded: sensor fault",
     ]  # fmt: skip
     assert (names(first), names(second), names(control)) == (["belief: mean", "samples"], [], ["control"])
     assert deviation.get_yscale() == "log"
@@ -205,6 +206,19 @@ def test_long_runs_are_thinned(signals):
     recording = np.random.default_rng(0).normal(size=(n, 1))
     result = cosim.Result(recording, {"a.y": (0, ())}, cosim.Diagram(0.1).step)
     assert len(plot_signals(result).axes[0].lines[0].get_xdata()) == 20_000
+
+
+@pytest.mark.parametrize(
+    ("controls", "label"),
+    [((0,), "actuator fault"), ((None,), "process fault"), ((0, None), "actuator or process fault"), ((), None)],
+)
+def test_the_legend_names_hatching(signals, controls, label):
+    late = signals.time > 4.0
+    inputs = tuple(InputSignals(f"u{i}", None, None, late + 0.0, {"bias_0": late}, j) for i, j in enumerate(controls))
+    lines = names(plot_run(replace(signals, inputs=inputs)).axes[0])
+    assert [line for line in lines if line.startswith("hatched")] == ([f"hatched: {label}"] if label else [])
+    assert "shaded: sensor fault" in lines
+    assert "shaded: sensor fault" not in names(plot_run(replace(signals, inputs=inputs, faults={})).axes[0])
 
 
 def test_signals_by_unit():
