@@ -208,6 +208,16 @@ def test_long_runs_are_thinned(signals):
     assert len(plot_signals(result).axes[0].lines[0].get_xdata()) == 20_000
 
 
+def test_a_long_title_fits_the_figure(signals):
+    figure = plot_run(
+        signals, "model of controller suspect from t = 1510 s, all 3 sensors of level agree but are blamed " * 3
+    )
+    figure.draw_without_rendering()
+    title = figure.get_suptitle()
+    assert title.count("\n") == 2
+    assert figure._suptitle.get_window_extent().x1 < figure.bbox.x1
+
+
 @pytest.mark.parametrize(
     ("controls", "label"),
     [((0,), "actuator fault"), ((None,), "process fault"), ((0, None), "actuator or process fault"), ((), None)],
