@@ -8,7 +8,7 @@ import control
 import numpy as np
 from scipy.optimize import brentq
 
-from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels
+from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels, plain
 from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
 from bayesftc.cosim.types import Floats
 
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
 
 GAINS = np.concatenate([[0.0], np.logspace(-3.0, 3.0, 1001)])
 """First gains of the root locus, in units of the designed gain."""
+NEAR, LEAST = 0.5, 2
+"""Largest distance of a pole or zero from 1 in the enlarged part of the root locus, and least number of poles for such a part."""
+FAR = 2.0
+"""A zero at this distance from the origin, or a larger one, may be outside the figure."""
 DOTS, HALVINGS = 400, 12
 """Number of dots across the figure, and most halvings of a distance between two gains for it."""
 
@@ -64,7 +68,9 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
 
 
 def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figure:
-    """Return the root locus of a loop transfer function, from gain 0 to where it leaves the unit circle.
+    """Return the root locus of a loop transfer function, with the whole unit circle, from gain 0 to where it leaves the circle.
+
+    With fast sampling most poles are near 1: a second panel then enlarges this part of the plane.
 
     Parameters
     ----------
@@ -77,37 +83,56 @@ def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figu
     figure : Figure
         An empty figure to draw on.
     """
-    _, (axis,) = make_panels([0.7 * WIDTH], figure)
     limit = limit_gain(loop)
-    # With fast sampling the poles are near 1. The rest of the plane matters little.
     ends = np.zeros(0) if limit is None else roots(loop, np.array([limit]))[0]
-    shown = np.concatenate([poles, loop.poles(), ends[np.abs(ends) > 1.0 - 1e-6], [1.0]])
-    low, high, top = shown.real.min(), shown.real.max(), np.abs(shown.imag).max()
-    pad = 0.15 * max(high - low, 2.0 * top, 0.02)
-    axis.set_xlim(low - pad, high + pad)
-    axis.set_ylim(-top - pad, top + pad)
-    box = complex(low - pad, -top - pad), complex(high + pad, top + pad)
-    found = dense_roots(loop, box).ravel()
-    # Dots, because lines would cut the corners where branches meet.
-    axis.plot(found.real, found.imag, ls="none", marker=".", ms=2.0, color=BLUE)
     start, zeros = loop.poles(), loop.zeros()
-    axis.plot(start.real, start.imag, "x", ms=6, color=BLUE)
-    axis.plot(zeros.real, zeros.imag, "o", ms=6, mfc="none", color=BLUE)
+    everything = np.concatenate([poles, start, ends, zeros[np.abs(zeros) < FAR], [1.0, -1.0, 1j, -1j]])
+    boxes = [_box(everything, 0.08)]
+    near = [points[np.abs(points - 1.0) < NEAR] for points in (poles, start, zeros)]
+    if len(near[0]) >= LEAST:
+        boxes.append(_box(np.concatenate([*near, [1.0]]), 0.15))
+    figure.set_size_inches(0.7 * WIDTH if len(boxes) == 1 else 1.25 * WIDTH, 0.69 * WIDTH)
+    figure.set_layout_engine("constrained")
+    axes = figure.subplots(1, len(boxes), squeeze=False)[0]
     angles = np.linspace(0.0, 2.0 * np.pi, 3601)
-    (circle,) = axis.plot(np.cos(angles), np.sin(angles), color="0.5", lw=0.8, ls="--")
-    (now,) = axis.plot(poles.real, poles.imag, "s", ms=6, mfc="none", color=SENSOR_COLOURS[0])
-    axis.set_xlabel("real part")
-    axis.set_ylabel("imaginary part")
+    for axis, box in zip(axes, boxes, strict=True):
+        plain(axis)
+        found = dense_roots(loop, box).ravel()
+        # Dots, because lines would cut the corners where branches meet.
+        axis.plot(found.real, found.imag, ls="none", marker=".", ms=2.0, color=BLUE)
+        (first,) = axis.plot(start.real, start.imag, "x", ms=6, color=BLUE)
+        (last,) = axis.plot(zeros.real, zeros.imag, "o", ms=6, mfc="none", color=BLUE)
+        (circle,) = axis.plot(np.cos(angles), np.sin(angles), color="0.5", lw=0.8, ls="--")
+        (now,) = axis.plot(poles.real, poles.imag, "s", ms=6, mfc="none", color=SENSOR_COLOURS[0])
+        axis.set(xlim=(box[0].real, box[1].real), ylim=(box[0].imag, box[1].imag), aspect="equal")
+        axis.set(xlabel="real part", ylabel="imaginary part")
+    if len(boxes) > 1:
+        low, high = boxes[1]
+        axes[0].set_title("the unit circle; the square is enlarged on the right", fontsize=9)
+        axes[1].set_title(f"enlarged: {len(near[0])} of {len(poles)} poles of the loop, near 1", fontsize=9)
+        x, y = (
+            (low.real, high.real, high.real, low.real, low.real),
+            (low.imag, low.imag, high.imag, high.imag, low.imag),
+        )
+        axes[0].plot(x, y, color="0.3", lw=0.9, zorder=6)
     reached = "" if limit is None else f", reached at gain {limit:.3g}"
-    axis.legend(
-        [circle, now],
-        [f"limit of stability{reached}", "poles at the designed gain (1.0)"],
-        loc="upper left",
-        fontsize=8,
-        frameon=False,
+    texts = {
+        f"limit of stability{reached}": circle, "poles at the designed gain (1.0)": now, "poles at gain 0": first,
+        "zeros: ends for a large gain": last,
+    }  # fmt: skip
+    figure.legend(
+        [*texts.values()], [*texts], loc="outside lower left", ncols=len(boxes) * 2, fontsize=8, frameon=False
     )
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
+
+
+def _box(points: Any, margin: float) -> tuple[complex, complex]:
+    """Return the corners of a square around points and their mirror images, with a margin as a share of its size."""
+    low, high, top = points.real.min(), points.real.max(), np.abs(points.imag).max()
+    half = (0.5 + margin) * max(high - low, 2.0 * top, 0.02)
+    middle = 0.5 * (low + high)
+    return complex(middle - half, -half), complex(middle + half, half)
 
 
 def roots(loop: Any, gains: Floats) -> Any:

@@ -110,6 +110,7 @@ class LoopRoles:
     ``fault_kinds`` and ``actuator_kinds`` name the kinds of faults that the controller can identify, from number 1 on.
     ``fault_sizes`` and ``actuator_sizes`` say for each of them what the size of a fault is in: ``"unit"`` of the sensor or the
     control, ``"noise"`` for multiples of the sensor's noise, ``"effect"`` for a share of the control's effect; empty: no fault.
+    ``readings`` is the signal of all sensors before their faults; empty in files of earlier versions.
     """
 
     controller: str
@@ -121,6 +122,7 @@ class LoopRoles:
     actuator_kinds: tuple[str, ...] = ()
     fault_sizes: tuple[str, ...] = ()
     actuator_sizes: tuple[str, ...] = ()
+    readings: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file."""
@@ -170,12 +172,14 @@ def find_roles(diagram: Diagram) -> LoopRoles:
         for i in range(y.size)
     )
     inputs = _inputs(diagram, {sensor_node.name, controller.name}, controller)
-    kinds = (
-        tuple(getattr(controller.block, f"{of}_{what}", ()))
+    kinds = {
+        f"{of}_{what}": tuple(getattr(controller.block, f"{of}_{what}", ()))
         for what in ("kinds", "sizes")
         for of in ("fault", "actuator")
-    )
-    return LoopRoles(controller.name, sensors, quantities, inputs, _controls(diagram, controller), *kinds)
+    }
+    readings = f"{sensor_node.name}.{read.name}"
+    controls = _controls(diagram, controller)
+    return LoopRoles(controller.name, sensors, quantities, inputs, controls, **kinds, readings=readings)
 
 
 def known_roles(diagram: Diagram) -> LoopRoles | None:

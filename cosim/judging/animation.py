@@ -69,16 +69,16 @@ def animate_run(result: Result, frames: int, speed: float) -> NotebookAnimation:
         lower.append(figure.add_subplot(grid[2, :], sharex=lower[0]))
         draw_detection(lower[1], signals=signals)
         lower[0].tick_params(labelbottom=False)
+    name_faults(lower[0], signals)
     for axis in lower:
         draw_shades(axis, signals)
         axis.grid(True, color="0.9", lw=0.6)
         legend(axis)
-    name_faults(lower[0], signals)
     finish(lower, signals.time)
     parts.append(_Time(lower, signals.time))
     for part in parts:
         part.show(0)
-    figure.canvas.draw()
+    figure.draw_without_rendering()  # the layout; the canvas of a figure without pyplot draws nothing
     figure.set_layout_engine("none")  # nothing moves but the parts
     seconds = float(result.time[-1] - result.time[0]) / speed
 

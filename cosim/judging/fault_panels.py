@@ -26,6 +26,8 @@ SMALLEST = 0.01
 """Quantile of the expected standard deviations that counts as the smallest, because the minimum may last for one sample only."""
 LANE, FIRST_LANE = 0.11, 1.10
 """Height of a row of kinds and the middle of the lowest, in units of the probability."""
+HATCHED: dict[str, Any] = {"fc": "none", "ec": "0.8", "hatch": "///"}
+"""Look of the time of an actuator or process fault."""
 ROW = 0.09
 """Height of a row of marks, as a share of the panel's."""
 
@@ -224,12 +226,11 @@ def draw_shades(axis: Axes, signals: LoopSignals, sensors: Sequence[int] | None 
             axis.fill_between(signals.time, 0, 1, where=sensor.faulty, **style)
     for each in signals.inputs:
         if each.faulty is not None and each.faulty.any():
-            style = {"fc": "none", "ec": "0.8", "hatch": "///", **over}
-            axis.fill_between(signals.time, 0, 1, where=each.faulty, **style)
+            axis.fill_between(signals.time, 0, 1, where=each.faulty, **HATCHED, **over)
 
 
 def name_faults(axis: Axes, signals: LoopSignals) -> None:
-    """Write the name of each fault above its period, or one note if there are too many."""
+    """Write the name of each fault above its period, or one note if there are too many; label what shades and hatching mean."""
     faults = [
         (a, b, f"sensor {i}: {_kind(name, '', f'_{i}')}", colour_of(i))
         for name, (i, active) in signals.faults.items()
@@ -244,8 +245,12 @@ def name_faults(axis: Axes, signals: LoopSignals) -> None:
     ]
     named = [(float(signals.time[a]), float(signals.time[b - 1]), text, colour) for a, b, text, colour in faults]
     name_spans(axis, signals.time, named, "faults")
-    if named:
-        axis.fill_between([], [], color="0.88", lw=0, label="shaded: a fault is present")
+    if any(active.any() for _, active in signals.faults.values()):
+        axis.fill_between([], [], color="0.88", lw=0, label="shaded: sensor fault")
+    faulty = [each for each in signals.inputs if each.faulty is not None and each.faulty.any()]
+    which = sorted({"process" if each.control is None else "actuator" for each in faulty})
+    if which:
+        axis.fill_between([], [], lw=0, label=f"hatched: {' or '.join(which)} fault", **HATCHED)
 
 
 def _kind(name: str, of: str, number: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.base.units import with_unit
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+LETTERS = 100
+"""Largest number of letters in a line of the title."""
 MAIN, NARROW, STRIP = 2.1, 1.5, 0.8
 """Heights of panels in inches: of a quantity, of an input, and of the samples of one sensor."""
 MOST_STRIPS = 12
@@ -95,7 +98,7 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
         legend(axis)
     finish(axes, signals.time)
     if title:
-        drawing.suptitle(title, fontsize=10, x=0.01, ha="left")
+        drawing.suptitle(fill(title, LETTERS), fontsize=10, x=0.01, ha="left")
     return drawing
 
 

@@ -81,13 +81,18 @@ def make_panels(heights: Sequence[float], figure: Figure | None = None) -> tuple
     figure.set_layout_engine("constrained")
     axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axis in axes:
-        axis.grid(True, color="0.9", lw=0.6)
-        axis.set_axisbelow(True)
-        axis.tick_params(labelsize=8)
-        axis.ticklabel_format(useOffset=False)
-        for side in ("top", "right"):
-            axis.spines[side].set_visible(False)
+        plain(axis)
     return figure, list(axes)
+
+
+def plain(axis: Axes) -> None:
+    """Give a panel a grid, small numbers and no frame."""
+    axis.grid(True, color="0.9", lw=0.6)
+    axis.set_axisbelow(True)
+    axis.tick_params(labelsize=8)
+    axis.ticklabel_format(useOffset=False)
+    for side in ("top", "right"):
+        axis.spines[side].set_visible(False)
 
 
 def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:

@@ -8,7 +8,9 @@ from scipy.linalg import solve_discrete_are
 import bayesftc
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import FixedPrecision
+from bayesftc.cosim.control.loop_figures import root_locus_figure
 from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.cosim.judging.panels import bare_figure
 
 DT = 0.1
 A, B, H = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])
@@ -231,7 +233,7 @@ def test_figures_show_loop_and_margins():
     bode, locus, margins = loop.bode(), loop.root_locus(), loop.margins()
     assert [axis.get_ylabel() for axis in bode.axes] == ["gain", "phase (degrees)"]
     assert f"gain margin {margins.gain:.3g}" in bode.axes[0].get_title()
-    (axis,) = locus.axes
+    axis, _ = locus.axes
     (now,) = [line for line in axis.lines if line.get_marker() == "s"]
     (branches,) = [line for line in axis.lines if line.get_marker() == "."]
     places = branches.get_xdata() + 1j * branches.get_ydata()
@@ -241,9 +243,30 @@ def test_figures_show_loop_and_margins():
     upper = seen[(seen.imag > 0.1) & (np.abs(seen) < 1.0)]
     apart = np.abs(upper[:, None] - upper) + 9.0 * np.eye(len(upper))
     assert apart.min(axis=1).max() < (right - left) / 100.0
-    texts = [text.get_text() for text in axis.get_legend().get_texts()]
-    assert texts == [f"limit of stability, reached at gain {margins.gain:.3g}", "poles at the designed gain (1.0)"]
+    texts = [text.get_text() for text in locus.legends[0].get_texts()]
+    assert texts[:2] == [f"limit of stability, reached at gain {margins.gain:.3g}", "poles at the designed gain (1.0)"]
     np.testing.assert_allclose(now.get_xydata(), np.column_stack([loop.poles().real, loop.poles().imag]))
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_the_root_locus_has_the_whole_unit_circle_and_enlarges_poles_near_one(count):
+    poles = np.array([0.99, 0.97 + 0.01j, 0.97 - 0.01j, 0.95])[:count] if count > 2 else np.array([0.3, 0.99])
+    system = control.ss(np.diag([0.98, 0.9]), [[0.01], [0.02]], [[1.0, 0.5]], 0, DT)
+    figure = root_locus_figure(system, poles, "a title", bare_figure())
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        assert axis.get_aspect() == 1.0
+        assert np.ptp(axis.get_xlim()) == pytest.approx(np.ptp(axis.get_ylim()))
+    whole = figure.axes[0]
+    for low, high in (whole.get_xlim(), whole.get_ylim()):
+        assert low < -1.0 < 1.0 < high
+    assert len(figure.axes) == (1 if count == 2 else 2)
+    if count > 2:
+        part = figure.axes[1]
+        assert part.get_title() == "enlarged: 4 of 4 poles of the loop, near 1"
+        low, high = part.get_xlim()
+        assert low < 0.9 < 1.0 < high
+        assert high - low < 0.2
 
 
 def source_alone():

@@ -12,7 +12,8 @@ from PIL import Image
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.errors import ModelError, ResultFileError
-from bayesftc.cosim.judging.notebook import _Differences, _Pictures
+from bayesftc.cosim.judging import panels
+from bayesftc.cosim.judging.notebook import NotebookFigure, _Differences, _Pictures
 from bayesftc.cosim.judging.pictures import PICTURES
 
 MODEL = {"process_covariance": 0.001, "sensor_covariance": 1.0, "dt": 0.02}
@@ -168,6 +169,24 @@ def test_a_notebook_shows_a_player_and_a_file_can_be_written(tmp_path):
     assert animation.to_jshtml() == page
     animation.save(tmp_path / "run.gif")
     assert (tmp_path / "run.gif").read_bytes().startswith(b"GIF8")
+
+
+@pytest.mark.parametrize("notebook", [False, True])
+def test_legends_and_names_of_faults_have_room(monkeypatch, notebook):
+    """The figure of a notebook has no canvas of pyplot, and needs the same layout."""
+    monkeypatch.setattr(panels, "_in_notebook", lambda: notebook)
+    freeze = cosim.Freeze(sensor=0, start=1.0)
+    animation = keep(car(faults=[freeze]).simulate(4.0, seed=1, engine="interpreted").animate(frames=3))
+    figure = animation.figure
+    assert isinstance(figure, NotebookFigure) == notebook
+    figure.draw_without_rendering()
+    legends = [axis.get_legend().get_window_extent() for axis in figure.axes if axis.get_legend()]
+    assert len(legends) == 3
+    for box in legends:
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+    (name,) = [text for axis in figure.axes for text in axis.texts if text.get_text() == "sensor 0: freeze"]
+    highest = max(name.get_window_extent().y1, name.axes.bbox.y1)
+    assert highest <= legends[0].y0
 
 
 def test_a_gif_and_a_page_need_no_ffmpeg_and_a_film_says_so(tmp_path, monkeypatch, caplog):

@@ -4,19 +4,21 @@ import pickle
 import warnings
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.image import imread
 
 from bayesftc import cosim
-from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision
+from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision, LinearModel, LQGController
 from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.judging.fault_panels import _logarithmic
 from bayesftc.cosim.judging.loop_figure import plot_run
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.plotting import plot_signals
 from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.cosim.judging.signals import InputSignals
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 from bayesftc.scenario import load_scenario
 
@@ -55,7 +57,7 @@ def test_the_panels_of_a_run(signals, tmp_path):
     ]  # fmt: skip
     quantity, first, second, control, deviation, detection = figure.axes
     assert names(quantity) == [
-        "reference", "true value", "belief: mean", "belief: 95 % interval", "shaded: a fault is present",
+        "reference", "true value", "belief: mean", "belief: 95 % interval", "shaded: sensor fault",
     ]  # fmt: skip
     assert (names(first), names(second), names(control)) == (["belief: mean", "samples"], [], ["control"])
     assert deviation.get_yscale() == "log"
@@ -206,6 +208,29 @@ def test_long_runs_are_thinned(signals):
     assert len(plot_signals(result).axes[0].lines[0].get_xdata()) == 20_000
 
 
+def test_a_long_title_fits_the_figure(signals):
+    figure = plot_run(
+        signals, "model of controller suspect from t = 1510 s, all 3 sensors of level agree but are blamed " * 3
+    )
+    figure.draw_without_rendering()
+    title = figure.get_suptitle()
+    assert title.count("\n") == 2
+    assert figure._suptitle.get_window_extent().x1 < figure.bbox.x1
+
+
+@pytest.mark.parametrize(
+    ("controls", "label"),
+    [((0,), "actuator fault"), ((None,), "process fault"), ((0, None), "actuator or process fault"), ((), None)],
+)
+def test_the_legend_names_hatching(signals, controls, label):
+    late = signals.time > 4.0
+    inputs = tuple(InputSignals(f"u{i}", None, None, late + 0.0, {"bias_0": late}, j) for i, j in enumerate(controls))
+    lines = names(plot_run(replace(signals, inputs=inputs)).axes[0])
+    assert [line for line in lines if line.startswith("hatched")] == ([f"hatched: {label}"] if label else [])
+    assert "shaded: sensor fault" in lines
+    assert "shaded: sensor fault" not in names(plot_run(replace(signals, inputs=inputs, faults={})).axes[0])
+
+
 def test_signals_by_unit():
     result = load_scenario("cruise_control").simulate(duration=1.0, engine="interpreted")
     figure = result.plot(["plant.v", "reference.y", "controller.u", "controller.precision"])
@@ -220,6 +245,31 @@ def test_signals_by_unit():
     )
     with pytest.raises(UnknownNameError, match=r"did you mean 'plant\.v'"):
         result.plot(["plant.w"])
+
+
+@pytest.mark.parametrize("unit", [None, ("m", "degC")])
+def test_a_vector_of_several_quantities_has_a_panel_for_each(unit, tmp_path):
+    """A level of 1 m and a temperature of 50 degC would be unreadable on one axis."""
+    a, b, c = np.diag([0.9, 0.8]), np.eye(2), np.repeat(np.eye(2), [2, 1], axis=0)
+    model = LinearModel(a, b, c, 1e-4 * np.eye(2), np.diag([1e-4, 1e-4, 0.04]), dt=0.1)
+    plant = cosim.StateSpace(
+        control.ss(a, b, np.eye(2), 0, 0.1, inputs=["inflow", "heater"], outputs=["level", "temperature"])
+    )
+    loop = cosim.closed_loop(
+        plant, LQGController(model, goal_covariance=0.01, control_covariance=4.0), control=["inflow", "heater"],
+        measured=["level", "temperature"], sensors=cosim.Sensors(count=[2, 1], std=[0.01, 0.2], unit=unit),
+        faults=[cosim.Drift(sensor=0, start=0.5, slope=0.1)], reference=[1.0, 50.0],
+    )  # fmt: skip
+    loop.simulate(1.0, seed=1, engine="interpreted").save(tmp_path / "run.npz")
+    result = cosim.Result.load(tmp_path / "run.npz")
+    figure = result.plot_signals(["sensors.y", "drift_0.y", "controller.u", "controller.innovation"])
+    readings = ["sensors.y\nlevel", "sensors.y\ntemperature", "drift_0.y\nlevel", "drift_0.y\ntemperature"]
+    sensors = ["sensors in m", "sensors in degC"] if unit else ["level", "temperature"]
+    controls = [f"controller.u\n{name}" for name in ("inflow", "heater")]
+    labels = [axis.get_ylabel() for axis in figure.axes]
+    assert labels == [*(unit or readings), *controls, *(f"controller.innovation\n{name}" for name in sensors)]
+    assert names(figure.axes[0])[:2] == ["sensors.y[0]", "sensors.y[1]"]
+    assert names(figure.axes[-1]) == ["controller.innovation[2]"]
 
 
 def test_signals_without_a_number_long_names_and_small_changes():
