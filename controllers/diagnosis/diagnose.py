@@ -291,6 +291,8 @@ def best_explanations(
     samples = np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES]
     samples = np.where(np.abs(samples) < LARGEST, samples, np.nan)
     last = int(np.flatnonzero(np.isfinite(samples).any(axis=1)).max(initial=-1)) + 1
+    if last < LEAST_SAMPLES:
+        return []
     recording = Recording(
         samples[:last],
         np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[:last]).clip(-LARGEST, LARGEST),

@@ -551,3 +551,11 @@ def test_a_lost_effect_looks_at_the_actuator_modes():
 def test_what_no_explanation_covers_says_what_to_do():
     model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
     assert "LinearModel.identify" in sentence("unknown", (), model)
+
+
+@pytest.mark.parametrize("present", [0, 1, 7])
+def test_too_few_samples_are_no_evidence(present):
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    y = np.full((100, 2), np.nan)
+    y[:present] = 50.0
+    assert controllers.diagnose_recording(model, y, np.zeros((100, 1))) is None
