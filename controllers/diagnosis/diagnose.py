@@ -197,11 +197,13 @@ def diagnose(
 
 
 def _inferred(signals: Mapping[str, Any], controller: Any, name: str) -> list[float] | None:
-    """Return the largest recorded fault probability of each actuator; None if none is inferred or recorded."""
+    """Return the largest fault probability of each actuator; nothing if none is recorded, None if the controller infers none."""
     signal = f"{name}.actuator_fault_probability"
-    if not getattr(controller, "actuator_kinds", ()) or signal not in signals:
+    if not getattr(controller, "actuator_kinds", ()):
         return None
-    values = np.nan_to_num(signals[signal])
+    values = np.nan_to_num(signals[signal]) if signal in signals else np.zeros(0)
+    if not len(values):
+        return []
     largest: list[float] = values.reshape(len(values), -1).max(axis=0).tolist()
     return largest
 

@@ -57,6 +57,8 @@ def _actuators(
         return ""
     if inferred is None:
         return " SwitchingPrecision can infer faults of actuators (actuator_modes=ACTUATOR_MODES)."
+    if not inferred:
+        return " Record actuator_fault_probability of the controller: its actuator modes may see it."
     j = int(lost[0][3]) if lost else int(np.argmax(inferred))
     if inferred[j] >= ALARM:
         return (

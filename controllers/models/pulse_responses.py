@@ -16,7 +16,7 @@ from bayesftc.controllers.models.checks import frozen
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import BayesFTCError, ModelError
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.fmi.reading.archive import open_archive
 from bayesftc.cosim.ports import labels
@@ -196,27 +196,36 @@ def realise(
     """
     digest = open_archive(Path(fmu.path).absolute()).digest
     result, told = _realised(fmu, digest, step, tuple(held.tolist()), tuple(scale.items()), tuple(rows), order)
+    _emit(told)
+    return result
+
+
+_Told = tuple[tuple[str, type[Warning]], ...]
+
+
+def _emit(told: _Told) -> None:
     for text, category in told:
         warn_user(text, category)
-    if isinstance(result, ModelError):
-        raise result
-    return result
 
 
 @lru_cache(maxsize=32)  # a campaign designs the controller of each point anew; hundreds of experiments take seconds
 def _realised(
     fmu: FMU, _digest: str, step: Fraction, held: tuple[float, ...], scale: tuple[tuple[int, float], ...],
     rows: tuple[int, ...], order: int | None,
-) -> tuple[Realisation | ModelError, tuple[tuple[str, type[Warning]], ...]]:  # fmt: skip
-    """Return the model of an FMU with this content, or why there is none, and the warnings about it."""
-    result: Realisation | ModelError
+) -> tuple[Realisation, _Told]:  # fmt: skip
+    """Return the model of an FMU with this content, and the warnings about it."""
+    failure: BayesFTCError | None = None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             result = _experimented(fmu, step, np.array(held), dict(scale), rows, order)
-        except ModelError as error:
-            result = error.with_traceback(None)
-    return result, tuple((str(each.message), each.category) for each in caught)
+        except BayesFTCError as error:
+            failure = error
+    told = tuple((str(each.message), each.category) for each in caught)
+    if failure is not None:
+        _emit(told)
+        raise failure
+    return result, told
 
 
 def _experimented(

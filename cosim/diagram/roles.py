@@ -162,6 +162,10 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     y = controller.port("y")
     quantities = _quantities(diagram, sensor_node, controller)
     units = {i: quantity.unit for quantity in quantities for i in quantity.sensors}
+    received = {
+        i: unit[0] for (name, port, i), unit in _declared(diagram).items() if (name, port) == (controller.name, "y")
+    }
+    units |= received
     read = sensor_node.port("y")
     sensors = tuple(
         SensorRole(
@@ -359,14 +363,16 @@ def check_units_of_goals(diagram: Diagram) -> None:
     roles = known_roles(diagram)
     if roles is None:
         return
-    known, sensors, controller = _declared(diagram), find_sensors(diagram), diagram[roles.controller]
+    known, controller = _declared(diagram), diagram[roles.controller]
     goal = controller.port("goal")
     for quantity in roles.quantities:
         if quantity.goal is None or quantity.goal >= goal.size:
             continue
         source = diagram.source_of(controller, goal, quantity.goal)
         given = source and known.get((source[0].node.name, source[0].port.name, source[1]))
-        measured = known.get((sensors.name, "y", quantity.sensors[0]))
+        measured = known.get(
+            (controller.name, "y", quantity.sensors[0])
+        )  # a block before it may have converted the samples
         if source and given and measured and (gap := difference(given[0], measured[0], given[1], measured[1])):
             origin = PortRef(source[0].node, source[0].port, "output", (source[1],))
             target = controller["goal"] if goal.size == 1 else controller["goal"][quantity.goal]

@@ -71,10 +71,9 @@ def findings(signals: LoopSignals, threshold: float = ALARM, hold: float | None 
         Seconds below the threshold after which an alarm ends; by default 1 s, or ten samples if they are more than 0.1 s apart.
     """
     time = signals.time
-    if len(time) < 2:
-        return []
-    step = float(time[-1] - time[0]) / (len(time) - 1)
-    most = round((max(HOLD, HOLD_SAMPLES * step) if hold is None else hold) / step)
+    span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
+    step = span / (len(time) - 1) if span else 1.0
+    most = round(min(max(HOLD, HOLD_SAMPLES * step) if hold is None else hold, span) / step)
     found: list[Finding] = []
     for sensor in signals.sensors:
         found += _of(sensor, signals.sensor_name(sensor.index), time, threshold, most)
@@ -129,6 +128,8 @@ def _of(
         kind, last = _kind(device, begin, end)
         size, onset = (_at(getattr(device, name, None), last) for name in ("size", "onset"))
         scale = device.sizes[kind - 1] if 0 < kind <= len(device.sizes) else "unit"
+        if kind > len(device.sizes):  # a file of an earlier version does not say what its size is
+            size = None
         yield Finding(
             where,
             _name(device.kinds, kind),

@@ -236,7 +236,7 @@ class Result(Mapping[str, Floats]):
         roles = self.roles
         if roles is None or f"{roles.controller}.fault_probability" not in self:
             return {"start": [], "model": []}
-        return blamed_together(signals_of(roles, self, drawn=False))
+        return blamed_together(signals_of(roles, self, drawn=False), self.decimation)
 
     def _repr_html_(self) -> str:
         """Return a table of the signals with their ranges, for notebooks."""

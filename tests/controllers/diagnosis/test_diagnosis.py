@@ -559,3 +559,19 @@ def test_too_few_samples_are_no_evidence(present):
     y = np.full((100, 2), np.nan)
     y[:present] = 50.0
     assert controllers.diagnose_recording(model, y, np.zeros((100, 1))) is None
+
+
+def test_actuator_modes_that_are_not_recorded_are_not_advised_again():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    words = sentence("loss", (5.0, float("inf"), 0.6, 0.0), model, inferred=[])
+    assert "ACTUATOR_MODES" not in words
+    assert "Record actuator_fault_probability" in words
+
+
+def test_a_run_without_rows_is_no_evidence():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    learner = controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()])
+    controller = controllers.LQGController(model, learner)
+    rows = {"sensors.y": np.zeros((0, 2)), "controller.u": np.zeros((0, 1))}
+    empty = {**rows, "controller.actuator_fault_probability": np.zeros((0, 1))}
+    assert controllers.diagnose(empty, controller, y="sensors.y") is None

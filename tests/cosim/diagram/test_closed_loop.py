@@ -448,3 +448,22 @@ def test_elements_of_one_port_keep_their_own_units():
     units = diagram.simulate(0.04, engine="interpreted", record=["*", "*.*"]).units
     assert units["reference_0.y"] == "m/s"
     assert not {"reference_1.y", "plant.position", "sensors.y"} & units.keys()
+
+
+def test_a_reference_has_the_unit_of_the_samples_that_the_controller_receives():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    plant = ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"])
+
+    def loop(gain, unit):
+        return cosim.closed_loop(
+            plant, controllers.LQGController(model), control="u", measured="y", sensors=cosim.Sensors(2, 0.1, unit="V"),
+            reference=cosim.Constant(1.0, unit=unit), blocks={"scale": gain},
+            connections=[("sensors.y", "scale.u"), ("scale.y", "controller.y")],
+        )  # fmt: skip
+
+    ten = 10.0 * np.eye(2)
+    loop(cosim.Gain(ten), "m")  # in what the gain gives is not known
+    converted = loop(cosim.Gain(ten, input_unit="V", output_unit="m"), "m")
+    assert [sensor.unit for sensor in converted.simulate(0.5).roles.sensors] == ["m", "m"]
+    with pytest.raises(cosim.ConnectionError, match=r"reference\.y is in km, .* is in m; put Gain\(1000\)"):
+        loop(cosim.Gain(ten, input_unit="V", output_unit="m"), "km")

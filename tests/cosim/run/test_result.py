@@ -6,6 +6,7 @@ import os
 import pickle
 import zipfile
 from fractions import Fraction
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim import Port, Result
+from bayesftc.cosim.judging.signals import alarms_of_all
 from bayesftc.scenario import load_scenario
 
 
@@ -348,3 +350,29 @@ def test_a_result_says_that_the_belief_began_elsewhere_than_the_plant(mean):
     notes = loop.simulate(2.0, seed=1).notes
     wrong = "both sensors of v agree but are blamed from t = 0 s: the controller's belief at the start is wrong"
     assert notes == ([f"{wrong} (initial_mean, initial_spread)"] if mean == 0.0 else [])
+
+
+def test_agreement_is_that_of_all_pairs_of_sensors_in_any_order():
+    rng = np.random.default_rng(0)
+    noise, late = 0.1 * rng.standard_normal((3, 200)), np.arange(200) >= 60
+    alarms = [late] * 3
+    assert alarms_of_all(list(noise), alarms) == 60
+    apart = noise + np.array([[0.0], [-0.25], [0.25]]) * late
+    assert all(alarms_of_all([apart[i] for i in order], alarms) is None for order in permutations(range(3)))
+    gaps = noise.copy()
+    gaps[0, ::9] = np.nan
+    assert alarms_of_all(list(gaps), alarms) == 60
+    gaps[0, ::2], gaps[1, 1::2] = np.nan, np.nan
+    assert alarms_of_all(list(gaps), alarms) is None  # never compared
+
+
+def test_a_fault_of_the_actuator_is_no_wrong_belief_at_the_start():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    control = pytest.importorskip("control")
+    plant = control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"])
+    loop = cosim.closed_loop(
+        plant, controllers.LQGController(model, controllers.SwitchingPrecision()), control="u", measured="y",
+        sensors=cosim.Sensors(2, 0.1), reference=5.0, input_faults={"u": cosim.GainFault(factor=0.0, start=1.0)},
+    )  # fmt: skip
+    for run in (loop.simulate(20.0), loop.simulate(150.0, decimation=50)):
+        assert not any("at the start" in note for note in run.notes)

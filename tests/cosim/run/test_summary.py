@@ -2,6 +2,7 @@
 
 import math
 
+import control
 import numpy as np
 import pytest
 
@@ -139,3 +140,16 @@ def test_actuator_faults_are_listed():
 def test_impossible_settings_are_refused(result, settings):
     with pytest.raises(ModelError, match=next(iter(settings))):
         result.findings(**settings)
+
+
+def test_an_alarm_of_a_single_step_is_a_finding_with_any_hold():
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    controller = controllers.LQGController(
+        model, controllers.SwitchingPrecision(), initial_mean=50.0, initial_covariance=1e-4
+    )
+    plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"]))
+    loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), reference=0.0)
+    run = loop.simulate(0.0)
+    assert (run["controller.fault_probability"] > 0.5).all()
+    for hold in (None, 0.0, float("inf")):
+        assert run.findings(hold=hold)["where"].tolist() == ["sensor 0", "sensor 1"]

@@ -120,7 +120,7 @@ def run(
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
     numbers["model"] = _diagnosed(loaded, loop, result)
-    numbers["notes"] += _blamed(numbers, signals, loaded.controller)
+    numbers["notes"] += _blamed(numbers, signals, loaded.controller, result.decimation)
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
     elif _is_ser(loaded):
@@ -247,17 +247,18 @@ def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, A
     return None if finding is None else without_nan(asdict(finding))
 
 
-def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block) -> list[str]:
+def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block, decimation: int) -> list[str]:
     """Return a hint if a healthy sensor is blamed often, and nothing else says what is wrong in the model."""
+    together = {
+        of: [f"{note[0].upper()}{note[1:]}." for note in notes]
+        for of, notes in blamed_together(signals, decimation).items()
+    }
+    if together["start"]:
+        return together["start"]
     rates = {s["sensor"]: s["false_alarm_rate"] for s in numbers["sensors"] if s["false_alarm_rate"] is not None}
     worst = max(rates, key=rates.__getitem__, default=None)
     if worst is None or rates[worst] < MANY_FALSE_ALARMS or numbers["model"]:
         return []
-    together = {
-        of: [f"{note[0].upper()}{note[1:]}." for note in notes] for of, notes in blamed_together(signals).items()
-    }
-    if together["start"]:
-        return together["start"]
     blamed = " ".join(together["model"]) or f"Sensor {worst} is blamed for {rates[worst]:.0%} of its fault-free time."
     if found := _scatter(signals, worst, controller):
         return [f"{blamed} {found}"]
