@@ -208,12 +208,13 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         profile = combinations(tuple(names[free].tolist()), inside)
     std = np.sqrt(np.diag(spread))
     rms, rest = (_rms(counted[part], columns) for part in (slice(split), slice(split, None)))
+    present = np.isfinite(samples.y)
     found_sentences = [
         *sentences.at_bounds(dict(zip(box.names, found.place.tolist(), strict=True)), values, margin),
         *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
         *sentences.correlated(columns, correlated, white, std),
-        *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, samples.time),
-        *sentences.left_out(samples.sensors, found.weights, np.isfinite(samples.y) & ~found.late, samples.time),
+        *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, present, samples.time),
+        *sentences.left_out(samples.sensors, found.weights, present & ~found.late, samples.time),
         *sentences.held_out_worse(rms, rest),
     ]
     if not found.settled:

@@ -71,9 +71,17 @@ def correlated(columns: Sequence[str], found: Sequence[bool], white: Floats, use
 
 
 def gaps(
-    sensors: Mapping[str, Sequence[str]], gaps: Sequence[tuple[int, int]], late: Flags, weights: Floats, time: Floats
+    sensors: Mapping[str, Sequence[str]],
+    gaps: Sequence[tuple[int, int]],
+    late: Flags,
+    weights: Floats,
+    present: Flags,
+    time: Floats,
 ) -> Iterator[str]:
-    """Give a sentence for each gap from which the FMU has not recovered at once; `late` are the samples up to then."""
+    """Give a sentence for each gap from which the FMU has not recovered at once; `late` are the samples up to then.
+
+    Only where it recovers later has no sensor failed: an error up to the end may be of the FMU or of the sensors.
+    """
     output_of = np.repeat(np.arange(len(sensors)), [len(columns) for columns in sensors.values()])
     for k, (before, after) in enumerate(gaps):
         part = slice(after, gaps[k + 1][0] + 1 if k + 1 < len(gaps) else None)
@@ -82,10 +90,25 @@ def gaps(
         if not until:
             continue
         counted = (weights[part][late[part]] >= 0.5).any()
+        differing = [(j, name) for j, name in enumerate(sensors) if len(steps[name])]
+        back = [name for j, name in differing if (present & ~late)[after:, output_of == j].any()]
+        never = [name for _, name in differing if name not in back]
         yield (
             f"From {time[before]:g} to {time[after]:g} s the recording has a gap, in which the inputs are unknown. They keep "
             f"their last values in the FMU. Its outputs differ after the gap: {', '.join(until)}. These samples "
-            + ("count all the same." if counted else "do not count. They are no faults.")
+            + ("count all the same." if counted else "do not count.")
+            + (
+                ""
+                if counted or not back
+                else " They are no faults."
+                if not never
+                else f" Those of {', '.join(back)} are no faults."
+            )
+            + (
+                f" {', '.join(never)} differ{'s' * (len(never) == 1)} up to the end: either the state of the FMU or the sensors "
+                "are wrong from the gap on. The fit cannot tell which: see the figure."
+            )
+            * bool(never)
         )
 
 

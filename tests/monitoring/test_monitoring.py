@@ -534,7 +534,7 @@ def test_a_model_of_another_size_is_refused():
         ("\n \n", "data.csv is empty"),
         ("t,left,right,gnss,accel\n", "no row of samples"),
         ("0,1,1,1,1\n1,1,1,1,1\n", "begins with numbers"),
-        ("t;left;right;gnss;accel\n0;1,5;1;1;1\n1;1.5;1;1;1\n", "'1,5' in line 2, column 'left', is no number"),
+        ("t;left;right;gnss;accel\n0;1,5;1;1;1\n1;1.5;1;1;1\n", "'1.5' in line 3, column 'left', is no number"),
         ("t;left;right;gnss;accel\n0;1;1;1\n", "line 2 has 1 cell.* the first row has 1 name|no column"),
         (
             "t,left,left,right,gnss,accel\n0,1,1,1,1,1\n",

@@ -35,6 +35,10 @@ class CsvForm:
         """Return the text of a number with a decimal point."""
         return text.replace(self.decimal, ".") if self.decimal != "." and _WITH_COMMA.fullmatch(text) else text
 
+    def has_other_sign(self, text: str) -> bool:
+        """Return whether the text is a number with a decimal point in a file with decimal commas."""
+        return self.decimal != "." and _WITH_POINT.fullmatch(text) is not None
+
 
 def form_of(path: str | PathLike[str]) -> CsvForm:
     """Return the form of a CSV file, and inform the user once if it is not the usual one.

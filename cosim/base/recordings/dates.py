@@ -19,7 +19,13 @@ LONG = 600.0
 
 _DATE = re.compile(r"\s*\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?)?\s*(Z|[+-]\d{2}:?\d{2})?\s*")
 
-_OTHER_DATE = re.compile(r"(\d{1,2}|\d{4})([./-])(\d{1,2}|[A-Za-z]{3,9})\2(\d{4}|\d{1,2})\b")
+_OTHER_DATE = re.compile(
+    r"(\d{1,2}|\d{4})([./-])(\d{1,2}|[^\W\d_]{3,9})\2(\d{4}|\d{1,2})"
+    r"([T, ]+\d{1,2}[:.]\d{2}([:.]\d{2}([.,:]\d+)?)?( ?[A-Za-z][A-Za-z. ]{0,5}| ?[+-]\d{2}:?\d{2})?)?"
+)
+
+_LOOKED_AT = 1000
+"""About how many cells, spread over a column, show whether most of them are dates."""
 
 ISO = "2026-03-28 08:00:00"
 """A date, as an example for messages."""
@@ -38,14 +44,36 @@ def are_dates(cells: Any) -> bool:
 
 
 def other_date(cells: Any) -> str | None:
-    """Return the first text of a column if it looks like a date in another form than ISO 8601, as ``28.03.2026 08:00:00``."""
+    """Return the first date of a column if most of its texts are dates in another form than ISO 8601.
+
+    Such a form is ``28.03.2026 08:00:00``. The year has four digits, or two at the end of the date.
+    """
     import pandas as pd
 
     if pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_datetime64_any_dtype(cells):
         return None
     given = cells.dropna()
-    first = str(given.iloc[0]).strip() if len(given) else ""
-    return first if _OTHER_DATE.match(first) and not _DATE.fullmatch(first) else None
+    if are_dates(given):
+        return None
+    texts = [str(cell).strip() for cell in given.iloc[:: max(len(given) // _LOOKED_AT, 1)]]
+    dates = [text for text in texts if _is_other_date(text)]
+    return dates[0] if 2 * len(dates) > len(texts) else None
+
+
+def _is_other_date(text: str) -> bool:
+    """Return whether a text is a date in another form than ISO 8601, with a day and a month that there are."""
+    found = _OTHER_DATE.fullmatch(text)
+    if found is None or _DATE.fullmatch(text):
+        return False
+    first, middle, last = found[1], found[3], found[4]
+    year_first = len(first) == 4
+    year, other = (first, last) if year_first else (last, first)
+    if len(year) < 2 or (year_first and len(last) == 4):
+        return False
+    if not middle.isdecimal():
+        return 1 <= int(other) <= 31
+    month, day = sorted((int(other), int(middle)))
+    return 1 <= month <= 12 and day <= 31
 
 
 def as_seconds(cells: Any, source: str, origin: pd.Timestamp | None = None) -> tuple[Floats, pd.Timestamp]:

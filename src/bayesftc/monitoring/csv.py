@@ -50,6 +50,8 @@ class Tables:
                 raise RecordingError(f"The recording {fspath(path)} does not exist. Check the path.")
         self._read: dict[Path, tuple[list[str], pd.DataFrame]] = {}
         self._forms: dict[Path, CsvForm] = {}
+        # Where a column with decimal commas has a point, which may separate thousands.
+        self._points: dict[tuple[Path, Any], NDArray[np.bool_]] = {}
         self._origin: pd.Timestamp | None = None  # of all dates, so that files fit together
 
     @property
@@ -134,12 +136,15 @@ class Tables:
     def _numbers(self, cells: pd.Series[Any], file: Path, name: str, signal: str) -> Floats:
         import pandas as pd
 
+        points = self._points.get((file, cells.name))
         if not pd.api.types.is_numeric_dtype(cells) or pd.api.types.is_bool_dtype(cells):
             cells = cells.astype(str).where(cells.notna())  # otherwise true would become 1
         numbers = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, copy=True)
         if not pd.api.types.is_numeric_dtype(cells):  # such as +.5; before pandas 3.1 the last bit can be wrong
             right = np.isfinite(numbers)
             numbers[right] = cells.to_numpy()[right].astype(np.float64)
+        if points is not None:
+            numbers[points] = np.nan
         self._refuse_wrong(cells, np.isnan(numbers), file, name, signal)
         return np.asarray(numbers)
 
@@ -157,7 +162,7 @@ class Tables:
         elif other_date(cells) is not None:
             remedy = f"Write dates in the form of ISO 8601, such as {ISO}."
         else:
-            remedy = "Write times as seconds, such as 12.5, or as dates, such as 2026-05-01T10:00:12.5."
+            remedy = f"Write times as seconds, such as {form}, or as dates, such as 2026-05-01T10:00:12.5."
         raise RecordingError(
             f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number. {remedy}"
         )
@@ -193,11 +198,12 @@ class Tables:
                 ) from None
             if form.decimal != ".":  # pandas leaves decimal commas in a column with a text
                 for column in table.select_dtypes(exclude=["number", "bool"]).columns:
-                    texts = [cell for cell in table[column] if isinstance(cell, str)]
-                    if not any(
-                        "." in text for text in texts
-                    ):  # else it has both signs, and a point may separate thousands
-                        table[column] = [form.number(c) if isinstance(c, str) else c for c in table[column]]
+                    cells = list(table[column])
+                    table[column] = [form.number(cell) if isinstance(cell, str) else cell for cell in cells]
+                    if any(_is_fraction(cell, form) for cell in cells):
+                        self._points[file, column] = np.array(
+                            [isinstance(cell, str) and form.has_other_sign(cell) for cell in cells]
+                        )
             self._read[file] = header, table
         return self._read[file]
 
@@ -228,6 +234,13 @@ def _check(file: Path, form: CsvForm) -> tuple[list[str], int]:
     if row is None:
         raise RecordingError(f"{fspath(file)} has a row of names, but no row of samples below it.")
     return names, begin
+
+
+def _is_fraction(cell: Any, form: CsvForm) -> bool:
+    """Return whether a cell of a file with decimal commas has one, also if pandas has read it as a number."""
+    if isinstance(cell, str):
+        return form.number(cell) != cell
+    return isinstance(cell, float) and np.isfinite(cell) and not cell.is_integer()
 
 
 def _is_number(text: str) -> bool:

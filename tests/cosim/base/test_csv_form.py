@@ -191,3 +191,14 @@ def test_a_text_among_numbers_is_named_with_the_sign_of_the_file(separator, deci
     match = rf"'Bad' in line 6, column 'left', is no number. An empty cell is a missing sample. .* decimal {words}"
     with pytest.raises(RecordingError, match=match):
         monitoring.redundant_signals([file])
+
+
+@pytest.mark.parametrize("text", ["n.a.", "1.234,5", "1.5", "1.234"])
+@pytest.mark.parametrize("column", [0, 1])
+def test_the_wrong_cell_among_decimal_commas_is_named(text, column, tmp_path):
+    rows = [[f"{t},5", "20,5", "1,25"] for t in range(20)]
+    rows[7][column] = text
+    file = tmp_path / "drive.csv"
+    file.write_text("\n".join(["t;left;right", *(";".join(row) for row in rows)]))
+    with pytest.raises(RecordingError, match=rf"'{text}' in line 9, column '{['t', 'left'][column]}', .* 12,5"):
+        monitoring.redundant_signals([file])

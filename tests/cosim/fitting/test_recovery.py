@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from bayesftc import cosim, fmus
+from bayesftc.cosim.fitting import sentences
 from bayesftc.cosim.fitting.recovery import WINDOW, recovering
 from bayesftc.cosim.fitting.samples import Samples, sample
 
@@ -85,6 +86,37 @@ def test_no_sensor_is_blamed_after_a_gap():
     assert not any("faulty" in sentence for sentence in fitted.sentences)
     (sentence,) = [sentence for sentence in fitted.sentences if "gap" in sentence]
     assert sentence.startswith("From 95.9 to 114.8 s the recording has a gap, in which the inputs are unknown.")
-    assert "v up to 200 s. These samples do not count. They are no faults." in sentence
+    assert "v up to 200 s. These samples do not count. v differs up to the end: either the state of" in sentence
     every = cosim.fit(fmus.path("CruiseControl"), table, ranges, **names, weigh=None)
     assert any("These samples count all the same." in sentence for sentence in every.sentences)
+
+
+def said(y):
+    """Return the sentence about the gap."""
+    found, sensors, gaps = late(y), {"x": ("a", "b", "c")}, ((BEFORE, AFTER),)
+    (sentence,) = sentences.gaps(sensors, gaps, found, 1.0 - found, np.isfinite(y), np.arange(float(STEPS)))
+    return sentence
+
+
+def test_only_where_the_fmu_recovers_has_no_sensor_failed():
+    y = residuals(0)
+    assert said(y).endswith("These samples do not count. They are no faults.")
+    y = np.random.default_rng(0).standard_normal((STEPS, 3))
+    y[BEFORE + 1 : AFTER] = np.nan
+    y[AFTER:] += 2.0  # for good: a bias, or a wrong state
+    assert "x up to 1199 s. These samples do not count. x differs up to the end: either the state of the FMU" in said(y)
+    assert "no fault" not in said(y)
+    y[1000:] = np.nan
+    assert "x up to 999 s" in said(y)
+    assert "no fault" not in said(y)
+
+
+def test_each_output_is_told_from_the_others():
+    known, found = np.ones((STEPS, 3), dtype=bool), np.zeros((STEPS, 3), dtype=bool)
+    found[AFTER:, 0] = found[AFTER:700, 1] = True
+    sensors = {"x": ("a",), "y": ("b",), "z": ("c",)}
+    (sentence,) = sentences.gaps(sensors, ((BEFORE, AFTER),), found, 1.0 - found, known, np.arange(float(STEPS)))
+    assert (
+        "x up to 1199 s, y up to 699 s. These samples do not count. Those of y are no faults. x differs up to"
+        in sentence
+    )

@@ -1,5 +1,6 @@
 """Recordings at evenly spaced steps: gaps, uneven times, held inputs."""
 
+import warnings
 from fractions import Fraction
 
 import numpy as np
@@ -7,6 +8,7 @@ import pandas as pd
 import pytest
 
 from bayesftc import cosim
+from bayesftc.cosim.base.recordings.dates import other_date
 from bayesftc.cosim.fitting.samples import sample
 
 NAN = np.nan
@@ -79,6 +81,39 @@ def test_dates_in_another_form_are_named(form):
             cosim.StepSizeError, match=r"not in the form of ISO 8601. Write them as 2026-03-28 08:00:00"
         ):
             sample(table, (), "y", time, dt)
+
+
+NO_DATES = [
+    "1-2-3",
+    "1.2.3",
+    "10.5.1",
+    "12/24/36 V",
+    "13.13.2026",
+    "0.5.2026",
+    "40-Mai-2026",
+    "1.2.2026 rev",
+    "10.5.123",
+]
+
+
+@pytest.mark.parametrize("text", NO_DATES)
+def test_texts_that_are_no_dates_are_taken_for_none(text):
+    table = pd.DataFrame({"lot": text, "y": np.arange(6.0)})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(sample(table, (), "y", None, 60).y) == 6
+    with pytest.raises(cosim.StepSizeError, match="has no column of times"):
+        sample(table, (), "y", None, None)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["28.03.2026", "3/28/26 8:00 PM", "2026/3/28 08:00:00,5", "28-Mär-2026", "2026-3-28 8:00:00", "28.3.26 8.00"],
+)
+@pytest.mark.parametrize(("others", "dates"), [(0, True), (2, True), (3, False)])
+def test_a_column_has_dates_if_most_of_its_texts_are(text, others, dates):
+    cells = pd.Series([*["none"] * others, *[text] * (6 - others), None])
+    assert other_date(cells) == (text if dates else None)
 
 
 def test_a_text_among_dates_is_named():

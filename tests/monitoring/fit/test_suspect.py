@@ -92,6 +92,21 @@ def test_two_failures_from_one_cause_are_no_reason_to_suspect_the_model():
     assert found(y)[1] is None
 
 
+@pytest.mark.parametrize("third", [True, False])
+def test_sensors_without_samples_at_the_same_steps_are_no_evidence(third, monkeypatch):
+    monkeypatch.setitem(globals(), "STEPS", 9000)
+    y, steps = samples(sensors=2 + third), np.arange(9000)
+    for begin in (2000, 5000, 8000):
+        y[begin : begin + 30, :2] += [3.0, 3.0] if third else [6.0, -6.0]
+    if third:
+        y[steps % 200 > 0, 2] = np.nan  # it is healthy, and has a sample at the begin of each fault at most
+    else:
+        y[steps % 2 == 0, 0] = y[steps % 2 == 1, 1] = np.nan
+    monitored, suspicion = found(y)
+    assert {event.sensor for event in monitored.events} == {"T0", "T1"}
+    assert suspicion is None
+
+
 @pytest.mark.parametrize("sensors", [2, 3])
 def test_noise_that_is_too_small_is_named_with_what_it_needs(sensors):
     _, suspicion = found(samples(sensors=sensors), std=0.02)

@@ -39,6 +39,9 @@ APART = 100
 LEAST_TIMES = 2
 """Least number of times that sensors that agree, also with every sensor that is not blamed, are blamed together for a moment."""
 
+LEAST_COMMON = 3
+"""Least number of steps of a moment at which two sensors both have a sample: with fewer there is no evidence that they agree."""
+
 AGREE = 1.5
 """Root mean square of the difference of two sensors, relative to the model's, up to which they agree."""
 
@@ -190,7 +193,8 @@ class _Blame:
     def _moments(self, blamed: Flags) -> list[tuple[int, int, list[tuple[int, int]]]]:
         """Return when blamed sensors agree with all sensors of their quantity: first step, step after the last, and their pairs.
 
-        Two sensors that have failed from the same cause agree with each other, too, but not with a healthy one.
+        Two sensors that have failed from the same cause agree with each other, too, but not with a healthy one. So a sensor
+        that is not blamed must have samples at the same steps as those that are.
         """
         moments = []
         for group in self.model.alike:
@@ -199,18 +203,22 @@ class _Blame:
                 continue
             for begin, end in periods(blamed[:, members].sum(axis=1) > 1):
                 part = slice(begin, end)
-                there = [i for i in members if np.isfinite(self.y[part, i]).any()]
-                pairs = [pair for pair in combinations(there, 2) if self._agree(pair, part)]
-                together = [pair for pair in pairs if (blamed[part, pair[0]] & blamed[part, pair[1]]).any()]
-                if together and len(pairs) == len(there) * (len(there) - 1) // 2:
+                agreed = {pair: self._agree(pair, part) for pair in combinations(members, 2)}
+                together = [p for p in agreed if agreed[p] and (blamed[part, p[0]] & blamed[part, p[1]]).any()]
+                healthy = {i for i in members if not blamed[part, i].any()}
+                named = {i for pair in together for i in pair}
+                compared = [agreed[pair] for pair in agreed if healthy & set(pair) and named & set(pair)]
+                if together and False not in agreed.values() and all(compared):
                     moments.append((begin, end, together))
         return sorted(moments)
 
-    def _agree(self, pair: tuple[int, int], part: slice) -> bool:
-        """Return whether two sensors agree; also if they have no samples at the same steps."""
+    def _agree(self, pair: tuple[int, int], part: slice) -> bool | None:
+        """Return whether two sensors agree; None if they have too few samples at the same steps to tell."""
         difference = self.y[part, pair[0]] - self.y[part, pair[1]]
         difference = difference[np.isfinite(difference)]
-        return not len(difference) or excess(difference, self.apart[pair])[0] <= AGREE
+        if len(difference) and excess(difference, self.apart[pair])[0] > AGREE:
+            return False
+        return True if len(difference) >= LEAST_COMMON else None
 
     @property
     def occasions(self) -> int:
