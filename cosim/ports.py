@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.units import Unit
 from bayesftc.cosim.errors import ModelError
 
@@ -78,7 +79,7 @@ class Port:
             raise ModelError(f"Port {self.name!r} has draw={self.draw!r}; it must be 'normal', 'uniform' or None.")
         if self.units and len(self.units) != self.size:
             raise ModelError(
-                f"Port {self.name!r} has units={self.units!r}, but {self.size} element{'s' if self.size > 1 else ''}; give a "
+                f"Port {self.name!r} has units={self.units!r}, but {counted(self.size, 'element')}; give a "
                 "unit for each element, or one unit for all: unit=..."
             )
 

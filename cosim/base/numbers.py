@@ -13,6 +13,9 @@ import numpy as np
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.types import Floats
 
+MAD = 1.4826
+"""Standard deviation of normal numbers, relative to the median of their absolute deviations from the middle."""
+
 
 def counted(number: int, one: str) -> str:
     """Return a number and a noun in the singular or plural: ``"1 control"``, ``"2 controls"``."""
@@ -81,4 +84,4 @@ def _short(value: Any) -> str:
     return repr(value)
 
 
-__all__ = ["check_count", "counted", "real", "reals", "short"]
+__all__ = ["MAD", "check_count", "counted", "real", "reals", "short"]

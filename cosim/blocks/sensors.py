@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
-from bayesftc.cosim.base.numbers import reals
+from bayesftc.cosim.base.numbers import counted, reals
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks import sensor_kernels as kernels
 from bayesftc.cosim.errors import ModelError, brief
@@ -144,8 +144,8 @@ class Sensors(Block):
             object.__setattr__(self, "signals", len(units))
         if len(units) != self.signals:
             raise ModelError(
-                f"Sensors has unit={tuple(units)!r}, {len(units)} unit{'s' if len(units) > 1 else ''} for {self.signals} "
-                f"signal{'s' if self.signals > 1 else ''}; give one for each signal, or one text for all."
+                f"Sensors has unit={tuple(units)!r}, {counted(len(units), 'unit')} for "
+                f"{counted(self.signals, 'signal')}; give one for each signal, or one text for all."
             )
         object.__setattr__(self, "unit", tuple(units) if len(set(units)) > 1 else units[0])
 

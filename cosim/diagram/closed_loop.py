@@ -211,7 +211,7 @@ def closed_loop(
     _extend(diagram, blocks or {}, connections)
     warn_of_held_inputs(diagram, node, controller_node)
     check_goals_ahead(diagram, controller_node)
-    check_units_of_goals(diagram)
+    check_units_of_goals(diagram, controller_node)
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
     return diagram.build()

@@ -352,7 +352,7 @@ def _unit(known: tuple[str, Unit | None] | None) -> str | None:
     return known[0] if known else None
 
 
-def check_units_of_goals(diagram: Diagram) -> None:
+def check_units_of_goals(diagram: Diagram, controller: Node) -> None:
     """Refuse a reference in another unit than the quantity that it is the goal of.
 
     Raises
@@ -360,24 +360,22 @@ def check_units_of_goals(diagram: Diagram) -> None:
     ConnectionError
         With the two units, and the block that converts one into the other.
     """
-    roles = known_roles(diagram)
-    if roles is None:
-        return
-    known, controller = _declared(diagram), diagram[roles.controller]
-    goal = controller.port("goal")
-    for quantity in roles.quantities:
-        if quantity.goal is None or quantity.goal >= goal.size:
+    known, goal = _declared(diagram), controller.port("goal")
+    sources = [diagram.source_of(controller, goal, i) for i in range(goal.size)]
+    given = [s and known.get((s[0].node.name, s[0].port.name, s[1])) for s in sources]
+    # Without any unit, as in most campaigns, the quantities need not be found.
+    roles = known_roles(diagram) if any(given) else None
+    for quantity in roles.quantities if roles is not None else ():
+        k = quantity.goal
+        # Where the controller receives them: a block before it may have converted the samples.
+        measured = known.get((controller.name, "y", quantity.sensors[0]))
+        if k is None or k >= goal.size or measured is None or not (source := sources[k]) or not (of := given[k]):
             continue
-        source = diagram.source_of(controller, goal, quantity.goal)
-        given = source and known.get((source[0].node.name, source[0].port.name, source[1]))
-        measured = known.get(
-            (controller.name, "y", quantity.sensors[0])
-        )  # a block before it may have converted the samples
-        if source and given and measured and (gap := difference(given[0], measured[0], given[1], measured[1])):
+        if gap := difference(of[0], measured[0], of[1], measured[1]):
             origin = PortRef(source[0].node, source[0].port, "output", (source[1],))
-            target = controller["goal"] if goal.size == 1 else controller["goal"][quantity.goal]
+            target = controller["goal"] if goal.size == 1 else controller["goal"][k]
             raise ConnectionError(
-                f"{label(origin)} is in {given[0]}, but {target.name}, the goal of {quantity.name}, is in {measured[0]}{gap}"
+                f"{label(origin)} is in {of[0]}, but {target.name}, the goal of {quantity.name}, is in {measured[0]}{gap}"
             )
 
 

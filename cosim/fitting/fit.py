@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bayesftc.cosim.base.announcing import reported
-from bayesftc.cosim.base.numbers import real
+from bayesftc.cosim.base.numbers import MAD, real
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fitting import sentences
@@ -38,9 +38,6 @@ FEWEST = 5
 
 TINY = 1e-150
 """Least noise of a sensor that is always 0: its square is a number."""
-
-NORMAL = 1.4826
-"""Standard deviation of normal numbers, divided by the median of their magnitudes."""
 
 
 def fit(
@@ -344,7 +341,7 @@ def _noise(samples: Samples, outputs: Floats, weights: Floats, rows: int, parame
 
 
 def _spread(residuals: Floats) -> Floats:
-    return np.asarray(NORMAL * np.nanmedian(np.abs(residuals), axis=0))
+    return np.asarray(MAD * np.nanmedian(np.abs(residuals), axis=0))
 
 
 def _rms(residuals: Floats, columns: Sequence[str]) -> dict[str, float]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 WINDOW = 50
 """Samples whose median shows the error of the FMU: a fifth of the noise remains, and outliers have no effect."""
 
-USUAL = 3 * 1.4826
+USUAL = 3 * MAD
 """Multiple of the median of such errors up to which one is usual: three standard deviations of normal numbers."""
 
 

@@ -96,20 +96,25 @@ def gaps(
         yield (
             f"From {time[before]:g} to {time[after]:g} s the recording has a gap, in which the inputs are unknown. They keep "
             f"their last values in the FMU. Its outputs differ after the gap: {', '.join(until)}. These samples "
-            + ("count all the same." if counted else "do not count.")
-            + (
-                ""
-                if counted or not back
-                else " They are no faults."
-                if not never
-                else f" Those of {', '.join(back)} are no faults."
-            )
-            + (
-                f" {', '.join(never)} differ{'s' * (len(never) == 1)} up to the end: either the state of the FMU or the sensors "
-                "are wrong from the gap on. The fit cannot tell which: see the figure."
-            )
-            * bool(never)
+            f"{'count all the same' if counted else 'do not count'}.{'' if counted else _no_faults(back, never)}{_open(never)}"
         )
+
+
+def _no_faults(back: Sequence[str], never: Sequence[str]) -> str:
+    """Return that the samples of outputs that the FMU follows again are no faults; `never` are the others."""
+    if not back:
+        return ""
+    return f" Those of {', '.join(back)} are no faults." if never else " They are no faults."
+
+
+def _open(never: Sequence[str]) -> str:
+    """Return what is not known of outputs that the FMU never follows again."""
+    if not never:
+        return ""
+    return (
+        f" {', '.join(never)} differ{'s' * (len(never) == 1)} up to the end: either the state of the FMU or the sensors are "
+        "wrong from the gap on. The fit cannot tell which: see the figure."
+    )
 
 
 def left_out(sensors: Mapping[str, Sequence[str]], weights: Floats, present: Flags, time: Floats) -> Iterator[str]:

@@ -1,17 +1,20 @@
-"""What a run shows of faults: the alarms of the controller with kind, time and size, and faults that never began."""
+"""What a run shows of faults: alarms with kind, time and size, alarms that are none, and faults that never began."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, LoopSignals, SensorSignals
+from bayesftc.cosim.judging.metrics import periods
+from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -24,6 +27,18 @@ UNITS = {"noise": "x noise", "effect": "of the effect"}
 
 PROCESS_KINDS = ("NoisierProcess",)
 """The kind of all process modes."""
+
+AT_ONCE = 20
+"""Number of samples within which an alarm begins with the run."""
+
+AGREE = 1.5
+"""Largest root mean square of the difference of two sensors that agree, in multiples of its noise."""
+
+LEAST = 10
+"""Least number of samples, one after the other, with an alarm of all sensors."""
+
+MOST = 100
+"""Number of samples from the begin of the alarms in which they must agree; one may fail later."""
 
 
 @dataclass(frozen=True)
@@ -160,6 +175,75 @@ def _at(values: Floats | None, row: int) -> float | None:
     return float(values[row]) if values is not None and np.isfinite(values[row]) else None
 
 
+def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list[str]]:
+    """Return notes on quantities of which all sensors have an alarm, without a fault, although they agree.
+
+    The reason is the belief at the start (``"start"``) if the alarms begin with the run, and no fault of an input has begun, or
+    else the model (``"model"``).
+    """
+    notes: dict[str, list[str]] = {"start": [], "model": []}
+    begun = [int(i.faulty.argmax()) for i in signals.inputs if i.faulty is not None and i.faulty.any()]
+    for quantity in signals.quantities:
+        group = [signals.sensors[i] for i in quantity.sensors]
+        alarms = [s.alarm & ~s.faulty for s in group if s.alarm is not None and s.faulty is not None]
+        samples = [s.samples for s in group if s.samples is not None]
+        if len(samples) < len(group) or len(alarms) < len(group):
+            continue
+        first = alarms_of_all(samples, alarms)
+        if first is None:
+            continue
+        of, wrong = "model", "the plant behaves unlike the controller's model"
+        if first * decimation < AT_ONCE and min(begun, default=first + 1) > first:
+            of, wrong = "start", "the controller's belief at the start is wrong (initial_mean, initial_spread)"
+        sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
+        notes[of].append(f"{sensors} sensors of {quantity.name} agree but are blamed from t = {t:g} s: {wrong}")
+    return notes
+
+
+def alarms_of_all(samples: Sequence[Floats], alarms: Sequence[Flags]) -> int | None:
+    """Return the first sample from which on all sensors of a quantity have an alarm for a while although they agree, or None.
+
+    Parameters
+    ----------
+    samples : sequence of ndarray, shape (steps,)
+        The samples of each sensor; NaN is a missing one.
+    alarms : sequence of ndarray of bool, shape (steps,)
+        Where each sensor counts as faulty, and has no fault.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc.cosim.judging.findings import alarms_of_all
+    >>> rng = np.random.default_rng(0)
+    >>> first, second = 3.0 + 0.1 * rng.standard_normal((2, 100))
+    >>> late = np.arange(100) >= 40
+    >>> alarms_of_all([first, second], [late, late])
+    40
+    >>> alarms_of_all([first, second + 0.5 * late], [late, late])  # they do not agree
+    """
+    blamed = np.all(alarms, axis=0)
+    if len(samples) < 2 or not blamed.any():
+        return None
+    differences = [one - other for one, other in combinations(samples, 2)]
+    for begin, end in periods(blamed):
+        if end - begin >= LEAST and all(_agree(d, begin, min(end, begin + MOST)) for d in differences):
+            return begin
+    return None
+
+
+def _agree(difference: Floats, begin: int, end: int) -> bool:
+    """Return whether a difference of two sensors is no more than their noise in a stretch.
+
+    Its noise is estimated from its changes, so that offsets and drifts do not count for it.
+    """
+    finite = difference[np.isfinite(difference)]
+    there = difference[begin:end][np.isfinite(difference[begin:end])]
+    if len(there) < LEAST:
+        return False
+    noise = float(np.median(np.abs(np.diff(finite)))) * MAD / 2.0**0.5
+    return bool(np.sqrt(np.mean(there * there)) <= AGREE * noise)
+
+
 def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str]:
     """Yield a sentence for each fault on a condition that was absent in all recorded rows.
 
@@ -181,4 +265,7 @@ def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str
             yield f"The fault {node.name!r} did not occur: it begins on the condition {block.start}."
 
 
-__all__ = ["Finding", "alarms", "findings", "findings_frame", "never_began", "plain_findings"]
+__all__ = [
+    "AGREE", "Finding", "alarms", "alarms_of_all", "blamed_together", "findings", "findings_frame", "never_began",
+    "plain_findings",
+]  # fmt: skip

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
@@ -14,18 +13,6 @@ Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 ALARM = 0.5
 """The lowest fault probability of an alarm."""
-
-AT_ONCE = 20
-"""Number of samples within which an alarm begins with the run."""
-
-AGREE = 1.5
-"""Largest root mean square of the difference of two sensors that agree, in multiples of its noise."""
-
-LEAST = 10
-"""Least number of samples, one after the other, with an alarm of all sensors."""
-
-MOST = 100
-"""Number of samples from the begin of the alarms in which they must agree; one may fail later."""
 
 
 def any_of(flags: list[Flags | None]) -> Flags | None:
@@ -238,77 +225,6 @@ class LoopSignals:
         return f"sensor {index} ({measured[0]})" if measured else f"sensor {index}"
 
 
-def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list[str]]:
-    """Return notes on quantities of which all sensors have an alarm, without a fault, although they agree.
-
-    The reason is the belief at the start (``"start"``) if the alarms begin with the run, and no fault of an input has begun, or
-    else the model (``"model"``).
-    """
-    notes: dict[str, list[str]] = {"start": [], "model": []}
-    begun = [int(i.faulty.argmax()) for i in signals.inputs if i.faulty is not None and i.faulty.any()]
-    for quantity in signals.quantities:
-        group = [signals.sensors[i] for i in quantity.sensors]
-        alarms = [s.alarm & ~s.faulty for s in group if s.alarm is not None and s.faulty is not None]
-        samples = [s.samples for s in group if s.samples is not None]
-        if len(samples) < len(group) or len(alarms) < len(group):
-            continue
-        first = alarms_of_all(samples, alarms)
-        if first is None:
-            continue
-        of, wrong = "model", "the plant behaves unlike the controller's model"
-        if first * decimation < AT_ONCE and min(begun, default=first + 1) > first:
-            of, wrong = "start", "the controller's belief at the start is wrong (initial_mean, initial_spread)"
-        sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
-        notes[of].append(f"{sensors} sensors of {quantity.name} agree but are blamed from t = {t:g} s: {wrong}")
-    return notes
-
-
-def alarms_of_all(samples: Sequence[Floats], alarms: Sequence[Flags]) -> int | None:
-    """Return the first sample from which on all sensors of a quantity have an alarm for a while although they agree, or None.
-
-    Parameters
-    ----------
-    samples : sequence of ndarray, shape (steps,)
-        The samples of each sensor; NaN is a missing one.
-    alarms : sequence of ndarray of bool, shape (steps,)
-        Where each sensor counts as faulty, and has no fault.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from bayesftc.cosim.judging.signals import alarms_of_all
-    >>> rng = np.random.default_rng(0)
-    >>> first, second = 3.0 + 0.1 * rng.standard_normal((2, 100))
-    >>> late = np.arange(100) >= 40
-    >>> alarms_of_all([first, second], [late, late])
-    40
-    >>> alarms_of_all([first, second + 0.5 * late], [late, late])  # they do not agree
-    """
-    blamed = np.all(alarms, axis=0)
-    if len(samples) < 2 or not blamed.any():
-        return None
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], blamed, [False]]).astype(int)))
-    differences = [one - other for one, other in combinations(samples, 2)]
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - begin >= LEAST and all(_agree(d, int(begin), min(int(end), int(begin) + MOST)) for d in differences):
-            return int(begin)
-    return None
-
-
-def _agree(difference: Floats, begin: int, end: int) -> bool:
-    """Return whether a difference of two sensors is no more than their noise in a stretch.
-
-    Its noise is estimated from its changes, so that offsets and drifts do not count for it.
-    """
-    finite = difference[np.isfinite(difference)]
-    there = difference[begin:end][np.isfinite(difference[begin:end])]
-    if len(there) < LEAST:
-        return False
-    noise = float(np.median(np.abs(np.diff(finite)))) / 0.6745 / 2.0**0.5
-    return bool(np.sqrt(np.mean(there * there)) <= AGREE * noise)
-
-
 __all__ = [
     "ALARM", "ActuatorSignals", "ControlSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals",
-    "blamed_together",
 ]  # fmt: skip

@@ -14,7 +14,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from fractions import Fraction
 from functools import cached_property
-from html import escape
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -230,8 +229,8 @@ class Result(Mapping[str, Floats]):
 
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:
+        from bayesftc.cosim.judging.findings import blamed_together
         from bayesftc.cosim.judging.roles import signals_of
-        from bayesftc.cosim.judging.signals import blamed_together
 
         roles = self.roles
         if roles is None or f"{roles.controller}.fault_probability" not in self:
@@ -255,10 +254,7 @@ class Result(Mapping[str, Floats]):
         from bayesftc.cosim.run.summary import findings_table
 
         inferred = plain_findings(self._loop_signals()) if self.roles is not None else None
-        if not inferred:
-            return ""
-        found = findings_table(inferred)
-        return table(found.heading, found.texts(), ("", *found.columns)) + f"<p>{escape(found.remark)}</p>\n"
+        return findings_table(inferred).html() + "\n" if inferred else ""
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a column for each scalar (``y[0]``, ``y[1]``, ...) and time in seconds as its index."""

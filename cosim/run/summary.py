@@ -101,6 +101,12 @@ class FiguresTable:
         unknown = [all(value is None for value in column) for column in columns]
         return any(unknown) and not any(value for column in columns for value in column)
 
+    def html(self) -> str:
+        """Return the table and the remark, for notebooks."""
+        from bayesftc.cosim.base.html import table
+
+        return table(self.heading, self.texts(), ("", *self.columns)) + f"\n<p>{escape(self.remark)}</p>"
+
     def frame(self) -> pd.DataFrame:
         """Return the numbers as a pandas table."""
         import pandas as pd
@@ -225,11 +231,7 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
 
     def _repr_html_(self) -> str:
         """Return the tables for notebooks."""
-        from bayesftc.cosim.base.html import table
-
-        shown = []
-        for each in (each for each in self._tables.values() if not each.empty):
-            shown += [table(each.heading, each.texts(), ("", *each.columns)), f"<p>{escape(each.remark)}</p>"]
+        shown = [each.html() for each in self._tables.values() if not each.empty]
         return "\n".join([*shown, *(f"<p>{escape(note)}</p>" for note in self.notes)])
 
 

@@ -96,8 +96,8 @@ def test_the_c_alone(bayesftc_, scenarios, tmp_path):
 WRONG = {
     "a block that is not there": (5, "no block 'contoller'; did you mean 'controller'?", ("--block", "contoller")),
     "an FMU": (9, "The block 'plant' is an FMU", ("--block", "plant")),
-    "no folder": (12, "does not exist; create the folder", ("--block", "controller", "-o", "no/brain.fmu")),
-    "another ending": (12, "name it brain.fmu", ("--block", "controller", "-o", "brain.zip")),
+    "no folder": (12, "does not exist; create the folder", ("--block", "controller", "-o", "no/control_unit.fmu")),
+    "another ending": (12, "name it control_unit.fmu", ("--block", "controller", "-o", "control_unit.zip")),
     "C by the name of a file": (
         12,
         "C is written into a folder",

@@ -382,13 +382,13 @@ def test_a_million_absurd_samples_leave_the_belief_finite(form, make_block):
     )
     controller = of_form(form)
     diagram = cosim.Diagram(dt=H)
-    samples, brain = diagram.add(source, "samples"), diagram.add(controller, "brain")
+    samples, node = diagram.add(source, "samples"), diagram.add(controller, "node")
     goal = diagram.add(cosim.Constant(1.0), "goal")
-    diagram.connect(samples["y"], brain["y"])
-    diagram.connect(goal["y"], brain["goal"])
-    result = diagram.build().simulate(10_000.0, record=["brain.u", "brain.x_hat", "brain.free_energy"])
+    diagram.connect(samples["y"], node["y"])
+    diagram.connect(goal["y"], node["goal"])
+    result = diagram.build().simulate(10_000.0, record=["node.u", "node.x_hat", "node.free_energy"])
     assert len(result.time) == 1_000_001
-    for name in ("brain.u", "brain.x_hat", "brain.free_energy"):
+    for name in ("node.u", "node.x_hat", "node.free_energy"):
         assert np.isfinite(result[name]).all()
 
 

@@ -7,8 +7,9 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtri
 
+from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.fit.moments import MAD, median
+from bayesftc.monitoring.fit.moments import median
 from bayesftc.monitoring.fit.settings import FIT
 
 

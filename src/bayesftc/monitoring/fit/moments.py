@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.fit.settings import FIT
-
-MAD = 1.4826
-"""Standard deviation of a normal variable divided by the median of its absolute value."""
 
 
 def median(values: Floats, axis: int) -> Floats:

@@ -14,11 +14,11 @@ from bayesftc.controllers.diagnosis.scatter import SCATTER, excess, scatter
 from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.switching.fault_modes import DroppedOut, Frozen
-from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.base.numbers import MAD, short
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.findings import AGREE
 from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.fit.moments import MAD
 from bayesftc.monitoring.models import Matrices
 
 if TYPE_CHECKING:
@@ -41,9 +41,6 @@ LEAST_TIMES = 2
 
 LEAST_COMMON = 3
 """Least number of steps of a moment at which two sensors both have a sample: with fewer there is no evidence that they agree."""
-
-AGREE = 1.5
-"""Root mean square of the difference of two sensors, relative to the model's, up to which they agree."""
 
 MOST_TIME = 0.5
 """Share of a recording above which a sensor is blamed most of the time; then most of the sensors must be."""

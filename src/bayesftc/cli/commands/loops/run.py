@@ -20,10 +20,10 @@ from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
-from bayesftc.cosim.judging.findings import never_began, plain_findings
+from bayesftc.cosim.judging.findings import blamed_together, never_began, plain_findings
 from bayesftc.cosim.judging.metrics import figures, without_nan
 from bayesftc.cosim.judging.roles import loop_signals
-from bayesftc.cosim.judging.signals import LoopSignals, blamed_together
+from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
 from bayesftc.scenario._unused import unused
 
