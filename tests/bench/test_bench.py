@@ -113,6 +113,7 @@ def test_json_is_one_object(capsys):
     assert set(json.loads(capsys.readouterr().out)) == {"machine", "quick", "plain_loop", "bars"}
 
 
+@pytest.mark.slow
 def test_table_says_that_a_bar_is_missed(capsys):
     missed = Figure("a", "a figure", "s", [3.0, 1.0, 2.0], at_most=1.5)
     assert _run._verdict(Section("s", "S", (missed,)), missed) == "[bold red]no[/]"

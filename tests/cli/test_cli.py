@@ -186,6 +186,7 @@ def test_quiet_prints_nothing_and_twice_gives_the_same_files(bayesftc_, tmp_path
     assert contents[0] == contents[1]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_files_that_are_replaced_are_noted(bayesftc_, tmp_path):
     assert "exist" not in run_car(bayesftc_, "--duration", "1", "--out", "out").stderr
@@ -408,6 +409,7 @@ def test_check_kalman_records_what_it_needs(bayesftc_, tmp_path, record):
     assert json.loads(done.output)["kalman"]["agrees"] is True
 
 
+@pytest.mark.slow
 def test_the_ser_baseline_is_compared_with_filterpys_of_itself(bayesftc_, tmp_path):
     """filterpy decides for itself which samples to ignore; without all signals the run says what is missing."""
     text = CAR[:LEARNER] + '[controller.precision]\nkind = "SERFDI"\n'
@@ -423,6 +425,7 @@ def test_the_ser_baseline_is_compared_with_filterpys_of_itself(bayesftc_, tmp_pa
     assert "filterpy's, which needs every signal" in " ".join(done.output.split())
 
 
+@pytest.mark.slow
 def test_no_probability_is_explained(bayesftc_, tmp_path):
     """Each learner that gives no probability has dashes and its own sentence, and the AUC of beta where there is one."""
     for kind, auc in (("FixedPrecision", None), ("GammaPrecision", "beta")):

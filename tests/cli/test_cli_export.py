@@ -58,6 +58,7 @@ def test_a_controller_leaves_and_is_verified(bayesftc_, scenarios, tmp_path, c_c
     assert sorted(p.name for p in tmp_path.iterdir()) == ["controller.fmu"]
 
 
+@pytest.mark.slow
 def test_several_blocks_become_one(bayesftc_, scenarios, c_compiler):
     car, _ = scenarios
     options = [

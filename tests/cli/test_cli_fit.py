@@ -40,6 +40,7 @@ def test_it_prints_and_writes_the_fit(bayesftc_, drive, tmp_path):
     assert bayesftc_("fit", "CruiseControl", drive, *OPTIONS, "--out", "results", "--quiet").stdout == ""
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_column_of_times_is_found_with_its_unit(bayesftc_, drive):
     in_seconds = json.loads(bayesftc_("fit", "CruiseControl", drive, *OPTIONS, "--json").stdout)

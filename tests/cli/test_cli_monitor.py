@@ -418,6 +418,7 @@ def test_a_right_model_is_not_warned_of_even_if_a_sensor_fails(pumped):
     assert "Offset" in done.stdout
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("begin", "sentence"), [(30.0, "fit to a stretch without the fault"), (36.0, "errors of b last")]
 )

@@ -90,6 +90,7 @@ def test_dates_of_two_days_have_their_day(table, tmp_path):
     assert "2026-03-30 00:05:00" in done.stdout
 
 
+@pytest.mark.slow
 def test_seconds_stay_seconds(table, tmp_path):
     done = invoke(*write(tmp_path, table, None), "--out", tmp_path / "out")
     assert "0 to 2995 s, 600 steps of 5 s" in done.stdout
@@ -152,6 +153,7 @@ def test_a_column_is_named_without_its_unit(table, tmp_path):
     assert "no column 'TT-4' with numbers" in words(invoke(*arguments, "--sensor", "TT-4", code=16))
 
 
+@pytest.mark.slow
 def test_the_fitted_motion_has_a_unit(table, tmp_path):
     log = write(tmp_path, table)[1]
     done = invoke("monitor", log, "--fit", "--model", tmp_path / "walk.toml", "--to", 1400)
@@ -164,6 +166,7 @@ def test_the_fitted_motion_has_a_unit(table, tmp_path):
     assert "degC/s in one second (ConstantRate)." in done.stdout
 
 
+@pytest.mark.slow
 def test_a_model_that_blames_sensors_that_agree_is_suspected(table, tmp_path):
     arguments = write(tmp_path, table)
     model = tmp_path / "model.toml"
@@ -185,6 +188,7 @@ def silent(table, first, last, sensors=SENSORS):
     return table
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("rows", ["empty", "missing"])
 def test_a_gap_of_the_logger_is_no_fault(table, tmp_path, rows):
     arguments = write(tmp_path, silent(table, 100, 160))
@@ -284,6 +288,7 @@ def test_the_figure_has_dates_gaps_bare_names_and_the_kinds_of_faults(table, tmp
     assert [text.get_text() for text in last.get_legend().get_texts()] == ["TT-1", "TT-2", "TT-3"]
 
 
+@pytest.mark.slow
 def test_many_faults_have_their_kinds_above_their_sensor(table, tmp_path):
     for k in range(6):
         table.loc[60 + 40 * k : 80 + 40 * k, SENSORS[0]] += 2.0

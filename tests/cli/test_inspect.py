@@ -107,6 +107,7 @@ def test_long_names_are_not_broken(tmp_path):
     assert line.split()[1:4] == ["parameter", "kg", "100.0"]
 
 
+@pytest.mark.slow
 def test_local_variables_are_shown_on_demand(tmp_path):
     attributes = 'name="hidden" valueReference="99" causality="local" variability="constant"'
     local = f'<ScalarVariable {attributes}><Real start="1"/></ScalarVariable></ModelVariables>'

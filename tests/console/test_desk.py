@@ -352,6 +352,7 @@ def test_history_takes_rows_that_are_written_in_place():
     assert part.values.tolist() == [[float(k)] for k in range(20_000, 20_011)]
 
 
+@pytest.mark.slow
 def test_all_branches_together_stay_within_the_memory():
     with Desk("cruise_control", beside=(), memory=4_000_000) as desk:
         desk.advance_to(10_000)

@@ -91,6 +91,7 @@ def test_without_a_recording_or_a_piece_a_sentence_says_what_to_do(tmp_path):
         )  # fmt: skip
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", sorted(recorded.SIGNALS))
 def test_memory_is_bounded(tmp_path, monkeypatch, name):
     monkeypatch.setattr(recorded, "NUMBERS", 20_000)
@@ -148,6 +149,7 @@ def test_those_who_do_not_read_hold_nobody_up(tmp_path, monkeypatch):
         stuck[1].close()
 
 
+@pytest.mark.slow
 def test_a_download_that_is_left_makes_room(tmp_path):
     folder = filled(tmp_path, 100_000, columns=20)
     with page_of(live.Recording(tmp_path), folder) as (address, _):

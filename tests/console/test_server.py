@@ -73,6 +73,7 @@ def test_run_break_go_back_and_download(address, tmp_path):
         viewer.until(lambda: len(viewer.layout["branches"]) == 1)
 
 
+@pytest.mark.slow
 def test_downloads_are_whole(tmp_path):
     """They have all signals at all steps, of each controller, also where the file records fewer."""
     file = tmp_path / "sparse.toml"
@@ -221,6 +222,7 @@ def test_number_of_viewers_is_bounded(address):
             viewer.socket.close()
 
 
+@pytest.mark.slow
 def test_idle_connections_are_bounded_and_closed(address):
     name, port = re.search(r"http://([^/]+)", address)[1].split(":")
     with ExitStack() as stack:
@@ -256,6 +258,7 @@ def test_an_operator_that_does_not_read_loses_the_controls():
         stuck.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [[["controller.beta[0]"]], [["controller.beta[0]"], ["controller.beta[1]"]]])
 def test_choices_of_signals_without_end_cost_little(address, columns):
     """The same signals change nothing, others are sent now and then, and commands are read one by one with a pause."""

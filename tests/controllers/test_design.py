@@ -442,6 +442,7 @@ def test_inputs_that_are_given_are_kept():
         linearize(falls, measured="z", actuated="u", dt=0.1, at={"u": 5.0})
 
 
+@pytest.mark.slow
 def test_faults_of_a_slow_plant_last_as_many_samples():
     tank = control.tf([1], [3600.0, 1.0], inputs=["inflow"], outputs=["level"])  # an hour
     slow = controllers.design(tank, measured="level", actuated="inflow", dt=60.0, noise={"inflow": 0.1}, sensors=2)

@@ -97,6 +97,7 @@ def largest_difference(controller):
     return compare(x_hat, P, ser_reference(controller.model, y, u)).mean_difference
 
 
+@pytest.mark.slow
 def test_joint_belief_is_kalmans_only_with_a_flat_prior_and_enough_controls():
     flat = {"precision": controllers.FixedPrecision(), "belief": "joint", "goal_covariance": 0.1}
     assert largest_difference(controllers.BayesianController(two_states(2), **flat)) < 1e-9

@@ -45,6 +45,7 @@ def test_learned_precision_keeps_the_car_on_the_road(capsys):
     assert len(capsys.readouterr().out.splitlines()) == 6
 
 
+@pytest.mark.slow
 def test_learned_precision_helps_on_a_sine_and_hurts_on_a_constant(capsys):
     """The README says both."""
     table = where_it_helps.main(runs=8)

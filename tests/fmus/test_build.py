@@ -36,6 +36,7 @@ def built(tmp_path_factory):
     return folders
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_building_twice_gives_the_same_bytes(built):
     one, two = built

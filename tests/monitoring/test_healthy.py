@@ -38,6 +38,7 @@ def test_a_fault_takes_the_weight_of_its_sensor_only(kind, sensors):
     assert weights[:, 1:].mean() > 0.95 if sensors > 1 else True
 
 
+@pytest.mark.slow
 def test_a_long_fault_is_not_taken_for_a_lasting_error():
     y = speeds(3)
     y[FAULT, 0] += 6.0  # a third of the recording

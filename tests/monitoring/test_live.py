@@ -91,6 +91,7 @@ def test_it_finds_what_is_in_the_recording_of_the_same_samples():
     assert (found.sensor, found.kind) == ("b", "Offset")
 
 
+@pytest.mark.slow
 def test_times_count_from_the_first_step_also_before_the_first_samples():
     monitor, y, silent = Monitor(DT, RandomWalk(std=0.06), sensors()), rows(), 57
     stepper = MonitorStepper(monitor, compiled=False)

@@ -155,6 +155,7 @@ def test_fault_modes_are_the_packages(modes):
         Arm(**modes)
 
 
+@pytest.mark.slow
 def test_grid_tables_and_figure(printed):
     small = replace(
         Arm(),

@@ -91,6 +91,7 @@ def test_coarse_sensors_are_told_their_resolution_rightly_or_wrongly():
     assert all(row.modes[1:] == controllers.SwitchingPrecision().modes[1:] for row in rows.values())
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_the_runs(report):
     """Each run again by itself; the coarse sensors read whole multiples of their resolution."""
     cell, own = Scenario("injection", "sine", 5.0), hashed_seeds(3, "injection/sine", 2)

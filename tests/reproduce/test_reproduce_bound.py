@@ -182,6 +182,7 @@ def report():
     return run()
 
 
+@pytest.mark.slow
 def test_report_compares_stream_by_stream(report):
     small, large = report["cells"]
     for cell in report["cells"]:

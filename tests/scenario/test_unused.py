@@ -123,6 +123,7 @@ to = "part.u"
 """
 
 
+@pytest.mark.slow
 def test_a_fault_inside_subsystems_has_its_note_and_is_none_of_the_plant(bayesftc_, car):
     path = car()
     path.write_text(path.read_text() + INSIDE)

@@ -175,7 +175,7 @@ def test_an_unstable_plant_is_found_again_after_a_blackout(scales):
         assert (np.linalg.eigvalsh(out.P) > 0).all()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("belief", ["filtered", "joint"])
 def test_the_poles_are_those_of_plant_and_belief_together(belief):
     """The loop in steady state is linear: its matrix, column by column from the step function itself, has these eigenvalues."""

@@ -88,6 +88,7 @@ def watched(engine, precision):
     return diagram.simulate(4.0, seed=3, engine=engine)
 
 
+@pytest.mark.slow
 def test_its_belief_may_drive_the_plant_without_an_algebraic_loop_and_both_engines_agree():
     compiled, interpreted = (watched(engine, SwitchingPrecision()) for engine in ("compiled", "interpreted"))
     for name in compiled:

@@ -64,6 +64,7 @@ def test_the_run_is_that_of_the_equations_written_by_hand(pendulum, model, run_b
         np.testing.assert_allclose(results[0][name], results[1][name], rtol=1e-8, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_belief_is_that_of_filterpys_extended_filter(model):
     step = NonlinearBayesianController(model, precision=FixedPrecision(), **SETTINGS).online()
     ekf = ExtendedKalmanFilter(2, 3, 1)

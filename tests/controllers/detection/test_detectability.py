@@ -181,6 +181,7 @@ def test_runs_of_the_estimator_are_those_of_the_block(monkeypatch):
         assert len(set(runs.beta)) == 3
 
 
+@pytest.mark.slow
 def test_a_fixed_filter_finds_offsets_as_a_simulation_of_it_does():
     """Beta beside a filter that never learns; it is no block of the package, so it is simulated here."""
     result = detectability(model=CAR, learning=False)

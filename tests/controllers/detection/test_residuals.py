@@ -43,6 +43,7 @@ def test_the_residual_is_what_the_sensor_says_beyond_the_prediction(result):
     )
 
 
+@pytest.mark.slow
 def test_standardised_by_the_models_own_covariance():
     """Without a fault and at fixed precision it has unit mean square; and equals the scalar recursion."""
     loop = cruise_control(FixedPrecision(), fault=replace(FREEZE, start=5000.0, stop=5001.0))

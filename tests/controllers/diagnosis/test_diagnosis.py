@@ -71,6 +71,7 @@ def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
     assert "process_covariance" in finding.sentence
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("faults", "load", "kind", "values", "words"),
     [
@@ -109,6 +110,7 @@ def test_what_begins_during_a_run_is_dated_and_measured(faults, load, kind, valu
     assert re.search(words, finding.sentence)
 
 
+@pytest.mark.slow
 def test_numbers_of_findings_are_those_of_the_plant():
     def values(wrong):
         return told(next(c for c in cases() if c.name == f"car: {wrong}"), "gamma", 4)[0].values
@@ -218,6 +220,7 @@ def test_sets_share_the_only_sensor_of_a_quantity():
     assert "A fault of sensor 0, which has no second one, may look the same." in reversed_.sentence
 
 
+@pytest.mark.slow
 def test_sets_of_different_sizes_are_judged_each_by_its_own():
     """Two encoders and one tachometer: one set has two sensors, the other one; a right and a wrong model of a mass."""
     A, B, C = np.array([[1.0, 0.02], [0.0, 0.99]]), np.array([[2e-4], [2e-2]]), np.array([[1.0, 0], [1.0, 0], [0, 1.0]])

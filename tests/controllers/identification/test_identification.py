@@ -45,6 +45,7 @@ def of_known_states(model, C=C):
     return T @ moving.matrix("A") @ back, T @ moving.matrix("B"), Q, model.matrix("sensor_covariance")
 
 
+@pytest.mark.slow
 def test_known_matrices_and_noise_come_back_within_their_sampling_error():
     """Ten recordings: the mean of the estimates lies within four of its own standard errors, biases of 3 % allowed."""
     truth = np.concatenate([A.ravel(), B.ravel(), Q.ravel(), np.diag(R)])
@@ -63,6 +64,7 @@ def test_known_matrices_and_noise_come_back_within_their_sampling_error():
     assert np.std(rows, axis=0)[-3:] == pytest.approx(np.diag(R) * np.sqrt(2 / 1750), rel=0.8)
 
 
+@pytest.mark.slow
 def test_an_unstable_plant_is_identified_as_its_controller_holds_it():
     table, names = record(10_000, A=UNSTABLE, feedback=np.array([[0.2, 0.2, 0.3]]))
     found = LinearModel.identify(table, **names)
@@ -106,6 +108,7 @@ def test_independent_noise_is_found_behind_its_own_filter(order):
     np.testing.assert_allclose(r, R, rtol=1e-2, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_missing_samples_do_little_harm():
     table, names = record(4000)
     holes = table.copy()
@@ -284,6 +287,7 @@ def test_how_long_a_recording_must_be_is_said_once(settings):
         LinearModel.identify(table[:needed], **names, **settings)
 
 
+@pytest.mark.slow
 def test_a_csv_file_a_figure_and_a_controller(tmp_path):
     table, names = record(3000)
     table.to_csv(tmp_path / "plant.csv", index=False)

@@ -425,6 +425,7 @@ def test_a_known_delay_leaves_the_plants_order():
         LinearModel.identify(table.head(5), inputs="u", outputs="y", input_delays=6)
 
 
+@pytest.mark.slow
 def test_a_known_delay_of_a_sensor_leaves_the_plants_order_too():
     table, poles = recording()
     late = table.assign(y=table["y"].shift(4)).dropna()

@@ -191,6 +191,7 @@ def test_eigenvalues_are_numpys(m):
         np.testing.assert_allclose(vectors.T @ vectors, np.eye(m), atol=1e-13)
 
 
+@pytest.mark.slow
 def test_in_the_loop_it_weighs_correlated_sensors_and_reports_the_matrix():
     """Two sensors share an error that the model does not know: learned, they count for little more than one of them."""
     model = controllers.LinearModel([[1.0]], [[1.0]], [[1.0]] * 3, 1e-4, 1.0, 0.1)

@@ -160,6 +160,7 @@ def coloured(rng, count, decay, square=False):
     return lfilter([1.0], [1.0, -decay], noise)[1000:]
 
 
+@pytest.mark.slow
 def test_coloured_residuals_are_no_fault():
     """Correlated noise, rates that forget, and a lag that swings with the reference."""
     rng = np.random.default_rng(6)

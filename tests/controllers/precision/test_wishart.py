@@ -193,6 +193,7 @@ def test_without_any_sample_it_forgets_or_waits():
     np.testing.assert_allclose(waiting[-1][1], waiting[4][1], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_correlated_noise_is_learned_and_the_models_correlation_is_used():
     nominal, truth = np.diag([1.0, 1.0]), np.array([[2.0, 1.5], [1.5, 3.0]])
     errors = np.random.default_rng(8).multivariate_normal([0, 0], truth, size=4000)

@@ -293,6 +293,7 @@ def test_a_belief_that_fades_is_not_lost_where_no_sensor_sees_it():
         assert out.P[0, 0] < 2 * 100 + 50  # of the more precise sensor, once doubled; and what the model adds by itself
 
 
+@pytest.mark.slow
 def test_both_engines_give_the_same_bits_of_courses_noise_and_fading():
     """In the per-sensor form, and with a course and a fading belief that come and go."""
     process = [NoisierProcess(5.0, 0.1), NoisierProcess(5.0, 0.5, scale=1.0, fading=1.5)]

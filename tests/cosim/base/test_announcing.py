@@ -69,6 +69,7 @@ def test_export_design_calibrate_and_campaigns_report_themselves(fresh, caplog, 
     assert len(caplog.messages) == len(words)
 
 
+@pytest.mark.slow
 def test_verify_and_fit_report_themselves(fresh, caplog, tmp_path, monkeypatch):
     diagram = cosim.Diagram(dt=0.1)
     noise, limit = diagram.add(cosim.Gaussian(std=1.0)), diagram.add(cosim.Saturation(-1.0, 1.0), "limit")

@@ -293,6 +293,7 @@ def test_nesting_and_size(tmp_path, cache, monkeypatch):
     refused(archive_of(tmp_path / "large.fmu", []), "modelDescription.xml of the FMU", "MB large", cache=cache)
 
 
+@pytest.mark.slow
 def test_xml_with_more_of_something_than_an_honest_file(tmp_path, cache, monkeypatch):
     """Such as fills the memory of those who read it, or takes them hours."""
     monkeypatch.setattr(_zip, "MOST_ELEMENTS", 20_000)

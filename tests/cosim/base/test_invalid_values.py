@@ -143,6 +143,7 @@ def recording(folder, of_all="", of_speed=""):
     return monitor.run(monitor.read([folder / "drive.csv"]), compiled=False)
 
 
+@pytest.mark.slow
 def test_a_model_file_names_them_for_all_columns_or_for_one(tmp_path):
     for of_all, of_speed in (
         ("invalid = [-9999, 65535]", ""),

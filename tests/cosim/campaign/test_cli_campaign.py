@@ -156,6 +156,7 @@ def test_what_is_wrong_with_a_file_is_said_and_leaves_nothing(bayesftc_, file, t
     assert [p.name for p in tmp_path.iterdir()] == ["tracking.toml"]
 
 
+@pytest.mark.slow
 def test_wrong_stores_and_runs_are_said(bayesftc_, file, tmp_path):
     for command in (["report", "nowhere"], ["replay", "nowhere", 0]):
         done = bayesftc_(*command)

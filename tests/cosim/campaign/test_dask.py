@@ -199,6 +199,7 @@ except cosim.BayesFTCError as error:
 """
 
 
+@pytest.mark.slow
 def test_an_address_of_no_kind_that_dask_knows_leaves_no_client_behind():
     """One that is half made is closed when Python ends: after 20 seconds, with a traceback."""
     done = subprocess.run([sys.executable, "-c", NO_KIND], capture_output=True, text=True, timeout=100, check=True)

@@ -302,6 +302,7 @@ print(int(a == b and len(set(a)) == 4))
 """
 
 
+@pytest.mark.slow
 def test_scripts_need_no_guard(python):
     assert python(SCRIPT) == 1
 

@@ -532,6 +532,7 @@ def test_points_that_fill_ranges(stored):
 HOSTILE = ["<script>alert('x')</script>", "\"quoted\" & 'so'", "$x_{1$ %", "_hidden", "漢字 ünï → 🚗", "a" * 120]
 
 
+@pytest.mark.slow
 def test_labels_are_texts_whatever_is_in_them(stored):
     points = grid(**{'a <b> & "c"': HOSTILE, "加": [1.0, 2.0]})
     signals, _ = detected(lambda both, rng: both + rng.normal(size=both.shape), points=points)
@@ -576,6 +577,7 @@ def test_signals_that_are_vectors_and_a_loop_without_a_controller(stored):
     assert ["recorded", "filter.x, filter.P"] in page.tables["Settings"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_loop_whose_faults_were_not_recorded(stored, tmp_path):
     signals, _ = detected(lambda both, rng: rng.normal(size=both.shape))
@@ -588,6 +590,7 @@ def test_a_loop_whose_faults_were_not_recorded(stored, tmp_path):
     assert "Detection" not in read(report(precisions(stored, seeds=3, signals=signals))).headings
 
 
+@pytest.mark.slow
 def test_a_loop_of_which_beta_alone_was_recorded(stored):
     signals, _ = detected(lambda both, rng: both + rng.normal(size=both.shape))
     del signals["controller.fault_probability"]
@@ -596,6 +599,7 @@ def test_a_loop_of_which_beta_alone_was_recorded(stored):
     assert "Reliability" not in page.headings
 
 
+@pytest.mark.slow
 def test_pages_of_one_store_are_the_same_bytes(stored):
     signals, _ = detected(lambda both, rng: both + rng.normal(size=both.shape))
     store = precisions(stored, seeds=3, signals=signals)

@@ -396,6 +396,7 @@ def test_coupled_fmus_give_the_numbers_of_their_coupling(foreign, coupling, own)
         np.testing.assert_array_equal(row, ours[name])
 
 
+@pytest.mark.slow
 def test_an_isolated_fmu_is_one_like_any_other():
     system = car(isolate=True).to_control(DT, inputs=["force"], engine="interpreted")
     twin = car().to_control(DT, inputs=["force"], engine="interpreted")

@@ -114,6 +114,7 @@ def test_a_run_from_rest_is_the_step_response(precision):
     np.testing.assert_allclose(run[5:], expected, atol=1e-9)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("belief", ["filtered", "joint"])
 def test_the_law_of_a_bayesian_controller_is_its_step_function_linearized(belief):
     def bayesian(**options):
@@ -316,6 +317,7 @@ def test_an_integrator_that_no_goal_asks_about_does_not_disturb_the_response():
     assert loop.step_info()["SteadyStateValue"] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_an_fmu_that_hides_its_states_needs_a_model_in_its_place():
     path = fmus.path("PositionServo")
     controller = controllers.design(path, measured="angle", actuated="voltage", sensors=2)

@@ -53,6 +53,7 @@ def flat(broken):
     return system.linearize(system.initial_state, 0.0)
 
 
+@pytest.mark.slow
 def test_plant_and_controller_of_blocks_are_the_loop_built_flat():
     nested = loop(drive(), pi(), faults=[cosim.Freeze(start=3.0)], sensors=cosim.Sensors(1, 0.1))
     broken, closed = -flat(broken=True), flat(broken=False)

@@ -143,6 +143,7 @@ def test_random_inputs_draw_under_the_name_of_the_subsystem(same_bits):
     same_bits(diagram.simulate(1.0, seed=5)["part.y"], 2.0 * numbers(5, "part.e", 11, channel=0))
 
 
+@pytest.mark.slow
 def test_exports_and_python_control(tmp_path, same_bits):
     times, rng = 0.02 * np.arange(100), np.random.default_rng(1)
     goal, y = rng.normal(size=(2, 100))

@@ -74,7 +74,7 @@ def expected(name):
     return by_python(block, inputs(block))
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 def test_steps_are_those_of_python(exported, instance, name, fmi, expected, same_bits):
     it = instance(exported[name, fmi]).begin()
     same_bits(driven(it, BLOCKS[name]), expected)
@@ -127,7 +127,7 @@ class Large(cosim.Block):
         return cosim.Definition(remember, state={"x": np.zeros(1_100_000)})
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 def test_a_state_may_be_larger_than_the_stack(instance, tmp_path, fmi, c_compiler):
     it = instance(cosim.export_fmu(Large(), tmp_path / "large.fmu", fmi=fmi, dt=H)).begin()
     it.step(0, H, u=3.0)

@@ -53,7 +53,7 @@ def path(request, tmp_path_factory, c_compiler):
     return cosim.export_fmu(CONTROLLER, folder / "controller.fmu", fmi=request.param)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("dt", [None, 0.01])
 def test_a_loop_takes_the_fmu_in_place_of_the_controller_with_the_same_numbers(path, dt):
     runs = [loop(each, dt=dt).simulate(2.0, seed=1) for each in (CONTROLLER, cosim.FMU(path))]
@@ -96,6 +96,7 @@ def test_a_scenario_takes_the_fmu(path, tmp_path):
         load_scenario(file)
 
 
+@pytest.mark.slow
 def test_a_diagram_by_hand_says_how_numbers_become_one_port(tmp_path, c_compiler):
     path = cosim.export_fmu(CONTROLLER, tmp_path / "controller.fmu")
     diagram = cosim.Diagram(0.02)
@@ -106,6 +107,7 @@ def test_a_diagram_by_hand_says_how_numbers_become_one_port(tmp_path, c_compiler
     assert diagram.simulate(0.1)["controller.u"].shape == (6, 1)
 
 
+@pytest.mark.slow
 def test_elements_in_another_order_stay_numbers(tmp_path, c_compiler):
     path = cosim.export_fmu(CONTROLLER, tmp_path / "controller.fmu")
     fmu = cosim.FMU(path, arrays=True, inputs=["y[1]", "y[0]", "goal[0]"])

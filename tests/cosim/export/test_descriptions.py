@@ -36,7 +36,7 @@ def test_validators_find_nothing(block, sample_time, tmp_path):
         assert all(output.get("dependencies") == "" for output in outputs)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_initial_outputs_depend_on_what_is_declared(instance, tmp_path, blocks, c_compiler, fmi):
     """Each input is moved in initialization mode; what moves with it must be declared, and here all of it does."""

@@ -93,6 +93,7 @@ def test_the_same_bits_over_100_000_steps_with_faults(fmi, tmp_path):
     assert found.agrees(), found
 
 
+@pytest.mark.slow
 def test_blocks_that_are_fused_are_one_fmu(tmp_path, car):
     loop, _ = car
     path = cosim.export_fmu(loop, tmp_path / "front.fmu", fmi="3.0", blocks=["freeze_0", "sensors", "controller"])
@@ -119,6 +120,7 @@ def test_conditions_of_faults_are_inside_where_their_signals_are(tmp_path):
     assert found.in_loop
 
 
+@pytest.mark.slow
 def test_blocks_of_several_rates_are_one_fmu(tmp_path):
     diagram = cosim.Diagram("1/100")
     noise = diagram.add(cosim.Gaussian(1.0), "noise-1")  # no name for FMI
@@ -245,6 +247,7 @@ def test_a_classifier_that_is_linear_is_exported_and_another_is_refused(tmp_path
 # How they are compared
 
 
+@pytest.mark.slow
 def test_signals_under_new_names_are_found_again(car, tmp_path):
     loop, _ = car
     path = cosim.export_fmu(
@@ -260,6 +263,7 @@ def test_signals_under_new_names_are_found_again(car, tmp_path):
     assert "the FMU does not have them: controller.x_hat, controller.P" in " ".join(found.notes)
 
 
+@pytest.mark.slow
 def test_a_block_that_was_exported_by_itself_is_found_by_its_ports(car, tmp_path):
     loop, _ = car
     block = loop["controller"].block
@@ -355,6 +359,7 @@ def test_what_cannot_be_compared_is_a_sentence(car, tmp_path):
         cosim.verify_fmu(limit, slow, duration=1.0)
 
 
+@pytest.mark.slow
 def test_without_an_output_that_others_hear_the_loop_stays_as_it_is(car, tmp_path):
     loop, _ = car
     path = cosim.export_fmu(loop, tmp_path / "deaf.fmu", blocks="controller", outputs=["x_hat"])

@@ -50,6 +50,7 @@ def test_it_needs_nothing_but_mathematics(folder):
     assert not re.search(r"\b(malloc|calloc|realloc|free|alloca|printf|memset|memcpy|goto)\b", source)
 
 
+@pytest.mark.slow
 def test_the_example_rides_out_its_faults(folder, c_compiler):
     run(c_compiler, "-std=c99", "-O2", *WARNINGS, "main.c", "controller.c", "-o", "main", "-lm", folder=folder)
     said = run(str(folder / "main"), folder=folder)

@@ -152,6 +152,7 @@ def fed_with(simulation, readings, names, goal, seen):
     return rows
 
 
+@pytest.mark.slow
 def test_the_bits_of_python_for_the_same_readings(exported, tool, readings, expected, same_bits):
     wanted = {f"brain.{name}": rows for name, rows in elements(expected)}
     found = fed_with(tool({"brain": exported["2.0"]}), readings, ["brain.y[0]", "brain.y[1]"], "brain.goal[0]", wanted)

@@ -163,6 +163,7 @@ def test_the_goal_has_the_unit_of_the_quantity(reference, unit):
     assert found == {"y": "m/s", "goal": unit}
 
 
+@pytest.mark.slow
 def test_goals_of_different_units_have_none():
     plant, torques, angles = cosim.FMU(fmus.path("TwoLinkArm")), ["torque1", "torque2"], ["q1", "dq2"]
     model = controllers.LinearModel(0.9 * np.eye(2), np.eye(2), np.eye(2), 0.01 * np.eye(2), np.eye(2), dt=0.01)

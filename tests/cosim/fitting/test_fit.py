@@ -168,6 +168,7 @@ def test_a_bound_is_named_and_has_no_standard_error():
     assert "nan" in str(fitted)
 
 
+@pytest.mark.slow
 def test_it_is_repeated_with_the_same_bits_on_any_number_of_threads():
     one, two, again = (cosim.fit(CAR, TABLE[:100], RANGES, **NAMES, jobs=jobs) for jobs in (1, 2, 2))
     assert one.parameters == two.parameters == again.parameters
@@ -203,6 +204,7 @@ def test_where_the_fmu_fails_the_search_goes_elsewhere():
         cosim.fit(CAR, recording(0, 1500), {"m": (-1e-3, -1e-4)}, **NAMES)
 
 
+@pytest.mark.slow
 def test_own_weights():
     seen = []
 
@@ -217,6 +219,7 @@ def test_own_weights():
         assert abs(fitted.parameters[name] - alone.parameters[name]) < 0.05 * alone.std[name]
 
 
+@pytest.mark.slow
 def test_a_sample_may_count_in_none_of_the_sensors():
     with pytest.raises(cosim.ModelError, match="Nearly all samples are probably faulty"):
         cosim.fit(CAR, TABLE, RANGES, **NAMES, weigh=lambda y, predicted, dt: np.zeros_like(y))

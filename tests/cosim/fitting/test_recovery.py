@@ -69,6 +69,7 @@ def test_gaps_are_stretches_without_rows():
     assert sample(table.assign(y=np.where(times < 40, np.nan, times)), (), "y", None, 1).gaps == ((9, 15),)
 
 
+@pytest.mark.slow
 def test_no_sensor_is_blamed_after_a_gap():
     diagram = cosim.Diagram(dt=0.1)
     car = diagram.add(cosim.FMU(fmus.path("CruiseControl"), parameters={"m": 110.0, "b": 6.0}), "car")

@@ -207,6 +207,7 @@ def test_what_fmi_1_cannot_do_is_said(slave):
         cosim.FMU(slave(), kind="model exchange")
 
 
+@pytest.mark.slow
 def test_inspect_and_run_from_the_command_line(slave, bayesftc_):
     shown = bayesftc_("inspect", slave())
     assert shown.exit_code == 0

@@ -116,7 +116,7 @@ def test_in_both_engines_against_the_recursion(lag, tool, run_both):
     np.testing.assert_allclose(result["p.y"], lagged(result["u.y"], start=0.5), rtol=1e-13, atol=1e-15)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", EXPORTERS)
 def test_the_same_in_a_process_of_its_own(lag, tool, same_bits):
     inside = driven(lag(tool)).simulate(2, engine="interpreted")

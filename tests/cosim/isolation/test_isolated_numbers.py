@@ -122,6 +122,7 @@ def test_coupled_tightly_and_in_steps_of_their_own(engine, same_bits, nothing_le
             same_bits(runs[1][name], runs[0][name], name)
 
 
+@pytest.mark.slow
 def test_saved_states_are_forgotten_and_refused(car):
     first, second = (car(name=name).instantiate(STEP, name) for name in ("first", "second"))
     u, y = np.array([100.0, 0.0]), np.zeros(1)

@@ -57,6 +57,7 @@ def test_many_at_once_and_one_of_them_crashes(lying, nothing_left, car):
     assert caught.value.result["good.v"][-1] > 0.0
 
 
+@pytest.mark.slow
 def test_one_that_may_exist_only_once_may_exist_twice(tmp_path):
     path = tmp_path / "once.fmu"
     with zipfile.ZipFile(fmus.path("CruiseControl")) as old, zipfile.ZipFile(path, "w") as new:
@@ -126,6 +127,7 @@ print(car.explain(status))
 """
 
 
+@pytest.mark.slow
 def test_what_an_fmu_writes_into_the_shared_memory_keeps_the_host_from_nothing():
     """An FMU that writes before its inputs changes words by which the host decides how long it looks for an answer."""
     done = subprocess.run([sys.executable, "-c", SCRIBBLED], capture_output=True, text=True, timeout=120, check=True)

@@ -150,12 +150,14 @@ def test_plants_without_their_outputs_have_scales():
     assert "v (m/s)" in texts(animation)
 
 
+@pytest.mark.slow
 def test_a_saved_run_is_animated_alike(tmp_path):
     run = car().simulate(0.2, seed=1, engine="interpreted")
     loaded = cosim.Result.load(run.save(tmp_path / "run.npz"))
     assert [len(keep(each.animate(frames=3)).figure.axes) for each in (run, loaded)] == [4, 4]
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_a_player_and_a_file_can_be_written(tmp_path):
     run = car().simulate(0.2, seed=1, engine="interpreted")
     animation = run.animate(frames=2, speed=0.5)
@@ -171,6 +173,7 @@ def test_a_notebook_shows_a_player_and_a_file_can_be_written(tmp_path):
     assert (tmp_path / "run.gif").read_bytes().startswith(b"GIF8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("notebook", [False, True])
 def test_legends_and_names_of_faults_have_room(monkeypatch, notebook):
     """The figure of a notebook has no canvas of pyplot, and needs the same layout."""

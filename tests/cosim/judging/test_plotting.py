@@ -109,6 +109,7 @@ def test_no_legend_covers_anything(signals):
         assert axis.get_legend().get_window_extent().x1 <= figure.bbox.x1
 
 
+@pytest.mark.slow
 def test_no_state_of_pyplot_is_touched(python):
     code = (
         "import json, sys\nfrom bayesftc.scenario import load_scenario\nfrom bayesftc.cosim.judging.roles import loop_signals\n"
@@ -208,6 +209,7 @@ def test_long_runs_are_thinned(signals):
     assert len(plot_signals(result).axes[0].lines[0].get_xdata()) == 20_000
 
 
+@pytest.mark.slow
 def test_a_long_title_fits_the_figure(signals):
     figure = plot_run(
         signals, "model of controller suspect from t = 1510 s, all 3 sensors of level agree but are blamed " * 3
@@ -218,6 +220,7 @@ def test_a_long_title_fits_the_figure(signals):
     assert figure._suptitle.get_window_extent().x1 < figure.bbox.x1
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("controls", "label"),
     [((0,), "actuator fault"), ((None,), "process fault"), ((0, None), "actuator or process fault"), ((), None)],

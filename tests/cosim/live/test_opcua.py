@@ -359,6 +359,7 @@ def foreign(elsewhere, url, work, user=None):
     return elsewhere(visit())
 
 
+@pytest.mark.slow
 def test_others_read_and_write_our_nodes(elsewhere, opened):
     url = f"opc.tcp://127.0.0.1:{free_port()}"
     box = Inbox(1)

@@ -53,6 +53,7 @@ def test_an_error_while_samples_are_collected_makes_them_missing(memory):
     assert summary.wires_in["in"]["missing"] == {"no message": 10}
 
 
+@pytest.mark.slow
 def test_old_objects_are_left_out_of_garbage_collections_until_the_last_run_ends(memory, until):
     times, frozen = {0.05: 0.02, 0.6: 0.5}, {}
 
@@ -494,7 +495,7 @@ print(summary.lost_rows)
 """
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT, signal.SIGKILL])
 def test_a_signal_leaves_the_outputs_safe_and_the_recording_whole(tmp_path, until, number):
     out, folder = tmp_path / "out.csv", tmp_path / "recording"

@@ -33,6 +33,7 @@ def raw():
         yield sender
 
 
+@pytest.mark.slow
 def test_loss_reordering_and_duplication(listener, raw):
     box = Inbox(1)
     listener.open(box)

@@ -82,7 +82,7 @@ def test_what_something_depends_on_may_not(lag, isolate):
         diagram.simulate(1.0)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 def test_isolated_and_in_campaigns(lag, same_bits):
     here, there = (pair(lag, isolate).simulate(1.0, record=FURTHER) for isolate in (False, True))
     for name in FURTHER:

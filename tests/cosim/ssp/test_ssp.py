@@ -554,6 +554,7 @@ def test_another_reader_finds_it_in_order(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_inspect_shows_components_values_and_connections(tmp_path):
     path = cosim.save_ssp(two_cars(), tmp_path / "two.ssp")
     command = [sys.executable, "-m", "bayesftc", "inspect", str(path)]

@@ -112,6 +112,7 @@ def test_failed_runs_are_left_out_and_counted():
     assert found["total"].to_numpy() == pytest.approx(list(TOTAL.values()), abs=0.05)
 
 
+@pytest.mark.slow
 def test_intervals_cover_as_often_as_they_say():
     hits = np.zeros(2)
     for seed in range(40):

@@ -433,7 +433,7 @@ def test_a_numba_that_is_not_known_compiles_to_the_same_bits_and_says_so(python,
     assert file == "<string>"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("other", "reason"), OTHERS)
 def test_a_numba_that_is_not_known_is_told_at_once(python, tmp_path, other, reason):
     begin, end = OTHER_NUMBA.index("\nshipped.sources"), OTHER_NUMBA.index("\nwith warnings")

@@ -69,6 +69,7 @@ def test_a_motion_that_is_too_small_is_named_with_what_it_needs(plant, words):
     )
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_alarms_of_sensors_that_agree_are_named_from_the_second_time_on(seed, monkeypatch):
     monkeypatch.setitem(globals(), "STEPS", 9000)

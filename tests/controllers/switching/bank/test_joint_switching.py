@@ -241,6 +241,7 @@ def test_correlated_sensors_and_wrapped_learners_are_judged_one_by_one():
         SwitchingPrecision(joint=3)
 
 
+@pytest.mark.slow
 def test_both_engines_give_the_same_bits_whatever_the_samples_are():
     """Also after samples that no sensor sends; beliefs stay numbers, and come back.
 

@@ -177,6 +177,7 @@ def test_random_faults_are_those_of_their_stream():
     assert_array_equal(received[begins], sent[begins - 1])
 
 
+@pytest.mark.slow
 def test_what_is_known_of_a_run(tmp_path):
     """Input faults are among the phases of the errors, but are no faults of a sensor."""
     loop = car(

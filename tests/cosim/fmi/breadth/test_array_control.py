@@ -60,6 +60,7 @@ def test_a_designed_controller_keeps_a_goal_while_a_sensor_of_an_element_fails(m
     assert errors[controllers.FixedPrecision()][1] > 0.1
 
 
+@pytest.mark.slow
 def test_a_goal_on_one_element_with_one_element_driven(mixer):
     plant = mixer()
     controller = controllers.design(

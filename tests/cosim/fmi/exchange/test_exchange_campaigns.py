@@ -18,7 +18,7 @@ def noisy(path, model, **options):
     return diagram
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["cvode", "rk45", "scipy:RK45"])
 @pytest.mark.parametrize("save", ["true", "false"])
 @pytest.mark.parametrize(

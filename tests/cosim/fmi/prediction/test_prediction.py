@@ -174,6 +174,7 @@ def test_an_instance_that_cannot_be_replaced_is_not_used_again(model, monkeypatc
     assert following.tolist() == expected.tolist()
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_an_instance_is_opened_is_not_lost(model, monkeypatch):
     made = model("plain", sensor_std=0.5)
     pool = pool_of(made)
@@ -197,6 +198,7 @@ def test_events_are_refused(model, kind, message):
         model(kind)
 
 
+@pytest.mark.slow
 def test_an_fmu_with_one_instance_a_process_needs_an_isolated_plant(model, curved):
     from bayesftc import cosim
     from bayesftc.cosim.errors import FMUError

@@ -355,7 +355,7 @@ def test_isolated_fmus_are_iterated_with_the_same_bits(settings, same_bits, run_
         same_bits(runs[1][name], runs[0][name], name)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_an_isolated_fmu_that_is_gone_when_it_is_saved(engine):
     diagram = cosim.Diagram("1/20")

@@ -45,6 +45,7 @@ print(json.dumps([STATISTICS, "numba" in sys.modules, speed]))
 on_x86 = pytest.mark.skipif(platform.machine() not in shipped.MACHINES, reason="the text is for 64-bit x86")
 
 
+@pytest.mark.slow
 @on_x86
 def test_they_are_loaded_without_numba_and_made_anew_if_damaged(python, tmp_path):
     statistics, imported, made = python(STEPS.replace("EDITED", "False"), cache=tmp_path)
