@@ -176,6 +176,7 @@ def test_json_is_all_that_is_printed(bayesftc_):
     assert numbers["tracking"]["v"]["during"] is None
 
 
+@pytest.mark.slow
 def test_quiet_prints_nothing_and_twice_gives_the_same_files(bayesftc_, tmp_path):
     contents = []
     for _ in range(2):
@@ -650,8 +651,9 @@ def test_example(bayesftc_, tmp_path):
     assert bayesftc_("example", "cruise").exit_code == 3
 
 
-def test_files_that_are_used_together_are_named(bayesftc_, tmp_path, monkeypatch):
-    """The commands of the list make a folder in which the monitor's model works."""
+@pytest.fixture
+def used_together(bayesftc_, tmp_path, monkeypatch):
+    """A folder made by the commands that the list of examples prints for files that are used together."""
     monkeypatch.chdir(tmp_path)
     *_, last = bayesftc_("example").output.split("\n\n")
     assert last.startswith("gnss_speed.csv, imu.csv, model.toml, wheel_speed.csv are used together, all in one folder:")
@@ -663,8 +665,17 @@ def test_files_that_are_used_together_are_named(bayesftc_, tmp_path, monkeypatch
             other for other in ("gnss_speed", "imu", "model", "wheel_speed") if f"example {other} >" in printed.stderr
         }
         assert others == {"gnss_speed", "imu", "model", "wheel_speed"} - {name}
-    assert bayesftc_("monitor", ".", "--model", "model.toml").exit_code == 0
+    return tmp_path
+
+
+def test_files_that_are_used_together_are_named(bayesftc_, used_together):
+    assert len(list(used_together.iterdir())) == 4
     assert bayesftc_("example", "cruise_control").stderr == ""
+
+
+@pytest.mark.slow
+def test_the_monitors_model_works_beside_the_files_that_it_is_used_with(bayesftc_, used_together):
+    assert bayesftc_("monitor", ".", "--model", "model.toml").exit_code == 0
 
 
 @pytest.mark.slow

@@ -130,6 +130,7 @@ def test_the_size_of_a_fault_has_its_unit_or_counts_noise(capsys):
     assert not modes["Offset"].size_in_noise
 
 
+@pytest.mark.slow
 def test_names_are_printed_as_they_are(files, tmp_path):
     """Brackets are no styles of the terminal, and colons make no pictures."""
     names = dict(zip("abc", ("T 1 [degC]", "[red]", ":car:"), strict=True))
@@ -204,6 +205,7 @@ def drive(files, tmp_path):
     return str(tmp_path / "tank.csv")
 
 
+@pytest.mark.slow
 def test_the_columns_of_a_fit_are_explained_and_gaps_named(drive, tmp_path):
     arguments = ["monitor", drive, "--fit", "--to", "29", "--model", str(tmp_path / "m.toml")]
     whole = RUNNER.invoke(app, arguments)

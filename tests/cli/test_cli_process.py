@@ -98,7 +98,7 @@ else:
 cache folder, five seconds of computing took from 12 to 29 seconds beside other jobs."""
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["cruise_control", "position_servo"])  # the second one's model is made of its FMU
 def test_a_run_without_files_loads_no_more_than_it_needs(tmp_path, scenario):
     code = (

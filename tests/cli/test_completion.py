@@ -16,7 +16,7 @@ def completed(line, folder):
     return done.stdout.split()
 
 
-@pytest.mark.sampled(4)  # each is a process
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("line", "names"),
     [

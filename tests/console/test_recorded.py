@@ -91,7 +91,7 @@ def test_without_a_recording_or_a_piece_a_sentence_says_what_to_do(tmp_path):
         )  # fmt: skip
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(recorded.SIGNALS))
 def test_memory_is_bounded(tmp_path, monkeypatch, name):
     monkeypatch.setattr(recorded, "NUMBERS", 20_000)

@@ -32,6 +32,7 @@ def invoke(*arguments):
     return CliRunner().invoke(app, [*map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_a_stored_run_is_shown_and_continued(tmp_path):
     (tmp_path / "tracking.toml").write_text(FILE)
     done = invoke("campaign", tmp_path / "tracking.toml", "--out", tmp_path / "store", "-q")

@@ -82,7 +82,7 @@ def assert_stopped(process, folder, out=""):
     assert not list((folder / "here").iterdir())
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("where", list(WHERE_IT_IS_LOST))
 def test_where_python_ignores_it(where, compiling, tmp_path):
     assert_stopped(compiling("-c", HIT, " ".join(WHERE_IT_IS_LOST[where])), tmp_path, "hit\n")
@@ -228,6 +228,7 @@ def test_other_ignored_exceptions_and_other_handlers_stay_as_they_are(usual, mon
     monkeypatch.undo()
 
 
+@pytest.mark.slow
 def test_while_a_run_waits_for_the_clock(tmp_path):
     slow = "run", "cruise_control", "--engine", "interpreted", "--pace", "0.001", "--out", "out"
     process = subprocess.Popen(
@@ -307,6 +308,7 @@ if sys.argv[1] == "store":
 """
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("action", "words"),
     [

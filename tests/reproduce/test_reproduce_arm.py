@@ -128,7 +128,7 @@ def by_hand(s, seed, learns):
     return np.mean(errors, axis=0)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("learns", [False, True])
 def test_an_error_is_that_of_a_run_by_hand(learns):
     settings = replace(Arm(), duration=3.0, switch=1.5, fault_start=2.0, judged=(0.0, 3.0))

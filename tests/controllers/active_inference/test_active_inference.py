@@ -374,7 +374,7 @@ def absurd(noise, y):
         y[i] = select(noise[3] < 0.5, 0.25, select(noise[4] < 0.1, (z - z) / (z - z), y[i]))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_a_million_absurd_samples_leave_the_belief_finite(form, make_block):
     source = make_block(

@@ -17,6 +17,7 @@ TANK = (  # a heated tank every 2 s: level and temperature; the tiny elements, w
 SEEN = (np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[1.0, 0.0]]), np.diag([1e-4, 1e-3]), np.array([[0.01]]))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("system", "positive"), [(TANK, False), (SEEN, True)])
 def test_it_is_the_limit_of_the_filters_recursion(system, positive):
     A, C, Q, R = system

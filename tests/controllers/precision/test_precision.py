@@ -197,7 +197,7 @@ class AbsurdSamples(cosim.Block):
         return cosim.Definition(write_absurd_samples)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", [e for e in EXAMPLES if e.learner(MODEL).compiled], ids=repr)
 def test_a_million_steps_leave_beliefs_finite_and_covariances_positive_definite(precision):
     model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [[1.0, 0.6], [0.6, 4.0]], 0.02)

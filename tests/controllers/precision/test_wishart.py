@@ -203,7 +203,7 @@ def test_correlated_noise_is_learned_and_the_models_correlation_is_used():
     np.testing.assert_allclose(R, NOMINAL, rtol=1e-9)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("forget_to", ["prior", "zero"])
 @pytest.mark.parametrize("rho", [0.5, 0.95, 1.0])
 def test_it_stays_positive_definite_in_the_worst_directions(rho, forget_to):

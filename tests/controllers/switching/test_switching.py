@@ -408,6 +408,7 @@ def test_a_hypothesis_of_its_own_is_for_subclasses_of_unmodelled():
     assert SwitchingPrecision([of_ones_own(Unmodelled)]).learner(MODEL).memory.size
 
 
+@pytest.mark.slow
 def test_a_resolution_explains_equal_samples():
     """Rounded to its standard deviation a healthy sensor repeats itself in a quarter of the samples: no freeze.
 

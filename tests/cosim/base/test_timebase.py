@@ -83,7 +83,7 @@ class Clock(cosim.Block):
         return cosim.Definition(clock)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", ["1/30", math.pi / 100, "12345/7"])
 def test_a_million_times_are_the_nearest_doubles(dt):
     diagram = cosim.Diagram(dt)

@@ -184,6 +184,7 @@ def test_more_seeds_need_another_store(bayesftc_, file, tmp_path):
     assert sentence in more.stderr
 
 
+@pytest.mark.slow
 def test_comments_and_limits_may_change_and_what_is_run_may_not(bayesftc_, file, tmp_path):
     car = tmp_path / "car.toml"
     car.write_text(bayesftc_("example", "cruise_control").stdout)

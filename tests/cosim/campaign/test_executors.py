@@ -78,7 +78,7 @@ def alone(campaign):
     return cache(lambda kind: campaign(kind).run(executor=Threads(1)))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("executor", "kind"), [case(e, kind, slow=kind != "in process") for e in EXECUTORS for kind in KINDS]
 )

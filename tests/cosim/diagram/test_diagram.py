@@ -332,6 +332,7 @@ def test_ports_that_cannot_be(make):
         make()
 
 
+@pytest.mark.slow
 def test_large_diagrams_are_built_in_reasonable_time(python):
     seconds = python(
         "import time; from bayesftc import cosim\n"

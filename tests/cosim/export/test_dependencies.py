@@ -19,7 +19,7 @@ def flat(values):
     return np.concatenate([np.zeros(0), *values])
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 def test_what_changes_an_output_is_among_its_dependencies(block, sample_time, compiled):
     rng = np.random.default_rng(11)
     c = compiled(block, dt=sample_time(block))

@@ -12,7 +12,7 @@ from bayesftc.cosim.export.program import program_of
 BASES = {cosim.Block, cosim.Fault, cosim.Source}
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(5)
 def test_the_same_bits_as_plain_python(block, sample_time, random_inputs, compiled, same_bits):
     rng = np.random.default_rng(3)
     plain, c = block.online(sample_time(block), compiled=False), compiled(block, dt=sample_time(block))
@@ -24,7 +24,7 @@ def test_the_same_bits_as_plain_python(block, sample_time, random_inputs, compil
             same_bits(got[name], np.ravel(value), name)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.sampled(5)
 def test_the_same_bits_where_samples_are_absurd_or_the_belief_is_lost(
     block, sample_time, random_inputs, compiled, same_bits
 ):

@@ -105,6 +105,7 @@ def test_blocks_that_are_fused_are_one_fmu(tmp_path, car):
     assert found.verdict().startswith("front.fmu does what sensors, freeze_0 and controller do: the same numbers")
 
 
+@pytest.mark.slow
 def test_conditions_of_faults_are_inside_where_their_signals_are(tmp_path):
     fault = cosim.Freeze(start=cosim.when("plant.v", ">", 22.0), stop=cosim.when("sensors.y[1]", "<", 19.0))
     loop = cruise_control(controllers.GammaPrecision(forgetting=0.95), fault)

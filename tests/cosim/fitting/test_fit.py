@@ -67,6 +67,7 @@ def test_it_is_the_fit_of_scipy_over_fmpy(tmp_path):
     np.testing.assert_allclose(fitted.fitted[:, 0], by_fmpy(fitted.parameters, table, folder), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_samples_of_a_faulty_sensor_do_not_count():
     table = recording(1, 400)
     table.loc[100:200, "v1"] += 2.0

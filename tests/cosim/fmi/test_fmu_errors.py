@@ -450,6 +450,7 @@ def test_unpacking_happens_once_and_mends_itself(tmp_path, monkeypatch):
     assert (folder / entry).stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_many_processes_unpack_one_fmu(tmp_path):
     code = (
         "from bayesftc.cosim.fmi.reading import archive as a; import sys; from pathlib import Path; "

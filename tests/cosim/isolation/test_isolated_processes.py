@@ -338,6 +338,7 @@ def test_starting_loads_nothing_heavy(python):
     assert not {"scipy", "control", "matplotlib", "numba", "pandas", "sklearn", "casadi", "filterpy"} & set(loaded)
 
 
+@pytest.mark.slow
 def test_a_scenario_file_isolates_and_keeps_what_was_before_the_crash(lying, tmp_path):
     from typer.testing import CliRunner
 

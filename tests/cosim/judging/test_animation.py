@@ -257,6 +257,7 @@ def test_saved_pictures_are_those_of_the_figure():
         assert (np.abs(a - b) > 0.02).any(axis=2).mean() < 0.002  # lines that cross may be drawn in another order
 
 
+@pytest.mark.slow
 def test_pictures_of_a_page_are_those_of_the_figure_and_small():
     """A page has only the differences from the first picture, which lies below them."""
     run = car(faults=[cosim.Injection(sensor=0, start=0.1, magnitude=8.0)]).simulate(0.2, seed=1, engine="interpreted")

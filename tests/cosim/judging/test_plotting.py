@@ -99,6 +99,7 @@ def test_sensors_of_several_quantities_are_called_by_them(signals):
     assert [s["title"] for s in figures(signals).to_dict()["sensors"]] == ["sensor 0", "sensor 1"]
 
 
+@pytest.mark.slow
 def test_no_legend_covers_anything(signals):
     figure = plot_run(signals)
     figure.canvas.draw()

@@ -148,7 +148,7 @@ def slips(ppm, jitter, steps=60_000, **limits):
     return 1 - len(ages) / steps, box.replaced / steps, np.array(ages)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("ppm", [50, -50, 0])
 @pytest.mark.parametrize("jitter", [0.02, 0.1, 0.6])
 def test_clocks_that_drift_leave_few_gaps(ppm, jitter):

@@ -114,6 +114,7 @@ def test_a_state_goes_to_another_session_and_through_pickle(diagram, whole, engi
                 same_bits(rest[name], whole[name][101:], name)
 
 
+@pytest.mark.slow
 def test_a_state_goes_to_another_process(tmp_path, same_bits):
     diagram = arm()
     with diagram.start() as session:
@@ -282,6 +283,7 @@ def test_a_failed_run_goes_back(engine, make_block):
         assert session.advance(1)["grows.y"].tolist() == [1.0, 1e100]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_an_fmu_that_has_returned_fatal_is_not_called_any_more(fmi, lying):
     path, ways = lying(fmi)

@@ -202,6 +202,7 @@ def test_without_a_step_it_asks_for_one(tmp_path, case):
     assert "dt=..." in refused(packed(tmp_path, text), words)
 
 
+@pytest.mark.slow
 def test_inspect_of_an_ssp_without_a_step(tmp_path):
     command = [sys.executable, "-m", "bayesftc", "inspect", str(packed(tmp_path, structure(CARS)))]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout

@@ -51,6 +51,7 @@ def test_intervals_are_those_of_the_bootstrap_over_runs():
     assert half == pytest.approx(1.97 * spread, rel=0.3)
 
 
+@pytest.mark.slow
 def test_intervals_cover_as_often_as_they_say():
     rng = np.random.default_rng(2)
     truth = calibration(*streams(rng, 20_000), equal="widths", bins=4)

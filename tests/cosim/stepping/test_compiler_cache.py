@@ -772,6 +772,7 @@ except cosim.BayesFTCError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="limits the size of files")
 def test_a_full_cache_folder_ends_in_a_sentence(python, tmp_path):
     said = python(FULL, cache=tmp_path)

@@ -305,6 +305,7 @@ def full_after(size):
         yield left
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_at_any_byte_leaves_what_was_done(tmp_path, unsynced):
     with create(tmp_path / "s") as store:
         store.write(outcome(PLAN.pieces[0], fail={1}))

@@ -505,7 +505,7 @@ def test_with_a_sample_time_events_happen_in_python_control_too(built, pendulum,
             control.linearize(system, 0.0)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "solver"), [("heater", "cvode"), ("ball", "scipy:RK45"), ("ball", "rk45")])
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 def test_the_same_bits_in_a_process_of_its_own(model, solver, engine, built, same_bits):

@@ -28,7 +28,7 @@ def iterated(step, size, method, limit=40):
     return limit, memory.copy()
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1, 2, 5, 12, 20])
 def test_anderson_solves_a_linear_problem_in_as_many_guesses_as_values_and_two(size):
     rng = np.random.default_rng(3)

@@ -74,6 +74,7 @@ def isolated_pair(step_error):
     return diagram.build("iterated", step_error=step_error)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="isolation needs a POSIX system")
 @pytest.mark.parametrize(
     ("engine", "step_error", "what"),

@@ -70,7 +70,7 @@ def present_code(name):
     return closed_code(service_text(FUNCTIONS[name], f"present_{name}"), f"present_{name}")
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_each_needs_nothing_of_numba(name):
     assert present_code(name)
@@ -82,6 +82,7 @@ def test_the_shipped_text_is_that_of_the_present_sources():
     assert not missing, "python tools/engine_text.py"
 
 
+@pytest.mark.slow
 @on_x86
 def test_shipped_text_draws_the_numbers_of_the_present_function():
     streams = np.array([[stream_key("s.n"), 3, 1, 0], [stream_key("s.n"), 0, 0, 1]], dtype=np.uint64)

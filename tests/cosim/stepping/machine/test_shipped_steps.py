@@ -28,6 +28,7 @@ print(json.dumps([len(ready), hashlib.sha256(result.table.tobytes()).hexdigest()
 pytestmark = pytest.mark.skipif(platform.machine() not in shipped.MACHINES, reason="the text is for 64-bit x86")
 
 
+@pytest.mark.slow
 def test_a_shipped_step_has_the_bits_of_plain_python(python, tmp_path):
     run = RUN.replace("SHIPPED", "True").replace("20.0, seed=3", "0.4, seed=3, engine=ENGINE")
     used, bits = python(run.replace("ENGINE", "'compiled'"), cache=tmp_path)
