@@ -37,6 +37,7 @@ from bayesftc.cosim.diagram.wiring import (
     preview_time,
     warn_of_held_inputs,
     warn_of_other_signals,
+    warn_of_start,
     wrong_goals,
 )
 from bayesftc.cosim.errors import (
@@ -127,7 +128,8 @@ def closed_loop(
     Warns
     -----
     UserWarning
-        If a sensor, a measured variable or a further block is not used.
+        If a sensor, a measured variable or a further block is not used, or if a `StateSpace` begins where the controller's
+        belief excludes it.
 
     Raises
     ------
@@ -210,6 +212,7 @@ def closed_loop(
     warn_of_other_signals(diagram, node, controller_node)
     _extend(diagram, blocks or {}, connections)
     warn_of_held_inputs(diagram, node, controller_node)
+    warn_of_start(diagram, node, controller_node)
     check_goals_ahead(diagram, controller_node)
     check_units_of_goals(diagram, controller_node)
     unread = _unread(sensors, controller, [port.name for port in outputs])
