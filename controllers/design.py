@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from os import PathLike
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector, check_limits
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
+from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import (
     INPUT_NOISE,
@@ -25,13 +27,14 @@ from bayesftc.controllers.models.linearization import (
     refuse_unmoved,
     refuse_unmoving,
 )
-from bayesftc.controllers.models.names import Names, elements_of, names_of
+from bayesftc.controllers.models.names import Names, check_by_name, elements_of, names_of, places_of, sensors_of
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.blocks.linear_system import is_system, signal_names
+from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
@@ -169,6 +172,16 @@ def design(
             )
         sensed, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
         goals = sensed if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
+        check_by_name(noise=noise, at=at)
+        # Here and not below, because the linearisation may take seconds.
+        plant = FMU(plant) if isinstance(plant, str | PathLike) else StateSpace(plant) if is_system(plant) else plant
+        into, out = _ports(plant, driven, list(dict.fromkeys([*sensed, *goals])), dt, at)
+        p, g = len(places_of(driven, into, "input")), len(places_of(goals, out, "output"))
+        _half_range(u_min, u_max, p)
+        _squares("acceptable_error", acceptable_error, g)
+        _squares("acceptable_control", 1.0 if acceptable_control is None else acceptable_control, p)
+        as_number("initial_spread", initial_spread, least=0)
+        sensors_of(places_of(sensed, out, "output"), sensors, sensor_std)
         with reported("Linearizing the plant, for some seconds."):
             linear = linearize(
                 plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
@@ -242,6 +255,20 @@ def _too_many_goals(goals: Sequence[str | int], controls: int) -> str:
         f"There are {len(goals)} goals but only {counted(controls, 'control')}. Without goal= each measured output has a goal, "
         f"and each goal needs a control. Name the outputs that have a goal, such as goal=[{example}], or actuate further inputs."
     )
+
+
+def _ports(
+    plant: FMU | StateSpace,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    dt: float | str | Fraction | None,
+    at: Mapping[str, float | Sequence[float]] | None,
+) -> tuple[Sequence[str], Sequence[str]]:
+    """Return the names of the elements of a plant's inputs and outputs; of an FMU those of the given ones."""
+    if isinstance(plant, FMU):
+        ports = fmu_ports(plant, inputs, outputs, dt, at or {})
+        return ports.driven[1], ports.seen[1]
+    return [port.name for port in plant.inputs if port.draw is None], [port.name for port in plant.outputs]
 
 
 def _named(plant: Identification, name: str) -> list[int]:

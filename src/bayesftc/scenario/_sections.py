@@ -54,8 +54,7 @@ class Simulation:
     decimation: int = 1
 
     def __post_init__(self) -> None:
-        if isinstance(self.duration, str):
-            rational_step(self.duration, "duration")
+        rational_step(self.duration, "duration")
         if self.dt is not None:
             rational_step(self.dt, "dt")
 
