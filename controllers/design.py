@@ -95,7 +95,7 @@ def design(
     sensors : int or sequence of int, optional
         Number of sensors, or of each measured output.
     sensor_std : number or vector
-        Standard deviation of the sensors' noise.
+        Standard deviation of the sensors' noise, with that of their rounding: `Sensors.error_std`.
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations.
     disturbance : number, vector or matrix, optional
