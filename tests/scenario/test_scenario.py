@@ -781,6 +781,27 @@ def test_mistakes_of_the_file_are_said_before_the_plant_is_linearised(write, mon
         load_scenario(write((old, new), text=shipped_scenarios()["position_servo"].read_text()))
 
 
+def test_a_plant_starts_elsewhere_and_the_belief_of_its_design_with_it(write):
+    servo = shipped_scenarios()["position_servo"].read_text()
+    fmu = 'fmu = "PositionServo"'
+    for text, key, values, words in [
+        (
+            servo.replace(fmu, f"{fmu} #"),
+            fmu,
+            "parameters = { angle_0 = 0.4 }",
+            "'plant.start' is no key .* parameters = ",
+        ),
+        (LINEAR, "dt = 0\n", "initial = [0.4, 0.0]", r"'plant.start' is no key .* initial = \["),
+    ]:
+        scenario = load_scenario(write((key, f"{key}\n{values}\n"), text=text))
+        start = scenario.simulate(duration=0.1, engine="interpreted")[f"plant.{scenario.wiring.measured}"][0]
+        controller = scenario.controller
+        belief = controller.measurement_matrix @ controller.initial_mean
+        np.testing.assert_allclose([start, *belief], 0.4, atol=1e-9)
+        with pytest.raises(ScenarioError, match=words):
+            load_scenario(write((key, f"{key}\nstart = 0.4\n"), text=text))
+
+
 def test_a_design_is_among_the_kinds_of_controllers(write):
     with pytest.raises(ScenarioError, match="did you mean 'design'"):
         load_scenario(write(text=LINEAR.replace('"Design"', '"desing"')))
