@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from fractions import Fraction
+from os import PathLike
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector, check_limits
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
+from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import (
     INPUT_NOISE,
@@ -25,13 +27,14 @@ from bayesftc.controllers.models.linearization import (
     refuse_unmoved,
     refuse_unmoving,
 )
-from bayesftc.controllers.models.names import Names, elements_of, names_of
+from bayesftc.controllers.models.names import Names, check_by_name, elements_of, names_of, places_of, sensors_of
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.numbers import counted
-from bayesftc.cosim.blocks.linear_system import is_system, signal_names
+from bayesftc.cosim.blocks.linear_system import is_system
+from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
@@ -80,7 +83,8 @@ def design(
         for all its elements, ``"y[1]"`` for one; this holds for `measured` and `actuated` as well. For a `LinearModel`: numbers
         of sensors, or a matrix as in `LQGController`; by default each distinct output.
     measured, actuated : str or sequence of str
-        Names of the outputs that sensors measure, and of the inputs that the controller drives. Not for a `LinearModel` or an
+        Names of the outputs that sensors measure, and of the inputs that the controller drives. By default all outputs, and all
+        inputs without `noise`, of a system of python-control; of an FMU if there is only one. Not for a `LinearModel` or an
         `Identification`, which contains them.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the one of the model or the FMU.
@@ -91,7 +95,7 @@ def design(
     sensors : int or sequence of int, optional
         Number of sensors, or of each measured output.
     sensor_std : number or vector
-        Standard deviation of the sensors' noise.
+        Standard deviation of the sensors' noise, with that of their rounding: `Sensors.error_std`.
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations.
     disturbance : number, vector or matrix, optional
@@ -162,13 +166,19 @@ def design(
         model, H, mean = plant, _goal_rows(plant, goal), np.zeros(plant.states - plant.disturbances)
     else:
         check_plant(plant)
-        if measured is None or actuated is None:
-            raise ModelError(
-                f"design() needs measured= and actuated=, names of outputs{_known(plant, 'output')} and inputs"
-                f"{_known(plant, 'input')} of the plant."
-            )
-        sensed, driven = names_of(measured, "measured"), names_of(actuated, "actuated")
+        check_by_name(noise=noise, at=at)
+        plant = FMU(plant) if isinstance(plant, str | PathLike) else StateSpace(plant) if is_system(plant) else plant
+        sensed = _without_choice(plant, "outputs") if measured is None else names_of(measured, "measured")
+        driven = _without_choice(plant, "inputs", noise or ()) if actuated is None else names_of(actuated, "actuated")
         goals = sensed if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
+        # Here and not below, because the linearisation may take seconds.
+        into, out = _ports(plant, driven, list(dict.fromkeys([*sensed, *goals])), dt, at)
+        p, g = len(places_of(driven, into, "input")), len(places_of(goals, out, "output"))
+        _half_range(u_min, u_max, p)
+        _squares("acceptable_error", acceptable_error, g)
+        _squares("acceptable_control", 1.0 if acceptable_control is None else acceptable_control, p)
+        as_number("initial_spread", initial_spread, least=0)
+        sensors_of(places_of(sensed, out, "output"), sensors, sensor_std)
         with reported("Linearizing the plant, for some seconds."):
             linear = linearize(
                 plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
@@ -242,6 +252,33 @@ def _too_many_goals(goals: Sequence[str | int], controls: int) -> str:
         f"There are {len(goals)} goals but only {counted(controls, 'control')}. Without goal= each measured output has a goal, "
         f"and each goal needs a control. Name the outputs that have a goal, such as goal=[{example}], or actuate further inputs."
     )
+
+
+def _without_choice(
+    plant: FMU | StateSpace, side: Literal["inputs", "outputs"], others: Container[str] = ()
+) -> list[str]:
+    """Return all inputs or outputs of a plant but the `others`; refuse several of an FMU, which has them for many purposes."""
+    names = [port.name for port in getattr(plant, side) if port.draw is None]
+    left = [name for name in names if name not in others]
+    if not left or (isinstance(plant, FMU) and len(left) > 1):
+        known = f"{', '.join(names[:8])}{', ...' if len(names) > 8 else ''}" if names else "none"
+        setting = "actuated" if side == "inputs" else "measured"
+        raise ModelError(f"design() needs {setting}=, names of {side} of the plant (known: {known}).")
+    return left
+
+
+def _ports(
+    plant: FMU | StateSpace,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    dt: float | str | Fraction | None,
+    at: Mapping[str, float | Sequence[float]] | None,
+) -> tuple[Sequence[str], Sequence[str]]:
+    """Return the names of the elements of a plant's inputs and outputs; of an FMU those of the given ones."""
+    if isinstance(plant, FMU):
+        ports = fmu_ports(plant, inputs, outputs, dt, at or {})
+        return ports.driven[1], ports.seen[1]
+    return [port.name for port in plant.inputs if port.draw is None], [port.name for port in plant.outputs]
 
 
 def _named(plant: Identification, name: str) -> list[int]:
@@ -327,12 +364,3 @@ def _initial(model: LinearModel, times: float) -> Floats:
             "sensors hardly see its motion. Measure an output that the control moves more, give another dt, or, for an FMU whose "
             "states are not accessible, give a smaller order=."
         ) from None
-
-
-def _known(plant: Any, side: str) -> str:
-    """Return the names of the inputs or outputs of a block or a system of python-control, for a message."""
-    if is_system(plant):
-        names = signal_names(plant)[side == "output"]
-    else:
-        names = tuple(port.name for port in getattr(plant, f"{side}s", ()))
-    return f" ({', '.join(names[:8])}{', ...' if len(names) > 8 else ''})" if names else ""

@@ -283,7 +283,8 @@ class Drifting(Offset):
 class Ramping(Offset):
     """An offset that begins at zero and grows faster than a slow drift: after a few samples it exceeds the noise.
 
-    It is used in the joint form only; sensor by sensor an `Offset` is as good.
+    It is used in the joint form only; sensor by sensor an `Offset` is as good. A drift of several times `slope` per sample counts
+    as `Unmodelled`: for drifts of 5 standard deviations per sample give ``slope=3``.
 
     Parameters
     ----------

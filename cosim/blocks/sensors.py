@@ -42,7 +42,8 @@ class Sensors(Block):
     bias : float or sequence of float
         Constant offset.
     resolution : float or sequence of float
-        Readings are whole multiples of this (halves are rounded up); 0 for no rounding.
+        Readings are whole multiples of this (halves are rounded up); 0 for no rounding. A controller that a scenario file designs
+        from the plant counts the rounding as noise (`error_std`). Of `design`, it belongs into `sensor_std`.
     matrix : sequence of sequence of float, shape (count, signals), optional
         Measurement matrix: coefficients of the signals for each sensor.
     function : function, optional
@@ -192,6 +193,12 @@ class Sensors(Block):
         if self.matrix is not None:
             return np.asarray(self.matrix, dtype=np.float64)
         return np.asarray(np.eye(self.signals)[np.arange(len(self)) % self.signals])
+
+    @property
+    def error_std(self) -> float | tuple[float, ...]:
+        """Standard deviation of the readings' errors: that of the noise and of rounding to the resolution, r / sqrt(12)."""
+        both = np.hypot(self.std, np.asarray(self.resolution) / 12**0.5)
+        return float(both) if both.ndim == 0 else tuple(both.tolist())
 
     @property
     def one_unit(self) -> tuple[str, ...]:

@@ -201,6 +201,19 @@ class StateSpace(Block):
             return self._define_linear(self.system, float(step), noise)
         return self._define_nonlinear(float(step), noise)
 
+    def outputs_at_start(self) -> Floats | None:
+        """Return the outputs at the initial state; None if they depend on an input at the same instant, or are not finite."""
+        if any(port.feedthrough for port in self.inputs):
+            return None
+        x = np.array(self.initial)
+        params = None if self.params is None else dict(self.params)
+        with np.errstate(all="ignore"):  # the run reports what is not finite
+            if isinstance(self.system, LinearSystem):
+                y = self.system.matrices()[2] @ x
+            else:
+                y = np.ravel(self.system.output(0.0, x, np.zeros(len(self._names[0])), params)).astype(np.float64)
+        return np.asarray(y) if np.isfinite(y).all() else None
+
     @property
     def _names(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         if isinstance(self.system, LinearSystem):

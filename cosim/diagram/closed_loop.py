@@ -37,6 +37,7 @@ from bayesftc.cosim.diagram.wiring import (
     preview_time,
     warn_of_held_inputs,
     warn_of_other_signals,
+    warn_of_start,
     wrong_goals,
 )
 from bayesftc.cosim.errors import (
@@ -127,7 +128,8 @@ def closed_loop(
     Warns
     -----
     UserWarning
-        If a sensor, a measured variable or a further block is not used.
+        If a sensor, a measured variable or a further block is not used, or if a `StateSpace` begins where the controller's
+        belief excludes it.
 
     Raises
     ------
@@ -210,11 +212,43 @@ def closed_loop(
     warn_of_other_signals(diagram, node, controller_node)
     _extend(diagram, blocks or {}, connections)
     warn_of_held_inputs(diagram, node, controller_node)
+    warn_of_start(diagram, node, controller_node)
     check_goals_ahead(diagram, controller_node)
     check_units_of_goals(diagram, controller_node)
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
     return diagram.build()
+
+
+def check_parts(
+    plant: Block,
+    *,
+    control: Names,
+    measured: Names,
+    sensors: Sensors | None = None,
+    faults: Sequence[Fault] = (),
+    noise: Mapping[str, Block] | None = None,
+    input_faults: Mapping[str, Sequence[Fault]] | None = None,
+) -> None:
+    """Refuse parts that `closed_loop` would refuse whatever the controller; see there for them.
+
+    Raises
+    ------
+    UnknownNameError, ConnectionError, ModelError
+        As `closed_loop`.
+    """
+    diagram = Diagram(1)
+    names = _names(measured, "measured")
+    node = diagram.add(plant.watching(names), "plant")
+    width = sum(len(_port(node, name, "measured")) for name in names)
+    sensor_node = diagram.add(_fitted(sensors, width), "sensors")
+    _through(diagram, sensor_node["y"], faults)
+    for name in _names(control, "control"):
+        _port(node, name, "control")
+    for name in noise or {}:
+        node[name]
+    for name, chain in (input_faults or {}).items():
+        _check_input_faults(chain, len(node[name]), name)
 
 
 def _count_for(controller: Block, signals: int) -> int | tuple[int, ...]:
@@ -388,6 +422,12 @@ def _through(diagram: Diagram, signal: PortRef, faults: Sequence[Fault], of: str
 def _feed(diagram: Diagram, signal: PortRef, target: PortRef, faults: Fault | Sequence[Fault], name: str) -> None:
     """Connect a signal to an input of the plant, through the faults of that input."""
     chain = _chain(faults)
+    _check_input_faults(chain, len(signal), name)
+    diagram.connect(_through(diagram, signal, chain, name), target)
+
+
+def _check_input_faults(chain: Sequence[Fault], size: int, name: str) -> None:
+    """Refuse faults that an input of that size cannot have."""
     for fault in chain:
         kinds = fault.kinds if isinstance(fault, RandomFaults) else (fault,)
         if any(isinstance(kind, Dropout) for kind in kinds):
@@ -395,12 +435,11 @@ def _feed(diagram: Diagram, signal: PortRef, target: PortRef, faults: Fault | Se
                 f"input_faults has a Dropout for {name!r}, but inputs of a plant must be numbers; use Stuck(at=0.0) for an "
                 "actuator that is off, or Freeze() for one that holds its last value."
             )
-        if isinstance(fault, Fault) and fault.sensor >= len(signal):
+        if isinstance(fault, Fault) and fault.sensor >= size:
             raise ModelError(
-                f"input_faults has a {type(fault).__name__} with sensor={fault.sensor} for {name!r}, which has {len(signal)} "
-                f"element{'s' if len(signal) > 1 else ''}, numbered from 0; leave sensor out where there is one."
+                f"input_faults has a {type(fault).__name__} with sensor={fault.sensor} for {name!r}, which has {size} "
+                f"element{'s' if size > 1 else ''}, numbered from 0; leave sensor out where there is one."
             )
-    diagram.connect(_through(diagram, signal, chain, name), target)
 
 
 def _plain(name: str) -> str:

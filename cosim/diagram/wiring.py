@@ -15,10 +15,11 @@ from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
+from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef, label
 from bayesftc.cosim.diagram.subsystem import INSIDE, Boundary
-from bayesftc.cosim.errors import ConnectionError, ModelError
+from bayesftc.cosim.errors import ConnectionError, ModelError, brief
 from bayesftc.cosim.ports import Port, labels
 
 _Visited = dict[tuple[str, str, int], list[str] | None]
@@ -219,6 +220,39 @@ def warn_of_held_inputs(diagram: Diagram, plant: Node, controller: Node) -> None
                         f"and stays at {value:g}. Give it a source, such as noise={{{name!r}: cosim.Constant({held[name]:g})}}; "
                         "in a scenario file, [noise]."
                     )
+
+
+UNLIKELY = 5.0
+"""Standard deviations between belief and plant at the start from which on healthy sensors are blamed."""
+
+
+def warn_of_start(diagram: Diagram, plant: Node, controller: Node) -> None:
+    """Warn if the plant starts where the controller's belief at the start excludes it, as far as both are known."""
+    sensors, block = find_sensors(diagram), controller.block
+    outputs = plant.block.outputs_at_start() if isinstance(plant.block, StateSpace) else None
+    rows, C = sensors.block.rows, getattr(block, "measurement_matrix", None)  # type: ignore[attr-defined]
+    mean, covariance = (getattr(block, f"initial_{name}", None) for name in ("mean", "covariance"))
+    if outputs is None or rows is None or C is None or mean is None or covariance is None:
+        return
+    sources = [healthy_source(diagram, sensors, sensors.port("u"), j) for j in range(rows.shape[1])]
+    names = [port.name for port in plant.outputs]
+    if any(source is None or source[0] is not plant for source in sources):
+        return
+    start = rows @ outputs[[names.index(source[1].name) for source in sources if source is not None]]
+    belief, noise = C @ np.asarray(mean), np.asarray(getattr(block.model, "sensor_covariance", 0.0))  # type: ignore[attr-defined]
+    std = np.sqrt(np.diag(C @ np.asarray(covariance) @ C.T + noise))
+    for i in range(len(rows)):
+        origin = healthy_source(diagram, controller, controller.port("y"), i)
+        if origin == (sensors, sensors.port("y"), i) and abs(start[i] - belief[i]) > UNLIKELY * std[i]:
+            name, unit = label_of(diagram, sensors, tuple(rows[i]), i)
+            unit = f" {unit}" if unit else ""
+            warn_user(
+                f"The controller's belief begins with {name} = {belief[i]:.4g}{unit}, give or take {std[i]:.2g}{unit}, but the "
+                f"plant begins at {start[i]:.4g}{unit}, so healthy sensors may be blamed: design the controller for the plant of "
+                f"the loop, cosim.StateSpace(system, initial={brief(list(plant.block.initial))}), or give the controller "  # type: ignore[attr-defined]
+                "initial_mean=..., or a larger initial_covariance=... (design: initial_spread=...)."
+            )
+            return
 
 
 # --- Goals --------------------------------------------------------------------------------------------------------

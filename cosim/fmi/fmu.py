@@ -43,9 +43,9 @@ class FMU(ExternalBlock):
         Enumerations are names or numbers. After construction: plain values in the variables' units.
     inputs, outputs : sequence of str or Port, optional
         Names of the variables that become ports; by default all inputs and outputs that are numbers. A port such as
-        ``Port("level", unit="m")`` gives a variable for which the FMU declares no unit its unit. Local variables and
-        parameters may be outputs as well. Arrays become vector and matrix ports. Whole numbers, Booleans (0 or 1) and
-        enumerations are converted exactly. An input value that its type cannot represent stops the run. An input that is left
+        ``Port("level", unit="m")`` gives a variable for which the FMU declares no unit its unit, also in `parameters`. Local
+        variables and parameters may be outputs as well. Arrays become vector and matrix ports. Whole numbers, Booleans (0 or 1)
+        and enumerations are converted exactly. An input value that its type cannot represent stops the run. An input that is left
         out keeps its start value. After construction: the ports.
     tunable : sequence of str, optional
         Names of tunable parameters that become inputs, so that a source can change them while the FMU runs. Unconnected ones
@@ -160,7 +160,9 @@ class FMU(ExternalBlock):
         default = "direct" if exchange else "plant"
         set_(self, "timing", requested or description.timing or default)
         set_(self, "name", self.name or "".join(description.name.lower().split()))
-        set_(self, "parameters", start_values(archive, description, self.parameters or {}, validate=self.validate))
+        units = self._units_of_ports("inputs") | self._units_of_ports("outputs")
+        given = start_values(archive, description, self.parameters or {}, units, validate=self.validate)
+        set_(self, "parameters", given)
         set_(self, "tunable", tuple(self.tunable) if isinstance(self.tunable, list | tuple) else self.tunable)
         variables = resolved(archive, description, self._given)
         chosen = {
@@ -188,8 +190,7 @@ class FMU(ExternalBlock):
             set_(self, "timing", "plant")  # the same without feedthrough
         resized = {v.name for v in description.variables if v.start is not None}
         for side, ports in chosen.items():
-            of_ports = self._units_of_ports(f"{side}s")
-            scalars = tuple(self._port(v, side, reaching, description.units, resized, of_ports) for v in ports)
+            scalars = tuple(self._port(v, side, reaching, description.units, resized, units) for v in ports)
             set_(self, f"_{side}s", scalars)
             set_(self, f"{side}s", gathered(scalars) if self.arrays else scalars)
         if requested is None and self.timing == "plant" and not exchange:

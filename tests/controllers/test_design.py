@@ -504,13 +504,12 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
 @pytest.mark.parametrize(
     ("settings", "error", "words"),
     [
-        ({"measured": None, "plant": cosim.FMU(fmus.path("PositionServo"))}, ModelError, r"s \(angle, speed, current\) and inp"),
-        ({"actuated": None, "plant": control.tf([1], [1, 1])}, ModelError, r"outputs \(y\) and inputs \(u\) of"),
+        ({"measured": None, "plant": cosim.FMU(fmus.path("PositionServo"))}, ModelError, r"s measured=.*: angle, speed, current"),
         ({"measured": "angel"}, UnknownNameError, "did you mean 'angle'"),
         ({"measured": "angel", "dt": "soon"}, UnknownNameError, "did you mean 'angle'"),
         ({"actuated": []}, ModelError, "actuated=.*at least one variable"),
         ({"measured": ["angle", "angle"]}, ModelError, "each once"),
-        ({"measured": None}, ModelError, "needs measured= and actuated=, names of outputs and inputs of"),
+        ({"actuated": None}, ModelError, r"needs actuated=, names of inputs of the plant \(known: voltage, load\)"),
         ({"measured": "speed"}, None, None),
         ({"sensors": 0}, ModelError, "at least 1"),
         ({"at": {"volts": 1.0}}, UnknownNameError, "volts"),
@@ -523,7 +522,7 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
         ({"precision": "fixed"}, ModelError, r"precision is 'fixed'; .* for a Kalman filter, FixedPrecision\(\)"),
         ({"plant": (np.eye(2), np.eye(2))}, ModelError, r"^The plant must be an FMU .*control.ss\(A, B, C, D, dt\), or a Line"),
         ({"plant": (np.eye(2), np.eye(2)), "measured": None}, ModelError, "^The plant must be an FMU"),
-        ({"actuated": None, "plant": TWO}, ModelError, r"outputs \(y0, y1\) and inputs \(u0, u1\) of"),
+        ({"actuated": None, "noise": {"u0": 1.0, "u1": 1.0}, "plant": TWO}, ModelError, r"needs actuated=.*: u0, u1\)"),
         ({"measured": "z", "actuated": "u[0]", "plant": TWO}, UnknownNameError, "known names: y0, y1"),
         ({"plant": BLIND, "measured": "y", "actuated": "u", "dt": 0.1}, ModelError, "y: no state of the model moves"),
         ({"noise": 0.1}, ModelError, r"a number for each input by name, as noise=\{'load'"),
@@ -539,6 +538,17 @@ def test_wrong_settings_are_said_in_a_sentence(settings, error, words):
         return
     with pytest.raises(error, match=words):
         design(plant, **make)
+
+
+def test_without_a_choice_no_names_are_needed():
+    of_car = {"plant": fmus.path("CruiseControl"), "noise": {"disturbance": 0.1}}
+    for given, names in [
+        ({"plant": TWO}, (("u0", "u1"), ("y0", "y1"))),
+        ({"plant": TWO, "noise": {"u1": 0.1}, "goal": "y0"}, (("u0",), ("y0", "y1"))),
+        (of_car, (("force",), ("v",))),
+    ]:
+        model = design(**given).model
+        assert (model.names.controls, model.names.sensors) == names
 
 
 def test_a_wrong_argument_gets_similar_names_and_warnings_the_line_of_the_user():

@@ -3,6 +3,7 @@
 import re
 import tomllib
 from dataclasses import fields
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import ACTUATOR_MODES, LAWS, LEARNERS
 from bayesftc.cosim.blocks.faults.kinds import FAULTS
 from bayesftc.cosim.errors import (
+    BayesFTCError,
     ConnectionError,
     FMUError,
     ModelError,
@@ -277,7 +279,10 @@ WRONG = {
     "far kind": (('"Freeze"', "7"), ScenarioError, ["faults[0].kind", "known kinds: ", "Freeze", "Injection"]),
     "no kind": (('kind = "Freeze"\n', ""), ScenarioError, ["faults[0]", "lacks 'kind'", "'Freeze'"]),
     "no section": (("[reference]", "[model.x]"), ScenarioError, ["lacks the section [reference]"]),
-    "no model": (("[model]", "[noise.model]"), ScenarioError, ["lacks the section [model]", "BayesianController needs"]),
+    "no model": (
+        (CAR[CAR.index("[model]") : CAR.index("[controller]")], ""),
+        ScenarioError, ["lacks the section [model]", "BayesianController needs"],
+    ),
     "text for settings": (
         ('"SwitchingPrecision"', '"GammaPrecision"\ncalibration = "mine"'),
         ScenarioError, ["precision.calibration", "a table with the settings of"],
@@ -715,6 +720,9 @@ kind = "Design"
         ("", [1e-4]),
         ("sensor_std = 0.3\n[sensors]\ncount = 2\nstd = 1", [0.09, 0.09]),
         ("[sensors]\ncount = 3\nstd = [1, 2, 3]", [1.0, 4.0, 9.0]),
+        ("[sensors]\ncount = 2\nresolution = 6", [3.0, 3.0]),
+        ("[sensors]\ncount = 2\nstd = 1\nresolution = [0, 6]", [1.0, 4.0]),
+        ("sensor_std = 0.3\n[sensors]\ncount = 2\nresolution = 6", [0.09, 0.09]),
         ("sensor_std = 2\n[sensors]\ncount = 2\ncovariance = [[1, 0.5], [0.5, 1]]", [4.0, 4.0]),
         ("[sensors]\ncount = 2\nstd = 2\nmatrix = [[1], [1]]", [4.0, 4.0]),
     ],
@@ -750,6 +758,48 @@ def test_a_design_knows_the_sensors_of_the_file(write, more, covariance):
 def test_what_is_wrong_with_a_design_is_said_with_its_place(write, more, error, said):
     with pytest.raises(error, match=re.escape(f"car.toml: {said}")):
         load_scenario(write(text=LINEAR + more))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('kind = "Injection"', 'kind = "Injektion"', "did you mean 'Injection'"),
+        ("sensor = 0", "sensor = 2", "Injection refers to sensor 2, but there are 2"),
+        ('measured = "angle"', 'measured = "angel"', "did you mean 'angle'"),
+        ("[noise.load]", "[noise.laod]", "did you mean 'load'"),
+        ("[[faults]]", "[[input_faults.voltge]]", "did you mean 'voltage'"),
+        ('kind = "Step"', 'kind = "Stp"', "did you mean 'Step'"),
+        ("u_min = -12.0", "u_min = 13.0", "'controller': u_min is 13, above its u_max of 12"),
+        ("acceptable_error = 0.1", "acceptable_error = -0.1", "acceptable_error is .-0.1.; it must be positive"),
+        ("duration = 6.0", "duration = -6.0", "'simulation': .*duration"),
+    ],
+)
+def test_mistakes_of_the_file_are_said_before_the_plant_is_linearised(write, monkeypatch, old, new, said):
+    module = import_module("bayesftc.controllers.design")
+    monkeypatch.setattr(module, "linearize", lambda *_, **__: pytest.fail("The plant is linearised."))
+    with pytest.raises(BayesFTCError, match=said):
+        load_scenario(write((old, new), text=shipped_scenarios()["position_servo"].read_text()))
+
+
+def test_a_plant_starts_elsewhere_and_the_belief_of_its_design_with_it(write):
+    servo = shipped_scenarios()["position_servo"].read_text()
+    fmu = 'fmu = "PositionServo"'
+    for text, key, values, words in [
+        (
+            servo.replace(fmu, f"{fmu} #"),
+            fmu,
+            "parameters = { angle_0 = 0.4 }",
+            "'plant.start' is no key .* parameters = ",
+        ),
+        (LINEAR, "dt = 0\n", "initial = [0.4, 0.0]", r"'plant.start' is no key .* initial = \["),
+    ]:
+        scenario = load_scenario(write((key, f"{key}\n{values}\n"), text=text))
+        start = scenario.simulate(duration=0.1, engine="interpreted")[f"plant.{scenario.wiring.measured}"][0]
+        controller = scenario.controller
+        belief = controller.measurement_matrix @ controller.initial_mean
+        np.testing.assert_allclose([start, *belief], 0.4, atol=1e-9)
+        with pytest.raises(ScenarioError, match=words):
+            load_scenario(write((key, f"{key}\nstart = 0.4\n"), text=text))
 
 
 def test_a_design_is_among_the_kinds_of_controllers(write):
@@ -801,13 +851,23 @@ def test_a_model_is_that_of_the_plants_fmu(write):
     assert np.isfinite(scenario.simulate()["controller.u"]).all()
 
 
+LINEAR_CART = """
+A = [[1]]
+B = [[1, 1]]
+C = [[1], [1]]
+dt = 0.02
+inputs = ["force", "torque"]
+outputs = ["position", "angle"]
+"""
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ('kind = "from_fmu"', 'kind = "from_fmo"', "'model.kind' is 'from_fmo', .* did you mean 'from_fmu'"),
         ('kind = "from_fmu"', 'kind = "from_fmu"\nmeasured = "angle"', "'model.measured' is already set by"),
         ("noise =", "nose =", "'model' has the unknown key 'nose'; did you mean 'noise'"),
-        ('fmu = "CartPendulum"', "A = [[1]]\nB = [[1]]\nC = [[1]]\ndt = 0.02", "the .plant. is no FMU"),
+        ('fmu = "CartPendulum"', LINEAR_CART, "the .plant. is no FMU"),
     ],
 )
 def test_a_wrong_model_of_the_plant_names_the_key(write, old, new, said):

@@ -23,9 +23,16 @@ _LARGEST = sys.float_info.max
 
 
 def start_values(
-    archive: Archive, description: FMUDescription, values: Mapping[str, Any], *, validate: bool = True
+    archive: Archive,
+    description: FMUDescription,
+    values: Mapping[str, Any],
+    units: Mapping[str, str],
+    *,
+    validate: bool = True,
 ) -> dict[str, Value]:
     """Check names, causality, types, shapes and units of start values and, with `validate`, the declared bounds.
+
+    `units` are those of variables that have none in the description.
 
     Returns
     -------
@@ -34,6 +41,9 @@ def start_values(
     """
     if not isinstance(values, Mapping):
         raise ModelError(f"FMU has parameters={values!r}; give values by name, as {{'m': 100.0}}.")
+    if units:
+        known = (replace(v, unit=v.unit or units.get(v.name)) for v in description.variables)
+        description = replace(description, variables=tuple(known))
     variables = {v.name: v for v in description.variables}
     for name in values:
         if name not in variables:

@@ -31,7 +31,7 @@ def designed(
     given : mapping
         Further arguments, from other sections of the file.
     sensors : Sensors or None
-        The sensors: their number, and the standard deviation if the table has none.
+        The sensors: their number, and the standard deviation of their errors if the table has none.
     """
     return _of_plant(design, table, place, {"plant": plant, **given}, sensors)  # type: ignore[no-any-return]
 
@@ -61,7 +61,7 @@ def _of_plant(
                 "lacks 'sensor_std', which it needs if [sensors] has a covariance: it assumes independent noise. Add "
                 "sensor_std = ... (a number, or one for each sensor)."
             )
-        std = sensors.std
+        std = sensors.error_std
         if np.any(std):
             settings.setdefault("sensor_std", std if isinstance(std, float) else list(std))
     for name in ("plant", "fmu", "measured", "actuated", "sensors"):

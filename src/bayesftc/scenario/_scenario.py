@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.blocks.sensors import Sensors
-from bayesftc.cosim.diagram.closed_loop import base_step, closed_loop, with_invalid
+from bayesftc.cosim.diagram.closed_loop import base_step, check_parts, closed_loop, with_invalid
 from bayesftc.cosim.diagram.feedthrough import DELAYED
 from bayesftc.cosim.errors import AlgebraicLoopError
 from bayesftc.scenario import _sections as sections
@@ -178,32 +178,34 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
     folder = file.absolute().parent
     plant, wiring = sections.plant(content["plant"], root / "plant", folder, simulation)
     sensors = sections.sensors(content["sensors"], root / "sensors", wiring, plant) if "sensors" in content else None
+    # The controller comes last: its design may take seconds, and a mistake elsewhere in the file needs none of it.
+    parts: dict[str, Any] = {
+        "reference": sections.reference(content["reference"], root / "reference"),
+        "sensors": sensors,
+        "faults": sections.fault_list(content.get("faults", []), root / "faults"),
+        "noise": sections.noise(content.get("noise", {}), root / "noise"),
+        "input_faults": sections.input_faults(content.get("input_faults", {}), root / "input_faults"),
+        "connections": connections(content.get("connections", []), root / "connections"),
+    }
+    step = None if simulation.dt is None else rational_step(simulation.dt)
+    added = _blocks(content, root, folder, step) if step is not None else {}
+    with root.named():
+        check_parts(
+            plant, **{name: parts[name] for name in ("sensors", "faults", "noise", "input_faults")}, **asdict(wiring)
+        )
     controller = sections.controller(content, root, simulation, plant, wiring, sensors)
     if sensors is not None:
         with (root / "sensors").named():
             controller = with_invalid(controller, sensors)
+    if step is None:
+        added = _blocks(content, root, folder, step_of(root, controller, simulation))
     return Scenario(
-        path=file,
-        simulation=simulation,
-        plant=plant,
-        wiring=wiring,
-        controller=controller,
-        reference=sections.reference(content["reference"], root / "reference"),
-        sensors=sensors,
-        faults=sections.fault_list(content["faults"], root / "faults") if "faults" in content else [],
-        noise=sections.noise(content["noise"], root / "noise") if "noise" in content else {},
-        input_faults=sections.input_faults(content["input_faults"], root / "input_faults")
-        if "input_faults" in content
-        else {},
-        blocks=_blocks(content["blocks"], root, Surroundings(folder, step_of(root, controller, simulation)))
-        if "blocks" in content
-        else {},
-        connections=connections(content.get("connections", []), root / "connections"),
+        path=file, simulation=simulation, plant=plant, wiring=wiring, controller=controller, blocks=added, **parts
     )
 
 
-def _blocks(table: object, root: Place, around: Surroundings) -> Added:
-    return blocks(table, root / "blocks", around, taken=SECTIONS)
+def _blocks(content: Mapping[str, Any], root: Place, folder: Path, step: Fraction) -> Added:
+    return blocks(content.get("blocks", {}), root / "blocks", Surroundings(folder, step), taken=SECTIONS)
 
 
 def step_of(root: Place, controller: Block, simulation: Simulation) -> Fraction:

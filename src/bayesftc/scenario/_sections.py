@@ -54,8 +54,7 @@ class Simulation:
     decimation: int = 1
 
     def __post_init__(self) -> None:
-        if isinstance(self.duration, str):
-            rational_step(self.duration, "duration")
+        rational_step(self.duration, "duration")
         if self.dt is not None:
             rational_step(self.dt, "dt")
 
@@ -81,6 +80,7 @@ def plant(table: object, place: Place, folder: Path, simulation: Simulation) -> 
     rest = dict(as_table(table, place))
     wiring = build(Wiring, taken(rest, Wiring), place)
     if "fmu" in rest:  # first, because an FMU has a kind, too
+        _refuse_start(rest, place, ("start", "initial", "x0"), "parameters = { angle_0 = 0.4 }, by variable")
         return fmu_of(rest, place, folder), wiring
     if "kind" in rest:
         _, rest = choose((Subsystem,), rest, place)
@@ -88,11 +88,19 @@ def plant(table: object, place: Place, folder: Path, simulation: Simulation) -> 
     if "A" in rest:
         from bayesftc.scenario._linear_plant import linear_plant
 
+        _refuse_start(rest, place, ("start", "x0"), "initial = [0.4, 0.0], a number for each state")
         return linear_plant(rest, place), wiring
     raise place.error(
         "has no plant. Add fmu = '...' (a shipped name or a file), the matrices A, B, C of a linear plant, or "
         "kind = 'Subsystem' with blocks."
     )
+
+
+def _refuse_start(table: Mapping[str, Any], place: Place, names: Sequence[str], remedy: str) -> None:
+    """Refuse other names for the start of a plant; none of them is similar to the right one."""
+    for name in names:
+        if name in table:
+            raise (place / name).error(f"is no key of this plant. To start it elsewhere, write {remedy}.")
 
 
 def _subsystem(table: Mapping[str, Any], place: Place, folder: Path, simulation: Simulation) -> Block:

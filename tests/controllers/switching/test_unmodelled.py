@@ -16,6 +16,7 @@ from bayesftc.controllers import (
     NoisierProcess,
     Offset,
     Proportional,
+    Ramping,
     StateEstimator,
     SwitchingPrecision,
     UnbiasedActiveInference,
@@ -435,3 +436,14 @@ def test_a_state_of_which_nothing_is_known_is_what_the_sensors_say(sensors, know
     outs = [step(y=list(x + rng.normal(size=sensors)), u=[5.0 * x]) for _ in range(60)]
     assert max(abs(out.x_hat[0] - x) for out in outs[5:]) < 2.0
     assert max(out.fault_probability.max() for out in outs[5:]) < 0.3
+
+
+@pytest.mark.parametrize(("slope", "kind"), [(0.3, "Unmodelled"), (3.0, "Ramping")])
+def test_a_drift_far_beyond_the_slope_of_its_mode_is_unmodelled(slope, kind):
+    """The size of slopes is prior knowledge: a fast drift has a name where it is expected."""
+    model = LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-6, 0.01, 0.1)
+    step = StateEstimator(model, SwitchingPrecision([Ramping(slope=slope), Unmodelled()])).online(compiled=False)
+    y = 0.1 * np.random.default_rng(0).standard_normal((20, 3))
+    y[10:, 0] += 0.5 * np.arange(10)  # 5 standard deviations a sample
+    out = [step(y=sample) for sample in y][-1]
+    assert out.mode_probability[0, ["healthy", "Ramping", "Unmodelled"].index(kind)] > 0.9

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bayesftc.controllers import BayesianController, GammaPrecision, LinearModel
-from bayesftc.cosim.errors import ModelError, ScenarioError
+from bayesftc.cosim.errors import ConnectionError, ModelError, ScenarioError
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario._files import shipped_files
 from bayesftc.scenario.live import live_controller
@@ -136,6 +136,38 @@ def test_a_step_of_blocks_that_is_not_that_of_the_controller_is_refused(load):
         ScenarioError, match=r"'simulation.dt' is 0.01, but a live run with \[blocks\] has the sample time"
     ):
         load(ALONE.replace("[simulation]\ndt = 0.02", "[simulation]\ndt = 0.01") + blocks)
+
+
+TANK = """
+reference = [{ kind = "Constant", value = 1.0, unit = "m" }, { kind = "Constant", value = 20.0, unit = "degC" }]
+[simulation]
+duration = 1.0
+dt = 0.1
+[plant]
+A = [[-0.1, 0.0], [0.02, -0.05]]
+B = [[0.1, 0.0], [0.0, 0.1]]
+C = [[1.0, 0.0], [0.0, 1.0]]
+dt = 0
+inputs = ["valve", "heater"]
+outputs = ["h", "T"]
+control = ["valve", "heater"]
+measured = ["h", "T"]
+[sensors]
+count = [1, 2]
+std = 0.01
+unit = ["m", "degC"]
+[controller]
+kind = "design"
+"""
+
+
+def test_a_goal_in_another_unit_than_its_sensors_is_refused(load):
+    assert load(TANK).diagram["plant"].port("samples").units == ("m", "degC", "degC")
+    with pytest.raises(ConnectionError, match=r"reference_1\.y is in m, but .* is in degC"):
+        load(TANK.replace('20.0, unit = "degC"', '20.0, unit = "m"'))
+    car = shipped_files("scenario")["cruise_control"].read_text().replace('unit = "m/s"\n', "")
+    with pytest.raises(ConnectionError, match=r"is in rad, but .* is in m/s"):  # the unit of the FMU
+        load(car.replace("[reference]", '[reference]\nunit = "rad"'))
 
 
 @pytest.mark.parametrize("name", sorted(shipped_files("scenario")))

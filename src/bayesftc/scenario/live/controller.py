@@ -20,7 +20,7 @@ from bayesftc.scenario import _sections as sections
 from bayesftc.scenario._blocks import Surroundings, blocks, connections
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
-from bayesftc.scenario._scenario import SECTIONS, scenario_of
+from bayesftc.scenario._scenario import SECTIONS, Scenario, scenario_of
 from bayesftc.scenario._schema import as_table, build
 from bayesftc.scenario._sections import Simulation, Wiring
 
@@ -49,24 +49,29 @@ class Outside(Block):
         The plant's inputs.
     sensors : int
         Number of sensors.
-    unit : str, optional
-        Unit of their samples.
+    units : tuple of str or None
+        Unit of the samples of each sensor; empty if none is known.
     """
 
     controls: tuple[Port, ...]
     sensors: int
-    unit: str | None = None
+    units: tuple[str | None, ...] = ()
     sample_time: ClassVar[None] = None
 
     @property
     def inputs(self) -> tuple[Port, ...]:
         """The plant's inputs, and ``received``."""
-        return (*self.controls, Port("received", (self.sensors,), self.unit, default=float("nan")))
+        return (*self.controls, self._port("received", default=float("nan")))
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """Output ``samples``."""
-        return (Port("samples", (self.sensors,), self.unit),)
+        return (self._port("samples"),)
+
+    def _port(self, name: str, default: float | None = None) -> Port:
+        one = len({*self.units}) == 1
+        unit, units = (self.units[0], ()) if one else (None, self.units)
+        return Port(name, (self.sensors,), unit, default=default, units=units)
 
     def define(self, dt: object) -> Definition:
         """Return the copy of what was received."""
@@ -152,7 +157,7 @@ def live_controller(path: str | os.PathLike[str], received: Collection[str] = ()
             raise root.error("lacks the section [reference]. Add it, or a wire with to = 'controller.goal'.")
         controls, control = parts.controls or ((Port("u", ports["u"].shape, feedthrough=False),), "u")
         diagram = closed_loop(
-            Outside(controls, ports["y"].size, parts.unit),
+            Outside(controls, ports["y"].size, parts.units),
             parts.controller,
             control=control,
             measured="samples",
@@ -177,7 +182,7 @@ class _Parts:
     blocks: Any
     connections: Any
     dt: Any
-    unit: str | None = None
+    units: tuple[str | None, ...] = ()
 
 
 def _of_scenario(content: Mapping[str, Any], root: Place) -> _Parts:
@@ -191,7 +196,6 @@ def _of_scenario(content: Mapping[str, Any], root: Place) -> _Parts:
         if p.name in names
     )
     dt = _step(scenario.controller, scenario.simulation, bool(scenario.blocks), root)
-    unit = getattr(scenario.sensors, "unit", None)
     return _Parts(
         scenario.controller,
         scenario.reference,
@@ -199,8 +203,23 @@ def _of_scenario(content: Mapping[str, Any], root: Place) -> _Parts:
         scenario.blocks,
         scenario.connections,
         dt,
-        unit if isinstance(unit, str) else None,
+        _units(scenario),
     )
+
+
+def _units(scenario: Scenario) -> tuple[str | None, ...]:
+    """Return the unit of each sensor's samples: its own, or that of the variable of the plant that it reads."""
+    measured, sensors = scenario.wiring.measured, scenario.sensors
+    names = [measured] if isinstance(measured, str) else measured
+    ports = {port.name: port for port in scenario.plant.watching(names).outputs}
+    if not ports.keys() >= {*names}:  # an element of a vector
+        ports = {}
+    of_plant = [port.unit_of(i) for port in (ports[name] for name in names if ports) for i in range(port.size)]
+    if sensors is None:
+        return tuple(of_plant)
+    y = next(port for port in sensors.outputs if port.name == "y")
+    reads = [None if j is None or not of_plant else of_plant[j] for j in sensors.reads]
+    return tuple(y.unit_of(i) or unit for i, unit in enumerate(reads))
 
 
 def _of_controller(content: Mapping[str, Any], root: Place) -> _Parts:

@@ -163,6 +163,10 @@ def test_ports_give_an_fmu_without_units_its_units(without_units):
     assert {port.name: port.unit for port in (*again.inputs, *again.outputs)} == {
         "force": "N", "disturbance": None, "v": "m/s", "m": None,
     }  # fmt: skip
+    pushed = replace(car, parameters={"force": "0.2 kN"})
+    assert dict(pushed.parameters) == {"force": 200.0} == dict(replace(pushed).parameters)
+    with pytest.raises(FMUError, match=r"'force' of the FMU Bare\.fmu is in N, and '2.0 m' cannot be converted"):
+        replace(car, parameters={"force": "2 m"})
     loop = cosim.closed_loop(
         car,
         controllers.LQGController(
