@@ -172,10 +172,17 @@ def test_a_model_that_blames_sensors_that_agree_is_suspected(table, tmp_path):
     assert "Suspect the model, not the sensors: " in done.stdout
     assert "This ends with std = 0.0" in done.stdout
     assert "bayesftc monitor --fit finds such numbers in a recording." in done.stdout
-    (note,) = json.loads(invoke(*arguments, "--json").stdout)["notes"]
+    report = json.loads(invoke(*arguments, "--json").stdout)
+    (note,) = report["notes"]
     assert note in done.stdout
+    doubtful = sum(fault["doubtful"] for fault in report["faults"])
+    assert doubtful > 1
+    assert (
+        f"In brackets: {doubtful} of {len(report['faults'])}, which are probably no faults of sensors." in done.stdout
+    )
+    assert "(Offset)" in done.stdout
     right = json.loads(invoke(*write(tmp_path, table), "--json").stdout)
-    assert right["faults"]
+    assert [fault["doubtful"] for fault in right["faults"]] == [False]
     assert right["notes"] == []
 
 
