@@ -216,16 +216,32 @@ class _Blame:
         self.share = float(self.when.mean())
 
     def _agreeing(self, blamed: Flags) -> list[tuple[int, int]]:
-        """Return the pairs of sensors that agree with each other while both are blamed."""
+        """Return the pairs of sensors that agree with each other while both are blamed, and with those that are not.
+
+        Two sensors that have failed from the same cause do not agree with a healthy one.
+        """
         pairs = []
         for (i, j), expected in self.apart.items():
             together = blamed[:, i] & blamed[:, j]
             difference = (self.y[:, i] - self.y[:, j])[together]
             difference = difference[np.isfinite(difference)]
             enough = len(difference) >= LEAST_SAMPLES and together.mean() >= LEAST_SHARE
-            if enough and excess(difference, expected)[0] <= AGREE:
+            if enough and excess(difference, expected)[0] <= AGREE and not self._contradicted(i, j, blamed):
                 pairs.append((i, j))
         return pairs
+
+    def _contradicted(self, i: int, j: int, blamed: Flags) -> bool:
+        """Return whether a healthy sensor differs from one of two while both are blamed, for most of this time."""
+        together = blamed[:, i] & blamed[:, j]
+        for (one, other), expected in self.apart.items():
+            if len({one, other} & {i, j}) != 1:
+                continue
+            third = other if one in (i, j) else one
+            difference = (self.y[:, one] - self.y[:, other])[together & ~blamed[:, third]]
+            difference = difference[np.isfinite(difference)]
+            if 2 * len(difference) > together.sum() and excess(difference, expected)[0] > AGREE:
+                return True
+        return False
 
     def _moments(self, blamed: Flags) -> list[tuple[int, int, list[tuple[int, int]]]]:
         """Return when blamed sensors agree with all sensors of their quantity: first step, step after the last, and their pairs.
