@@ -32,6 +32,26 @@ class Estimate(NamedTuple):
 
         return float(stdtrit(self.freedom, 0.5 + level / 2) * self.error)
 
+    def bounds(self, positive: bool = False) -> tuple[float, float]:
+        """Return the 95 % confidence interval; NaN with one seed.
+
+        Parameters
+        ----------
+        positive : bool
+            Whether no value is negative. An interval that would reach below zero is then computed on the logarithmic scale, by
+            the delta method: value / f to value * f.
+        """
+        half = self.half()
+        if positive and self.reaches_zero:
+            factor = float(np.exp(half / self.value))
+            return self.value / factor, self.value * factor
+        return self.value - half, self.value + half
+
+    @property
+    def reaches_zero(self) -> bool:
+        """Whether Student's interval of a positive mean contains zero."""
+        return self.half() > self.value > 0
+
     @property
     def p(self) -> float:
         """Two-sided p-value for the hypothesis that the true value is zero."""
