@@ -38,19 +38,11 @@ class Estimate(NamedTuple):
         Parameters
         ----------
         positive : bool
-            Whether no value is negative. An interval that would reach below zero is then computed on the logarithmic scale, by
-            the delta method: value / f to value * f.
+            Whether no value can be negative. The interval then begins at zero at the earliest, and covers the mean as often.
         """
         half = self.half()
-        if positive and self.reaches_zero:
-            factor = float(np.exp(half / self.value))
-            return self.value / factor, self.value * factor
-        return self.value - half, self.value + half
-
-    @property
-    def reaches_zero(self) -> bool:
-        """Whether Student's interval of a positive mean contains zero."""
-        return self.half() > self.value > 0
+        low = self.value - half
+        return max(low, 0.0) if positive and low == low else low, self.value + half
 
     @property
     def p(self) -> float:

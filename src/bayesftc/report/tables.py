@@ -91,7 +91,7 @@ def means(contents: Contents) -> Table | None:
     pools = any(runs["point"].nunique() > 1 for _, runs in cells)
     note = "Mean ± half of its 95 % confidence interval (Student's t over seeds)."
     if any(" to " in text for row in rows for text in row[-len(shown) :]):
-        note += " In brackets: the interval on the logarithmic scale, where that of Student's t would reach below zero."
+        note += " In brackets: the interval without its part below zero, where no value can be."
     if pools:
         note += " A row has several points: its mean is over these; its interval covers other noise, not other points."
     if contents.failed or any(table[m].isna().any() for m in shown):
@@ -161,9 +161,8 @@ def mean_text(mean: Estimate, runs: int | None = None, positive: bool = False) -
     if not mean.runs:
         return "–"
     half, text = mean.half(), f"{mean.value:.4g}"
-    if positive and mean.reaches_zero:
-        low, high = mean.bounds(positive)
-        text += f" ({low:.2g} to {high:.2g})"
+    if positive and half > mean.value:
+        text += " ({:.2g} to {:.2g})".format(*mean.bounds(positive))
     elif half == half:
         text += f" ± {half:.2g}"
     return text if runs in {None, mean.runs} else f"{text} (n = {mean.runs})"
