@@ -161,8 +161,15 @@ def doubtful_alarms(monitor: Monitor, monitored: Monitored) -> tuple[FaultEvent,
 
     Parameters
     ----------
-    monitor, monitored
-        As for `suspect_model`.
+    monitor : Monitor
+        The monitor.
+    monitored : Monitored
+        What its `run` returned.
+
+    Returns
+    -------
+    tuple of FaultEvent
+        Some of its events.
 
     Examples
     --------
