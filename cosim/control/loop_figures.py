@@ -43,8 +43,12 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         An empty figure to draw on.
     """
     _, axes = make_panels([PANEL, PANEL], figure)
-    control.bode_plot(loop, ax=np.array(axes)[:, None], color=BLUE, lw=1.3)
-    axes[0].axhline(1.0, color="0.5", lw=0.8)
+    control.bode_plot(loop, ax=np.array(axes)[:, None], dB=True, deg=True, Hz=False, grid=False, color=BLUE, lw=1.3)
+    for axis in axes:
+        axis.grid(visible=True, which="major", color="0.85", lw=0.6)
+        axis.grid(visible=True, which="minor", axis="x", color="0.93", lw=0.4)
+        axis.set_axisbelow(True)
+    axes[0].axhline(0.0, color="0.5", lw=0.8)
     axes[1].axhline(-180.0, color="0.5", lw=0.8)
     if margins is None:
         texts = ["the closed loop is not stable"]
@@ -52,7 +56,11 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         texts = [
             f"{name} {value} (at {at:.3g} rad/s)" if np.isfinite(at) else f"no {name}: no such crossing"
             for name, value, at in (
-                ("gain margin", f"{margins.gain:.3g}", margins.phase_crossover),
+                (
+                    "gain margin",
+                    f"{margins.gain:.3g} = {20.0 * np.log10(margins.gain):.3g} dB",
+                    margins.phase_crossover,
+                ),
                 ("phase margin", f"{margins.phase:.1f} degrees", margins.gain_crossover),
             )
         ]
@@ -60,7 +68,7 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
             if np.isfinite(at) and at > 0.0:
                 axis.axvline(at, color="0.5", lw=0.8, ls=":")
     axes[0].set_title(", ".join(texts), fontsize=9)
-    axes[0].set_ylabel("gain")
+    axes[0].set_ylabel("gain (dB)")
     axes[1].set_ylabel("phase (degrees)")
     axes[1].set_xlabel("frequency (rad/s); dashed: half of the sampling frequency")
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")

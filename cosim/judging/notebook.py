@@ -23,6 +23,9 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.errors import ResultFileError
 
 OF_PILLOW = (".gif", ".png", ".apng", ".webp", ".tif", ".tiff")
+LONGEST = {".gif": 655.35, ".png": 65.535, ".apng": 65.535}
+"""Most seconds of a picture, by the ending of the file: 16 bits of hundredths, or of thousandths."""
+
 """Files of several pictures that Pillow writes."""
 DOTS_PER_INCH = 100
 OPAQUE = 255
@@ -74,9 +77,17 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
         self.differences: _Differences | None = None
 
     def save(self, filename: str | PathLike[str], *args: Any, **settings: Any) -> None:
-        """See `matplotlib.animation.Animation.save`. A film needs the program ffmpeg; a GIF and a page (.html) do not."""
+        """See `matplotlib.animation.Animation.save`. A film needs the program ffmpeg; a GIF and a page (.html) do not.
+
+        Raises
+        ------
+        ResultFileError
+            If ffmpeg is missing, or each picture would last longer than such a file allows.
+        """
         if not args and settings.get("writer") is None:
             settings["writer"] = _writer(Path(filename))
+            interval: float = self._interval / 1000.0  # type: ignore[attr-defined]
+            _refuse_long(Path(filename), 1.0 / settings["fps"] if settings.get("fps") else interval)
         pictures = self.differences or _Pictures(self.figure, self.moving)
         figure: Any = self.figure
         canvas, dpi = figure.canvas, figure.dpi
@@ -131,6 +142,16 @@ def _writer(file: Path) -> str:
             f"{file.stem}.gif, or install ffmpeg."
         )
     return "ffmpeg"
+
+
+def _refuse_long(file: Path, seconds: float) -> None:
+    """Refuse pictures that last longer than the kind of file allows: Pillow would end in an overflow after all are drawn."""
+    most = LONGEST.get(file.suffix.lower(), seconds)
+    if seconds > most:
+        raise ResultFileError(
+            f"{file} cannot be written: each picture would last {seconds:.4g} s, but it can last {most:g} s in such a file. Give "
+            f"animate() a speed= at least {seconds / most:.3g} times as large, or more frames=."
+        )
 
 
 class _Pictures:

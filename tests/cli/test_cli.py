@@ -50,6 +50,7 @@ def test_version_and_help(bayesftc_):
         assert re.search(rf"\b{command}\b", text)
         assert f"`bayesftc {command}" in page, f"docs/reference/command-line.md lacks a row for bayesftc {command}"
     assert "cruise_control" in text
+    assert "bool" not in text + bayesftc_("fit", "--help").output  # a flag has no value
 
 
 def independent(arrays, stop=1000):

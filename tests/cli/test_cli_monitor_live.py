@@ -1,6 +1,7 @@
 """``bayesftc monitor --live``: samples by real UDP and MQTT, alarms as they begin and end, and the end by a signal."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -14,7 +15,10 @@ from brokers import NO_MOSQUITTO, Mosquitto, SmallBroker, until
 from typer.testing import CliRunner
 
 from bayesftc.cli import app
+from bayesftc.cli.commands.recordings._monitor_live import _Watcher
+from bayesftc.cli.live_report import Alarms
 from bayesftc.cosim import live
+from bayesftc.monitoring import Monitor, MonitorStepper, RandomWalk, Sensor
 
 MODEL = """
 dt = 0.02
@@ -196,8 +200,24 @@ def test_a_short_run_by_udp(tmp_path, sent):
     arguments = ["--model", str(tmp_path / "model.toml"), "--live", str(tmp_path / "wires.toml")]
     done = CliRunner().invoke(app, ["monitor", *arguments, "--duration", "1"])
     assert done.exit_code == 0, done.output
-    assert "s: monitoring has begun" in done.stderr
+    date = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d"
+    assert re.search(date + r", \d\.\d\d s: monitoring has begun", done.stderr)
+    assert re.search("Time 0 is " + date, done.stdout)
     assert "There is no fault probability: FixedPrecision does not infer faults." in done.stdout
+
+
+def test_a_gap_is_noted_at_its_begin_and_at_its_end(capsys):
+    monitor = Monitor(0.1, RandomWalk(std=0.06), {name: Sensor(std=0.1, resolution=0.0) for name in "ab"})
+    stepper = MonitorStepper(monitor, compiled=False)
+    stepper.prepare()
+    watcher = _Watcher(stepper, monitor, Alarms([]))
+    for k in range(40):
+        samples = np.full(2, np.nan if 20 <= k < 30 else 5.0 + 0.1 * (-1) ** k)
+        watcher.watch(0.1 * k, samples, stepper.advance(samples))
+    assert watcher.gaps == [{"start": pytest.approx(1.9), "end": pytest.approx(3.0)}]
+    begin, end = capsys.readouterr().err.splitlines()[1:]
+    assert "2.20 s: a gap: no sensor has sent a sample since 1.90 s" in begin
+    assert "3.00 s: the gap has ended (since 1.90 s)" in end
 
 
 @pytest.mark.slow

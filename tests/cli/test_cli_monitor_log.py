@@ -175,10 +175,17 @@ def test_a_model_that_blames_sensors_that_agree_is_suspected(table, tmp_path):
     assert "Suspect the model, not the sensors: " in done.stdout
     assert "This ends with std = 0.0" in done.stdout
     assert "bayesftc monitor --fit finds such numbers in a recording." in done.stdout
-    (note,) = json.loads(invoke(*arguments, "--json").stdout)["notes"]
+    report = json.loads(invoke(*arguments, "--json").stdout)
+    (note,) = report["notes"]
     assert note in done.stdout
+    doubtful = sum(fault["doubtful"] for fault in report["faults"])
+    assert doubtful > 1
+    assert (
+        f"In brackets: {doubtful} of {len(report['faults'])}, which are probably no faults of sensors." in done.stdout
+    )
+    assert "(Offset)" in done.stdout
     right = json.loads(invoke(*write(tmp_path, table), "--json").stdout)
-    assert right["faults"]
+    assert [fault["doubtful"] for fault in right["faults"]] == [False]
     assert right["notes"] == []
 
 
@@ -236,10 +243,18 @@ def test_a_sample_missing_soon_after_a_gap_is_no_dropout(table, tmp_path):
 
 def test_a_fault_before_a_gap_goes_on_in_it(table, tmp_path):
     report = json.loads(invoke(*write(tmp_path, silent(table, 350, 400)), "--json").stdout)
-    before, after = report["faults"]  # the learner has forgotten it in so long a gap
-    assert {(fault["sensor"], fault["kind"]) for fault in (before, after)} == {(SENSORS[1], "Offset")}
-    assert (before["end"], after["end"]) == (1995.0, 2995.0)
-    assert after["start"] < 2100
+    (fault,) = report["faults"]  # although the learner has forgotten it in so long a gap
+    assert (fault["sensor"], fault["kind"], fault["end"]) == (SENSORS[1], "Offset", 2995.0)
+    assert fault["onset"] <= fault["start"] < 1600
+
+
+def test_a_fault_that_ends_before_a_gap_is_not_that_after_it(table, tmp_path):
+    """The sensor is healthy for 100 s before the gap, or for 250 s after it."""
+    for healthy in (slice(330, 349), slice(400, 449)):
+        repaired = table.copy()
+        repaired.loc[healthy, SENSORS[1]] -= 2.0
+        report = json.loads(invoke(*write(tmp_path, silent(repaired, 350, 400)), "--json").stdout)
+        assert [fault["sensor"] for fault in report["faults"]] == [SENSORS[1]] * 2
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,18 @@ def test_strips_of_a_paused_run_follow_the_width_of_the_window(page):
         page.until(lambda: strips_fit(page))
 
 
+def test_the_window_fits_the_sample_time(page):
+    """The strips of a slow plant show hours, with ticks in hours; the choice of the car is in seconds and minutes."""
+    assert [option.text for option in page.all("#window option")] == ["5 s", "20 s", "1 min", "5 min", "all"]
+    assert page.browser.execute_script("return document.querySelector('#window').value") == "20"
+    script = """const done = arguments[0]; import('/page/strips.js').then((m) => done(
+        [m.windows(60.0), m.windows(1e9)[1][0], m.unitOf(20)[0], m.unitOf(300)[0], m.unitOf(14400)[0]]))"""
+    windows, longest, *units = page.browser.execute_async_script(script)
+    assert windows == [[3600, "1 h"], [14400, "4 h"], [43200, "12 h"], [216000, "60 h"]]
+    assert longest == 8640000
+    assert units == ["s", "min", "h"]
+
+
 def strips_fit(page):
     script = """return [...document.querySelectorAll('.strip canvas')].every((c) => Math.abs(
         c.getBoundingClientRect().width - c.closest('.strip').getBoundingClientRect().width) < 2)"""

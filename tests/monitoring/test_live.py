@@ -229,6 +229,25 @@ def test_a_rest_is_that_of_a_recording_but_for_its_first_steps(seed):
     assert (own | (live == expected))[early].all()
 
 
+def test_a_gap_is_that_of_a_recording_but_for_its_first_steps():
+    """The third sensor sends at every second step; the first one is late after the gap."""
+    monitor = Monitor(DT, RandomWalk(std=0.06), sensors())
+    y = rows(300)
+    y[240:280], y[280:282, 0] = NAN, NAN
+    stepper = MonitorStepper(monitor, compiled=False)
+    live = run(stepper, y)["fault_probability"]
+    expected = recorded(monitor, y).fault_probability
+    steps = np.r_[30:240, 246:300]
+    np.testing.assert_allclose(live[steps], expected[steps], atol=0.02)
+    assert live[246:282, 0].max() < 0.5  # no dropout
+    assert live[246:280, 1].min() > 0.9  # the offset lasts
+    stepper = MonitorStepper(monitor, compiled=False)
+    run(stepper, y[:250])
+    assert stepper.gap_since == pytest.approx(239 * DT)
+    stepper.advance(y[282])
+    assert stepper.gap_since is None
+
+
 def test_an_alarm_lasts_as_in_a_recording():
     from bayesftc.monitoring.alarms import alarms
 

@@ -14,7 +14,7 @@ from inspect import Parameter, signature
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from bayesftc.cli.guard import guarded
 from bayesftc.cli.options import Debug
@@ -96,6 +96,22 @@ family         Beyond the paper: every learner with faults that none models.
 """The folder and the help text of each command, in the order of the help. Lines after a backspace are not joined."""
 
 
+class WithoutTypesOfFlags:
+    """Show flags without a type: newer versions of typer write ``--quiet <bool>``, as if it had a value."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, with that of ``--help``."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for each in parameters:
+            if getattr(each, "is_flag", False):
+                each.display_type_rich = lambda ctx: None
+        return parameters
+
+
+class Command(WithoutTypesOfFlags, TyperCommand):
+    """A command."""
+
+
 def load(name: str) -> Any:
     """Return a command: the function of its name, with ``--debug`` added."""
     folder, text = COMMANDS[name]
@@ -118,11 +134,11 @@ def load(name: str) -> Any:
     run.__signature__ = shown.replace(parameters=[*shown.parameters.values(), debug])  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in (*shown.parameters.values(), debug)}
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    single.command(name, help=text)(run)
+    single.command(name, cls=Command, help=text)(run)
     return typer.main.get_command(single)
 
 
-class Commands(TyperGroup):
+class Commands(WithoutTypesOfFlags, TyperGroup):
     """The commands. Only the command that is called is loaded."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

@@ -6,6 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import datetime
 from typing import Any
 
 from bayesftc.cli import output
@@ -81,7 +82,7 @@ class Alarms:
                 text = f"the alarm has ended (since {event.start:.2f} s{kind})"
             else:
                 text = f"alarm, fault probability {event.probability:.3f}{kind}"
-            note(f"{time:.2f} s: {name_of(event)}: {text}")
+            note_at(time, f"{name_of(event)}: {text}")
 
 
 def all_of(watchers: Sequence[Watcher | None]) -> Watcher | None:
@@ -110,6 +111,11 @@ def note(text: str) -> None:
     """Print a line on stderr at once."""
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
+
+
+def note_at(time: float, text: str) -> None:
+    """Print a line on stderr at once, after the date and the time in seconds of the run."""
+    note(f"{datetime.now():%Y-%m-%d %H:%M:%S}, {time:.2f} s: {text}")
 
 
 def name_of(event: Event) -> str:

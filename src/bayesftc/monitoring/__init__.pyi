@@ -10,7 +10,11 @@ from .fit.columns import (
 )
 from .fit.fit import FittedModel as FittedModel, FittedSensor as FittedSensor, fit_model as fit_model
 from .fit.likelihood import log_likelihood as log_likelihood
-from .fit.suspect import ModelSuspicion as ModelSuspicion, suspect_model as suspect_model
+from .fit.suspect import (
+    ModelSuspicion as ModelSuspicion,
+    doubtful_alarms as doubtful_alarms,
+    suspect_model as suspect_model,
+)
 from .fit.text import as_model_file as as_model_file
 from .gaps import Gap as Gap
 from .live import MonitorStepper as MonitorStepper

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.judging.findings import alarms
 from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.gaps import Gap
 from bayesftc.monitoring.recording import Recording
 
 ACTUATOR_SIGNALS = ("fault_probability", "mode_probability", "fault_size")
@@ -154,7 +155,7 @@ class ActuatorEvent:
 def sensor_events(
     recording: Recording, signals: Mapping[str, Floats], modes: Sequence[FaultMode], alarm: Alarm
 ) -> Iterator[FaultEvent]:
-    """Give the alarms of each sensor.
+    """Give the alarms of each sensor. A fault that lasts over a gap of the recording is one alarm.
 
     Parameters
     ----------
@@ -167,6 +168,34 @@ def sensor_events(
     alarm : Alarm
         Conditions of an alarm.
     """
+    last: FaultEvent | None = None
+    gaps, hold = recording.gaps, time_at(alarm.hold, float(recording.dt))
+    for event in _each(recording, signals, modes, alarm):
+        if last is not None and _goes_on(last, event, gaps, hold):
+            probability = max(last.probability, event.probability)
+            last = replace(event, start=last.start, onset=last.onset, probability=probability)
+            continue
+        if last is not None:
+            yield last
+        last = event
+    if last is not None:
+        yield last
+
+
+def _goes_on(event: FaultEvent, later: FaultEvent, gaps: Sequence[Gap], hold: float) -> bool:
+    """Return whether the later alarm is of the same fault, which the learner has forgotten in a gap of the recording.
+
+    In a long gap the fault may have ended. So the learner infers it again, from the first samples after the gap on.
+    """
+    if (event.sensor, event.kind) != (later.sensor, later.kind):
+        return False
+    onset = later.start if later.onset is None else later.onset
+    return any(event.start <= gap.start <= event.end + hold and gap.start < onset <= gap.end + hold for gap in gaps)
+
+
+def _each(
+    recording: Recording, signals: Mapping[str, Floats], modes: Sequence[FaultMode], alarm: Alarm
+) -> Iterator[FaultEvent]:
     time, faulty = recording.time, [k for k, mode in enumerate(modes, start=1) if mode.is_fault]
     for sensor, span, begin, end, i in _spans(recording, recording.sensors, signals["fault_probability"], alarm):
         if not modes:

@@ -68,7 +68,7 @@ class Sensor(Column):
     reads : sequence of float, optional
         Its row of C, one number per state; by default it measures the first state.
     unit : str
-        Unit of its samples, for figures and tables.
+        Its unit, for figures and tables. Samples of a column whose name ends in another unit, as in ``h [cm]``, are converted.
 
     Examples
     --------

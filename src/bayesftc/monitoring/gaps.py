@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +18,9 @@ LEAST = 3
 
 SETTLES = 3
 """Samples of a sensor after a gap in which the learner may still believe in a dropout."""
+
+USUAL = 9
+"""Number of intervals between a sensor's samples whose median is its usual one, while samples arrive."""
 
 CHANCE = 0.01
 """Largest number of gaps in a recording to be expected of samples that are lost one by one."""
@@ -107,6 +112,66 @@ def in_gaps(y: Floats) -> Flags:
             soon = slice(after, min([after + patience, *map(int, steps[first + SETTLES - 1 : first + SETTLES])]))
             inside[soon, i] = column[soon]
     return inside
+
+
+class GapWatch:
+    """Holds signals in a gap while samples arrive, as `in_gaps` does in a recording.
+
+    A gap is known when all sensors have missed some samples. The signals then go back to their values at the last sample.
+
+    Parameters
+    ----------
+    sensors : int
+        Number of sensors.
+
+    Attributes
+    ----------
+    since : int or None
+        Number of the last step before the gap, during a gap.
+    """
+
+    def __init__(self, sensors: int):
+        self.since: int | None = None
+        self._k, self._last, self._before = -1, np.full(sensors, -1), -1
+        self._intervals: list[deque[int]] = [deque([1], maxlen=USUAL) for _ in range(sensors)]
+        self._until = np.full(sensors, -1)
+        self._count = np.full(sensors, SETTLES)
+        self._kept: dict[str, Floats] = {}
+
+    def feed(self, y: Floats, signals: Mapping[str, Floats]) -> dict[str, Floats]:
+        """Return the signals of a step.
+
+        Parameters
+        ----------
+        y : ndarray, sensors
+            Samples.
+        signals : mapping of str to ndarray
+            By name, with one row per sensor.
+        """
+        self._k += 1
+        there = np.isfinite(y)
+        usual = np.array([np.median(each) for each in self._intervals])
+        if there.any() and self.since is not None:
+            self.since, self._count = None, np.zeros_like(self._count)
+            self._until = self._k + np.rint((LEAST + SETTLES) * usual).astype(int)
+        elif not there.any() and self._kept and self.since is None:
+            silent = self._before - self._last <= LEAST * usual
+            if silent.sum() > 1 and self._k - self._before >= LEAST * usual[silent].max():
+                self.since = self._before
+        soon = (self._k < self._until) & (self._count < SETTLES)
+        held = np.full(len(y), True) if self.since is not None else ~there & soon
+        self._count += there
+        for i in map(int, np.flatnonzero(there)):
+            if self._last[i] >= 0:
+                self._intervals[i].append(self._k - int(self._last[i]))
+            self._last[i] = self._k
+        given = {name: values.copy() for name, values in signals.items()}
+        for name, values in given.items():
+            if held.any():
+                values[held] = self._kept[name][held]
+        if there.any():
+            self._before, self._kept = self._k, given
+        return given
 
 
 def _interval(steps: Indices) -> float:

@@ -15,6 +15,7 @@ from bayesftc.cosim.ports import Port
 from bayesftc.cosim.run.online import Online
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.columns import Input, Sensor
+from bayesftc.monitoring.gaps import GapWatch
 from bayesftc.monitoring.monitor import OPENING, Monitor
 from bayesftc.monitoring.recording import LEAST_LOSS, Recording, expected_loss
 from bayesftc.monitoring.rest import RestWatch
@@ -94,7 +95,7 @@ class MonitorStepper(Stepper):
         windows = [max(1, round(given.smooth / float(self.step))) for given in monitor.inputs.values()]
         self._smoothed: list[deque[float]] = [deque(maxlen=window) for window in windows]
         self._opening: deque[tuple[Floats, Floats]] = deque(maxlen=LONGEST)
-        self._rest = RestWatch(len(monitor.sensors))
+        self._rest, self._gap = RestWatch(len(monitor.sensors)), GapWatch(len(monitor.sensors))
         self._running: Online | None = None
         self._k = -1
 
@@ -113,6 +114,12 @@ class MonitorStepper(Stepper):
     def k(self) -> int:
         """The number of the last step; -1 before the first."""
         return self._k
+
+    @property
+    def gap_since(self) -> float | None:
+        """Time of the last sample in seconds, as long as no sensor sends any; the fault probabilities keep their values."""
+        since = self._gap.since
+        return None if since is None or self.began is None else self.began + since * float(self.step)
 
     @property
     def silent(self) -> list[str]:
@@ -190,7 +197,7 @@ class MonitorStepper(Stepper):
         signals = self._step_of(online, y, u)
         if ONSET in signals:
             signals[ONSET] = signals[ONSET] + (self.began or 0.0)
-        signals |= self._rest.feed(y, {name: signals[name] for name in self._judged})
+        signals |= self._gap.feed(y, self._rest.feed(y, {name: signals[name] for name in self._judged}))
         return np.concatenate([signals[name].ravel() for name in self.outputs])
 
     @staticmethod

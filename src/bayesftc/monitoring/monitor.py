@@ -20,13 +20,14 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.switching.fault_modes import Frozen
 from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
 from bayesftc.monitoring.csv import Tables
-from bayesftc.monitoring.fit.units import column_unit
+from bayesftc.monitoring.fit.units import column_unit, in_unit
 from bayesftc.monitoring.models import PlantModel
 from bayesftc.monitoring.precision import default_precision
 from bayesftc.monitoring.recording import Recording, Signal, align
@@ -159,11 +160,12 @@ class Monitor:
         def signal(name: str, given: Column, what: str, **more: Any) -> Signal:
             file = tables.find(given.file, f"The {what} {name!r}")
             time = tables.times(file, given.time or self.time, f" of the {what} {name!r}")
-            values = tables.column(file, given.column or name, f"the {what} {name!r}")
+            column = given.column or name
+            logged = tables.column(file, column, f"the {what} {name!r}")
+            invalid = np.isin(logged, invalid_values("A signal", (*self.invalid, *given.invalid), 1))
+            values = in_unit(np.where(invalid, np.nan, logged), column, more["unit"])
             try:
-                invalid = (*self.invalid, *given.invalid)
-                more |= {"bias": given.bias, "delay": given.delay, "invalid": invalid, "origin": tables.origin}
-                return Signal(time, values, **more)
+                return Signal(time, values, bias=given.bias, delay=given.delay, origin=tables.origin, **more)
             except RecordingError as error:
                 raise RecordingError(f"{file}, the {what} {name!r}: {error}") from None
 

@@ -76,7 +76,8 @@ def sentences(contents: Contents) -> list[str]:
     (best, lowest), runs = order[0], sum(each.runs for _, each in order)
     if factor is None or len(order) < 2:
         where = f" with {factor} = {text_of(best)}" if factor else ""
-        return [f"{metric} is {mean_text(lowest)} on average over {runs} run{'s' if runs > 1 else ''}{where}."]
+        mean = mean_text(lowest, None, contents.positive(metric))
+        return [f"{metric} is {mean} on average over {runs} run{'s' if runs > 1 else ''}{where}."]
     every = len(contents.levels()) * (len(contents.levels()) - 1) // 2
     beside = [pair(contents, level, best, every) for level, _ in order[1:4]]
     head = f"{metric} is lowest with {factor} = {text_of(best)}, {lowest.value:.4g} on average"

@@ -82,6 +82,10 @@ class Contents:
         """Return the number of values of a factor in the table."""
         return int(self.table[factor].nunique(dropna=False))
 
+    def positive(self, metric: str | None) -> bool:
+        """Return whether a metric has no negative value, as an RMSE."""
+        return bool((self.table[metric].dropna() >= 0).all())
+
     @cached_property
     def combinations(self) -> Any:
         """Index, for each run, of the combination of the factors that are not compared."""

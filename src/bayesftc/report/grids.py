@@ -145,7 +145,9 @@ def _bars(axis: Axes, contents: Contents, metric: str, name: str) -> None:
         means = [estimate(contents, runs[runs[name] == value], metric) for value in values]
         # Names are drawn side by side; numbers stay at their places on the scale.
         at = np.array(values, dtype=float) if numeric else np.arange(len(values)) + 0.12 * (i - (len(drawn) - 1) / 2)
-        half = np.nan_to_num([e.half() for e in means])
+        bounds = [e.bounds(contents.positive(metric)) for e in means]
+        sides = [(e.value - low, high - e.value) for e, (low, high) in zip(means, bounds, strict=True)]
+        half = np.nan_to_num(np.array(sides).T)
         drawn_as = style if numeric else style._replace(line="none")
         error_bars(
             axis, at, [e.value for e in means], half, drawn_as, label=None if is_compared else _name(contents, level)

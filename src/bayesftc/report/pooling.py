@@ -32,6 +32,18 @@ class Estimate(NamedTuple):
 
         return float(stdtrit(self.freedom, 0.5 + level / 2) * self.error)
 
+    def bounds(self, positive: bool = False) -> tuple[float, float]:
+        """Return the 95 % confidence interval; NaN with one seed.
+
+        Parameters
+        ----------
+        positive : bool
+            Whether no value can be negative. The interval then begins at zero at the earliest, and covers the mean as often.
+        """
+        half = self.half()
+        low = self.value - half
+        return max(low, 0.0) if positive and low == low else low, self.value + half
+
     @property
     def p(self) -> float:
         """Two-sided p-value for the hypothesis that the true value is zero."""

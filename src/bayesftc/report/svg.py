@@ -85,7 +85,7 @@ def widen(axis: Axes) -> None:
 
 
 def error_bars(axis: Axes, x: Any, y: Any, half: Any, style: Style, label: str | None) -> None:
-    """Draw values with their intervals in a level's style."""
+    """Draw values with halves of their intervals, or what lies below and above them, in a level's style."""
     look: dict[str, Any] = {"fmt": style.marker, "ls": style.line, "color": style.colour}
     axis.errorbar(x, y, yerr=half, ms=4, lw=1.2, capsize=3, label=label, **look)
 

@@ -18,7 +18,7 @@ ROWS = 60
 WORST, LEVELS, REASONS, METRICS, CELL = 5, 10, 10, 6, 15
 """Largest numbers of listed runs, of levels with a run of their own in that list, of listed reasons, of metrics with a column, of
 values of a factor with rows."""
-NUMBER = re.compile(r"[-−]?(\d[\d.]*(e[-+]?\d+)?|inf|nan)( ± .*)?|–|< .*|(None|True|False)")
+NUMBER = re.compile(r"[-−]?(\d[\d.]*(e[-+]?\d+)?|inf|nan)( ± .*| \(.*)?|–|< .*|(None|True|False)")
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,12 @@ def means(contents: Contents) -> Table | None:
     for key, runs in cells[:ROWS]:
         failed = [str(int((runs["status"] == "failed").sum()))] if contents.failed else []
         estimates = [estimate(contents, runs, metric) for metric in shown]
-        rows.append([*map(text_of, key), str(len(runs)), *failed, *(mean_text(e, len(runs)) for e in estimates)])
+        texts = [mean_text(e, len(runs), contents.positive(m)) for e, m in zip(estimates, shown, strict=True)]
+        rows.append([*map(text_of, key), str(len(runs)), *failed, *texts])
     pools = any(runs["point"].nunique() > 1 for _, runs in cells)
     note = "Mean ± half of its 95 % confidence interval (Student's t over seeds)."
+    if any(" to " in text for row in rows for text in row[-len(shown) :]):
+        note += " In brackets: the interval without its part below zero, where no value can be."
     if pools:
         note += " A row has several points: its mean is over these; its interval covers other noise, not other points."
     if contents.failed or any(table[m].isna().any() for m in shown):
@@ -153,12 +156,15 @@ def text_of(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def mean_text(mean: Estimate, runs: int | None = None) -> str:
-    """Return a mean, half of its interval, and its number of runs if this is not `runs`."""
+def mean_text(mean: Estimate, runs: int | None = None, positive: bool = False) -> str:
+    """Return a mean, half of its interval or both bounds, and its number of runs if this is not `runs`."""
     if not mean.runs:
         return "–"
-    half = mean.half()
-    text = f"{mean.value:.4g}" + (f" ± {half:.2g}" if half == half else "")
+    half, text = mean.half(), f"{mean.value:.4g}"
+    if positive and half > mean.value:
+        text += " ({:.2g} to {:.2g})".format(*mean.bounds(positive))
+    elif half == half:
+        text += f" ± {half:.2g}"
     return text if runs in {None, mean.runs} else f"{text} (n = {mean.runs})"
 
 

@@ -241,6 +241,25 @@ def test_points_with_noise_of_their_own_count_each_by_itself():
     assert (found.freedom, found.p) == pytest.approx((test.df, test.pvalue))
 
 
+def test_an_interval_of_a_positive_metric_does_not_reach_below_zero():
+    from bayesftc.report.pooling import pooled
+    from bayesftc.report.tables import NUMBER, mean_text
+
+    def mean(*values):
+        return pooled(np.array(values), np.zeros(len(values), int), np.arange(len(values)), np.zeros(len(values), int))
+
+    skewed, near = mean(0.01, 0.02, 0.9), mean(0.5, 0.52, 0.51)
+    assert skewed.bounds() == pytest.approx((skewed.value - skewed.half(), skewed.value + skewed.half()))
+    assert skewed.bounds()[0] < 0
+    assert skewed.bounds(positive=True) == (0.0, skewed.bounds()[1])
+    assert near.bounds(positive=True) == near.bounds()
+    assert np.isnan(mean(0.5).bounds(positive=True)).all()
+    text = mean_text(skewed, positive=True)
+    assert text == f"{skewed.value:.4g} (0 to {skewed.bounds()[1]:.2g})"
+    assert NUMBER.fullmatch(text)
+    assert "±" in mean_text(skewed)
+
+
 def detected(score, seed=0, points=PRECISIONS, seeds=3):
     """Return signals of a loop, in which the first of two sensors has a fault from the 30th row on."""
     rng = np.random.default_rng(seed)

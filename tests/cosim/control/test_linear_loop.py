@@ -232,7 +232,10 @@ def test_an_fmu_is_linearized_where_it_stands():
 def test_figures_show_loop_and_margins():
     loop = loop_of(lqg())
     bode, locus, margins = loop.bode(), loop.root_locus(), loop.margins()
-    assert [axis.get_ylabel() for axis in bode.axes] == ["gain", "phase (degrees)"]
+    assert [axis.get_ylabel() for axis in bode.axes] == ["gain (dB)", "phase (degrees)"]
+    assert bode.axes[0].get_yscale() == "linear"
+    crossing = np.interp(margins.phase_crossover, *bode.axes[0].lines[0].get_data())
+    assert crossing == pytest.approx(-20.0 * np.log10(margins.gain), abs=0.2)
     assert f"gain margin {margins.gain:.3g}" in bode.axes[0].get_title()
     axis, _ = locus.axes
     (now,) = [line for line in axis.lines if line.get_marker() == "s"]

@@ -205,6 +205,16 @@ def test_a_gif_and_a_page_need_no_ffmpeg_and_a_film_says_so(tmp_path, monkeypatc
         animation.save(tmp_path / "film.mp4")
 
 
+@pytest.mark.parametrize(("name", "longest"), [("run.gif", 655.35), ("run.png", 65.535)])
+def test_pictures_that_last_too_long_are_refused_before_they_are_drawn(tmp_path, name, longest):
+    run = car().simulate(0.2, seed=1, engine="interpreted")
+    animation = keep(run.animate(frames=2, speed=0.1 / (longest + 0.01)))
+    with pytest.raises(ResultFileError, match=r"speed= at least 1 times as large, or more frames="):
+        animation.save(tmp_path / name)
+    assert not (tmp_path / name).exists()
+    keep(run.animate(frames=2, speed=0.1 / (longest - 0.1))).save(tmp_path / name)
+
+
 def test_a_missing_sample_is_not_drawn():
     run = car(faults=[cosim.Dropout(sensor=0, start=0.1)]).simulate(0.2, seed=1, engine="interpreted")
     animation = keep(run.animate(frames=3))

@@ -412,7 +412,6 @@ def test_times_that_are_no_seconds_are_named(text, words, tmp_path, monkeypatch)
 @pytest.mark.parametrize(
     ("first", "second", "refused"),
     [
-        ("T_1 [degC]", "T_2 [degF]", True),
         ("T_1 (degC)", "T_2 (kPa)", True),
         ("T_1_degC", "T_2_degF", True),
         ("x [mm]", "y_cm", True),
@@ -466,3 +465,23 @@ def test_times_in_milliseconds_are_known_from_their_name(tmp_path, name):
     assert places["a"].time == name
     assert signals["b"].time[-1] == 0.98
     assert recorded(signals).dt == Fraction("0.02")
+
+
+@pytest.mark.parametrize(("unit", "factor", "offset"), [("cm", 100.0, 0.0), ("degF", 1.8, 32.0)])
+def test_samples_in_another_unit_are_converted(unit, factor, offset, tmp_path):
+    """One of three sensors is logged in another unit; the fitted model file reads its column in the unit of the first one."""
+    first = {"cm": "m", "degF": "degC"}[unit]
+    y = 20.0 + np.random.default_rng(0).standard_normal((200, 3)).round(2)
+    rows = (f"{k},{a},{b},{c * factor + offset:.6g}" for k, (a, b, c) in enumerate(y))
+    (tmp_path / "run.csv").write_text("\n".join([f"t,x_1 [{first}],x_2,x_3 [{unit}]", *rows]))
+    places, signals = redundant_signals([tmp_path / "run.csv"])
+    samples = recorded(signals)
+    np.testing.assert_allclose(samples.y, y, rtol=1e-9)
+    assert samples.units == (first, "", first)
+    (tmp_path / "model.toml").write_text(as_model_file(fit_model(samples), samples, places))
+    monitor = load_monitor(tmp_path / "model.toml")
+    bias = [sensor.bias for sensor in monitor.sensors.values()]
+    np.testing.assert_allclose(monitor.read([tmp_path / "run.csv"]).y + bias, samples.y, rtol=1e-9)
+    logged = (tmp_path / "run.csv").read_text().splitlines()[1].split(",")[-1]
+    without = replace(monitor, invalid=[float(logged)])  # as the column has it
+    assert np.isnan(without.read([tmp_path / "run.csv"]).y).any()

@@ -46,6 +46,14 @@ def found(y, plant=None, std=0.1):
     return monitored, suspect_model(monitor, monitored)
 
 
+def test_two_sensors_that_fail_together_are_no_wrong_model_beside_a_healthy_third():
+    y = samples()
+    y[200:400, :2] += 2.0
+    monitored, suspicion = found(y)
+    assert {event.sensor for event in monitored.events} == {"T0", "T1"}
+    assert suspicion is None
+
+
 @pytest.mark.parametrize(
     ("plant", "words"),
     [

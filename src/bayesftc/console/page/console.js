@@ -1,5 +1,5 @@
 // The console: connection, commands, cards, forms, branches and the log. Names reach the page as text only.
-import { Buffer, Strip, short } from "/page/strips.js";
+import { Buffer, Strip, short, windows } from "/page/strips.js";
 import { Loop, Scenes } from "/page/drawing.js";
 import { make, put } from "/page/elements.js";
 import { Wires } from "/page/wires.js";
@@ -81,8 +81,18 @@ function titleOf(lane, i) {
   return lane.name === "FixedPrecision" ? "without fault tolerance" : i ? `with ${lane.name}` : lane.name === "the scenario" ? lane.name : `with ${lane.name}`;
 }
 
+// Fit the choice of windows to the sample time, once for each.
+function showWindows() {
+  const fitting = windows(layout.step), choice = $("window");
+  if (choice.dataset.usual === String(fitting[1][0])) return;
+  choice.dataset.usual = String(fitting[1][0]);
+  choice.replaceChildren(...[...fitting, [0, "all"]].map(([seconds, text]) => make("option", { value: String(seconds) }, text)));
+  choice.value = choice.dataset.usual;
+}
+
 function onLayout(message) {
   layout = message;
+  showWindows();
   layout.lanes.forEach((lane, i) => { lane.title = titleOf(lane, i); });
   document.title = `${layout.scenario}: bayesftc console`;
   $("scenario").textContent = layout.scenario;

@@ -76,6 +76,31 @@ function drawn(v, from, to, width, scale) {
   return out;
 }
 
+const UNITS = [["d", 86400], ["h", 3600], ["min", 60]];
+const WINDOWS = [20, 60, 300, 1200, 3600, 14400, 43200, 86400, 345600, 864000, 2592000, 8640000];
+
+// The unit of time axes over so many seconds, and its seconds.
+export function unitOf(seconds) { return UNITS.find(([, size]) => seconds >= 3 * size) || ["s", 1]; }
+
+function spoken(seconds) {
+  const [unit, size] = UNITS.find(([, each]) => seconds >= each && seconds % each === 0) || ["s", 1];
+  return `${seconds / size} ${unit}`;
+}
+
+// Windows for a sample time, from short to long: the second one shows some hundred samples.
+export function windows(step) {
+  const usual = WINDOWS.find((each) => each >= 200 * step) || WINDOWS[WINDOWS.length - 1];
+  return [usual / 4, usual, 3 * usual, 15 * usual].map((each) => [each, spoken(each)]);
+}
+
+// Distances of ticks in a unit: 1, 2 and 5 times powers of ten, halves and quarters of a minute or an hour included.
+function distances(size) {
+  if (size === 1) return undefined;
+  const some = [];
+  for (let power = 1; power < 1e6; power *= 10) for (const each of [1, 2, 5]) some.push(each * power * size);
+  return [size / 4, size / 2, ...some];
+}
+
 function times(t, from, to, width) {
   const n = to - from, out = [];
   const size = n > 3 * width ? Math.ceil(n / width) : 1;
@@ -114,6 +139,7 @@ export class Strip {
     this.element.append(title, key, this.chart);
     place.append(this.element);
     this.key = key;
+    this.unit = unitOf(0);
     this.build();
   }
 
@@ -125,7 +151,8 @@ export class Strip {
   build() {
     if (this.plot) this.plot.destroy();
     const axis = { stroke: colour("faint"), grid: { stroke: colour("grid"), width: 1 }, ticks: { stroke: colour("grid"), width: 1 }, font: "12px system-ui" };
-    const range = this.plan.range;
+    const range = this.plan.range, [unit, size] = this.unit;
+    const clock = size === 1 ? {} : { incrs: distances(size), values: (plot, at) => at.map((t) => `${short(t / size)} ${unit}`), space: 70 };
     this.key.replaceChildren();
     const series = this.lines.map((line) => {
       const [stroke, width, dash] = this.style(line);
@@ -143,7 +170,7 @@ export class Strip {
     this.plot = new uPlot({
       width: this.width, height: this.plan.range ? 130 : 150, legend: { show: false }, cursor: { show: false }, select: { show: false },
       scales: { x: { time: false }, y: range ? { range: [range[0] - 0.04, range[1] + 0.04] } : {} },
-      axes: [{ ...axis, size: 28 }, { ...axis, size: 52, space: 26 }],
+      axes: [{ ...axis, size: 28, ...clock }, { ...axis, size: 52, space: 26 }],
       series: [{}, ...series],
     }, [[0, 1], ...this.lines.map(() => [null, null])], this.chart);
   }
@@ -154,6 +181,8 @@ export class Strip {
       this.width = this.chart.clientWidth;
       this.plot.setSize({ width: this.width, height: this.plot.height });
     }
+    const unit = unitOf(end - begin);
+    if (unit[1] !== this.unit[1]) { this.unit = unit; this.build(); }
     const x = times(buffer.t, from, to, this.width);
     const ys = this.lines.map((line) => {
       const v = buffer.column(line.lane, line.column);

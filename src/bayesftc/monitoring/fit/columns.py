@@ -17,7 +17,7 @@ from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.settings import FIT
-from bayesftc.monitoring.fit.units import bare_name, check_one_unit, column_unit
+from bayesftc.monitoring.fit.units import bare_name, check_one_unit, column_unit, in_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
 
 
@@ -58,7 +58,8 @@ def redundant_signals(
     paths : path, or sequence of path
         Files, or folders with files.
     names : sequence of str
-        Columns that are sensors, with or without the unit in brackets at the end; by default all.
+        Columns that are sensors, with or without the unit in brackets at the end; by default all. Samples are converted to
+        the unit of the first one.
 
     Returns
     -------
@@ -68,7 +69,8 @@ def redundant_signals(
     Raises
     ------
     RecordingError
-        If a file is no table, has no times, or lacks one of the named columns, or if the units at the end of two names differ.
+        If a file is no table, has no times, or lacks one of the named columns, or if the units at the end of two names
+        cannot be converted.
 
     Examples
     --------
@@ -89,6 +91,8 @@ def redundant_signals(
     times_of = {file: _time_column(tables, file, header) for file, header in headers.items()}
     columns = [name for file, header in headers.items() for name in header if name != times_of[file]]
     chosen = {_column(name, columns) for name in names} or set(columns)
+    check_one_unit(name for name in columns if name in chosen)
+    unit = next((given for name in columns if name in chosen and (given := column_unit(name))), "")
     for file, header in headers.items():
         time = times_of[file]
         for column in header:
@@ -97,14 +101,13 @@ def redundant_signals(
             name = column if column not in places else f"{file.stem}_{column}"
             places[name] = Place(file.name, column, time)
             times = tables.times(file, time)
-            samples = tables.column(file, column, "a sensor")
+            samples = in_unit(tables.column(file, column, "a sensor"), column, unit)
             try:
-                signals[name] = Signal(times, samples, unit=column_unit(column), origin=tables.origin)
+                signals[name] = Signal(times, samples, unit=column_unit(column) and unit, origin=tables.origin)
             except RecordingError as error:
                 raise RecordingError(f"{file}, the column {column!r}: {error}") from None
     if not signals:
         raise RecordingError("There is no column besides the times. Give a file with two or more sensors.")
-    check_one_unit(places[name].column for name in signals)
     return places, signals
 
 

@@ -19,6 +19,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.findings import AGREE
 from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.alarms import FaultEvent
 from bayesftc.monitoring.models import Matrices
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ LEAST_COMMON = 3
 """Least number of steps of a moment at which two sensors both have a sample: with fewer there is no evidence that they agree."""
 
 MOST_TIME = 0.5
-"""Share of a recording above which a sensor is blamed most of the time; then most of the sensors must be."""
+"""Share of a recording, or of an alarm, above which a sensor is blamed most of the time; then most of the sensors must be."""
 
 REMAINING = 0.1
 """Share of the blame that may remain with another setting: some of the faults may be real."""
@@ -152,6 +153,52 @@ def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | No
     )
 
 
+def doubtful_alarms(monitor: Monitor, monitored: Monitored) -> tuple[FaultEvent, ...]:
+    """Return the alarms that are due to the model rather than to their sensors, if the model is wrong.
+
+    These are alarms during which the sensor agrees with another one that is blamed for at least half of the time. If no
+    sensors agree, they are those of the sensors of `suspect_model`.
+
+    Parameters
+    ----------
+    monitor : Monitor
+        The monitor.
+    monitored : Monitored
+        What its `run` returned.
+
+    Returns
+    -------
+    tuple of FaultEvent
+        Some of its events.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import monitoring
+    >>> rng, t = np.random.default_rng(0), 1.0 * np.arange(600)
+    >>> noise = 0.1 * rng.standard_normal((600, 2))
+    >>> recording = monitoring.align({name: monitoring.Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("ab")}, {}, dt=1)
+    >>> sensors = {name: monitoring.Sensor(std=0.02) for name in "ab"}  # they have more noise than the model knows
+    >>> monitor = monitoring.Monitor(1, monitoring.RandomWalk(std=0.01), sensors)
+    >>> monitored = monitor.run(recording)
+    >>> monitoring.doubtful_alarms(monitor, monitored) == monitored.events
+    True
+    """
+    blame, order = _Blame(monitor, monitored), monitored.recording.sensors
+    blamed = _blamed(monitored, monitor.alarm.threshold)
+
+    def together(event: FaultEvent) -> bool:
+        i = order.index(event.sensor)
+        part = slice(*np.searchsorted(monitored.time, [event.start, event.end + float(monitored.recording.dt) / 2]))
+        if not blame.agreeing:
+            return i in blame.sensors and bool(blame.when[part].mean() >= MOST_TIME)
+        pairs = [pair for pair in blame.apart if i in pair]
+        often = [pair for pair in pairs if blamed[part, list(pair)].all(axis=1).mean() >= MOST_TIME]
+        return any(blame.agree(pair, part) for pair in often)
+
+    return tuple(event for event in monitored.events if event.kind not in ELSEWHERE and together(event))
+
+
 class _Blame:
     """Which sensors are blamed together, when, and whether they agree."""
 
@@ -176,16 +223,32 @@ class _Blame:
         self.share = float(self.when.mean())
 
     def _agreeing(self, blamed: Flags) -> list[tuple[int, int]]:
-        """Return the pairs of sensors that agree with each other while both are blamed."""
+        """Return the pairs of sensors that agree with each other while both are blamed, and with those that are not.
+
+        Two sensors that have failed from the same cause do not agree with a healthy one.
+        """
         pairs = []
         for (i, j), expected in self.apart.items():
             together = blamed[:, i] & blamed[:, j]
             difference = (self.y[:, i] - self.y[:, j])[together]
             difference = difference[np.isfinite(difference)]
             enough = len(difference) >= LEAST_SAMPLES and together.mean() >= LEAST_SHARE
-            if enough and excess(difference, expected)[0] <= AGREE:
+            if enough and excess(difference, expected)[0] <= AGREE and not self._contradicted(i, j, blamed):
                 pairs.append((i, j))
         return pairs
+
+    def _contradicted(self, i: int, j: int, blamed: Flags) -> bool:
+        """Return whether a healthy sensor differs from one of two while both are blamed, for most of this time."""
+        together = blamed[:, i] & blamed[:, j]
+        for (one, other), expected in self.apart.items():
+            if len({one, other} & {i, j}) != 1:
+                continue
+            third = other if one in (i, j) else one
+            difference = (self.y[:, one] - self.y[:, other])[together & ~blamed[:, third]]
+            difference = difference[np.isfinite(difference)]
+            if 2 * len(difference) > together.sum() and excess(difference, expected)[0] > AGREE:
+                return True
+        return False
 
     def _moments(self, blamed: Flags) -> list[tuple[int, int, list[tuple[int, int]]]]:
         """Return when blamed sensors agree with all sensors of their quantity: first step, step after the last, and their pairs.
@@ -200,7 +263,7 @@ class _Blame:
                 continue
             for begin, end in periods(blamed[:, members].sum(axis=1) > 1):
                 part = slice(begin, end)
-                agreed = {pair: self._agree(pair, part) for pair in combinations(members, 2)}
+                agreed = {pair: self.agree(pair, part) for pair in combinations(members, 2)}
                 together = [p for p in agreed if agreed[p] and (blamed[part, p[0]] & blamed[part, p[1]]).any()]
                 healthy = {i for i in members if not blamed[part, i].any()}
                 named = {i for pair in together for i in pair}
@@ -209,7 +272,7 @@ class _Blame:
                     moments.append((begin, end, together))
         return sorted(moments)
 
-    def _agree(self, pair: tuple[int, int], part: slice) -> bool | None:
+    def agree(self, pair: tuple[int, int], part: slice) -> bool | None:
         """Return whether two sensors agree; None if they have too few samples at the same steps to tell."""
         difference = self.y[part, pair[0]] - self.y[part, pair[1]]
         difference = difference[np.isfinite(difference)]
@@ -363,4 +426,4 @@ def _advice(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: str,
     )
 
 
-__all__ = ["ModelSuspicion", "suspect_model"]
+__all__ = ["ModelSuspicion", "doubtful_alarms", "suspect_model"]

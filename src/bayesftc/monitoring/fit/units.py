@@ -1,4 +1,4 @@
-"""Units at the end of names of columns, as in ``T_1 [degC]``: sensors of one quantity must have one."""
+"""Units at the end of names of columns, as in ``T_1 [degC]``: samples of sensors of one quantity are converted to one."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import re
 from collections.abc import Iterable
 from itertools import combinations
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from bayesftc.cosim.base.units import gain, parse
 from bayesftc.cosim.errors import RecordingError
+from bayesftc.cosim.types import Floats
 
 _BRACKET = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*\Z")
 _LAST_WORD = re.compile(r"_([A-Za-z]{2,})\Z")
@@ -25,8 +29,18 @@ def bare_name(name: str) -> str:
     return _BRACKET.sub("", name).rstrip() if column_unit(name) else name
 
 
+def in_unit(values: ArrayLike, column: str, unit: str) -> Floats:
+    """Return the samples of a column in a unit; as they are, if its name has no unit in brackets that can be converted to it."""
+    numbers, given = np.asarray(values, dtype=np.float64), parse(column_unit(column))
+    target = parse(unit)
+    factors = "unknown" if given is None or target is None else gain(given, target)
+    if isinstance(factors, str) or factors == (1.0, 0.0):
+        return numbers
+    return np.asarray(numbers * factors[0] + factors[1])
+
+
 def check_one_unit(names: Iterable[str]) -> None:
-    """Refuse columns of different units.
+    """Refuse columns of different units, unless both units stand in brackets and can be converted.
 
     A last word such as ``T_1_degF`` counts only beside a unit of the same dimension, since many words happen to be units.
 
@@ -45,9 +59,12 @@ def check_one_unit(names: Iterable[str]) -> None:
         if one is None or other is None:
             continue
         factors = gain(one, other)
-        if factors == (1.0, 0.0) or (isinstance(factors, str) and not certain):
+        if factors == (1.0, 0.0) or isinstance(factors, str) != certain:
             continue
+        remedy = (
+            "Name" if certain else "Write the units in brackets, as in 'h [cm]', so that they are converted, or name"
+        )
         raise RecordingError(
-            f"The columns {first!r} and {second!r} have different units. All columns must be sensors of one quantity in one "
-            "unit. Convert one of them, or name the sensors of one quantity with --sensor."
+            f"The columns {first!r} and {second!r} have different units. All columns must be sensors of one quantity. "
+            f"{remedy} the sensors of one quantity with --sensor."
         )

@@ -16,9 +16,15 @@ DAY = len("2026-01-01")
 
 
 def print_faults(
-    events: Sequence[FaultEvent | ActuatorEvent], units: Mapping[str, str], recording: Recording | None = None
+    events: Sequence[FaultEvent | ActuatorEvent],
+    units: Mapping[str, str],
+    recording: Recording | None = None,
+    doubtful: Sequence[FaultEvent] = (),
 ) -> None:
-    """Print the table of alarms, with the unit of each sensor and input by its name, and dates if the recording has any."""
+    """Print the table of alarms, with the unit of each sensor and input by its name, and dates if the recording has any.
+
+    The kinds of doubtful ones are in brackets.
+    """
     console, say = output.sayer()
     if not events:
         say("No fault was found.")
@@ -28,13 +34,19 @@ def print_faults(
     for event in sorted(events, key=lambda event: isinstance(event, ActuatorEvent)):
         kind, span = event.kind or output.DASH, clock.span(event.start, event.end)
         if isinstance(event, FaultEvent):
+            shown = f"({kind})" if event in doubtful else kind
             onset = output.DASH if event.onset is None else clock.time(event.onset)
-            table.add_row(event.sensor, kind, onset, span, _size(event, units[event.sensor]))
+            table.add_row(event.sensor, shown, onset, span, _size(event, units[event.sensor]))
         else:
             unit = "" if kind == "LostEffect" else units.get(event.actuator, "")
             table.add_row(f"actuator {event.actuator}", kind, output.DASH, span, _size(event, unit))
     say(f"\nFaults{clock.day}", "bold")
     console.print(table)
+    if doubtful:
+        say(
+            f"In brackets: {len(doubtful)} of {len(events)}, which are probably no faults of sensors. Sensors that agree have "
+            "alarms at the same time, because the model is wrong."
+        )
     say("Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
     if any(isinstance(event, ActuatorEvent) for event in events):
         say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")

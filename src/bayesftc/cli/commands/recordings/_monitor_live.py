@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.commands.recordings._faults import print_faults
-from bayesftc.cli.live_report import Alarms, all_of, as_numbers, note, print_summary, run_between
+from bayesftc.cli.live_report import MOST, Alarms, all_of, as_numbers, note_at, print_summary, run_between
 from bayesftc.cli.page import PageBeside, page_beside
 from bayesftc.cosim.live.run import LiveSettings
 from bayesftc.cosim.types import Floats
@@ -71,13 +72,17 @@ def monitor_live(model: Path, bridges: Path, options: LiveOptions) -> None:
     events = alarms.close()
     numbers: dict[str, Any] = {
         **as_numbers(summary, events),
+        "start_date": None if watcher.start is None else watcher.start.isoformat(timespec="milliseconds"),
         "began": stepper.began,
+        "gaps": watcher.gaps,
         "sensors": watcher.numbers(),
         "why_no_probability": precision.why_no_probability,
     }
     if options.json:
         typer.echo(output.as_json(numbers))
     elif not options.quiet:
+        if watcher.start is not None:
+            output.sayer()[1](f"Time 0 is {watcher.start:%Y-%m-%d %H:%M:%S %Z}.")
         print_summary(numbers)
         _print_sensors(numbers)
         if stepper.began is not None and not precision.why_no_probability:
@@ -97,15 +102,20 @@ class _Watcher:
     told: bool = False
     samples: Floats = field(init=False)
     probability: Floats = field(init=False)
+    start: datetime | None = None
+    gaps: list[dict[str, float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.samples, self.probability = np.zeros(len(self.monitor.sensors)), np.zeros(len(self.monitor.sensors))
         self._places = self.stepper.output_places("fault_probability")
         self._alarms = self.alarms.watcher(self.stepper)
         self._began = False
+        self._gap_since: float | None = None
 
     def watch(self, time: float, inputs: Floats, outputs: Floats) -> None:
         """Note a step."""
+        if self.start is None:
+            self.start = datetime.now().astimezone() - timedelta(seconds=time)
         self.steps += 1
         self.samples += np.isfinite(inputs[: len(self.samples)])
         if self.stepper.began is None:
@@ -118,6 +128,7 @@ class _Watcher:
         if not self._began:
             self._began = True
             self._say(time, "monitoring has begun")
+        self._note_gap(time)
         self.judged += 1
         self.probability += outputs[self._places]
         if self._alarms is not None:
@@ -136,9 +147,21 @@ class _Watcher:
             for i, name in enumerate(self.monitor.sensors)
         }
 
+    def _note_gap(self, time: float) -> None:
+        """Note the begin or the end of a gap."""
+        since, begun = self.stepper.gap_since, self._gap_since
+        self._gap_since = since
+        if since is not None and begun is None:
+            text = f"a gap: no sensor has sent a sample since {since:.2f} s; the fault probabilities keep their values"
+            self._say(time, text)
+        elif begun is not None and since is None:
+            self.gaps.append({"start": begun, "end": time})
+            del self.gaps[:-MOST]
+            self._say(time, f"the gap has ended (since {begun:.2f} s)")
+
     def _say(self, time: float, text: str) -> None:
         if self.alarms.shown:
-            note(f"{time:.2f} s: {text}")
+            note_at(time, text)
 
 
 def _print_sensors(numbers: Mapping[str, Any]) -> None:
@@ -149,6 +172,8 @@ def _print_sensors(numbers: Mapping[str, Any]) -> None:
         mean = output.DASH if row["mean_probability"] is None else f"{row['mean_probability']:.4f}"
         table.add_row(name, str(row["samples"]), f"{row['rate']:.4g}", mean, str(row["alarms"]))
     console.print(table)
+    for gap in numbers["gaps"]:
+        say(f"From {gap['start']:.2f} to {gap['end']:.2f} s no sensor has sent a sample. This gap is no fault.")
     if numbers["began"] is None:
         say("Monitoring has not begun: not all sensors have sent enough samples.")
     elif numbers["why_no_probability"]:

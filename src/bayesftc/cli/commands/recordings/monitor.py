@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -36,6 +37,7 @@ from bayesftc.monitoring import (
     Monitor,
     Monitored,
     Recording,
+    doubtful_alarms,
     load_monitor,
     suspect_model,
 )
@@ -157,7 +159,10 @@ def monitor(
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
     monitored = loaded.run(samples)
     suspicion = None if mismatch and loaded.inputs else suspect_model(loaded, monitored)
-    numbers = summary(monitored, mismatch) | ({} if fitted is None else {"fitted": fitted_summary(fitted, model)})
+    doubtful = doubtful_alarms(loaded, monitored) if mismatch or suspicion else ()
+    numbers = summary(monitored, mismatch, doubtful) | (
+        {} if fitted is None else {"fitted": fitted_summary(fitted, model)}
+    )
     numbers["notes"] = (
         [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
     )
@@ -166,7 +171,7 @@ def monitor(
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
-        _print(monitored, numbers, out)
+        _print(monitored, numbers, out, doubtful)
     if fitted is not None and not quiet:
         output.say_notes(fit_notes(fitted))
 
@@ -180,8 +185,8 @@ def _remedy(monitor: Monitor, fitted: FittedModel | None, suspicion: ModelSuspic
     return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
 
 
-def summary(monitored: Monitored, mismatch: ModelFinding | None) -> dict[str, Any]:
-    """Return the faults, and how the model is wrong, as plain data."""
+def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Sequence[FaultEvent] = ()) -> dict[str, Any]:
+    """Return the faults, which of them are due to a wrong model, and how the model is wrong, as plain data."""
     recording = monitored.recording
     seconds = len(recording.y) * float(recording.dt)
     sensors = {}
@@ -199,7 +204,7 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None) -> dict[str, An
         "end": float(monitored.time[-1]),
         **_dates(recording, start=monitored.time[0], end=monitored.time[-1]),
         "sensors": sensors,
-        "faults": [_with_dates(event, recording) for event in monitored.events],
+        "faults": [_with_dates(event, recording) | {"doubtful": event in doubtful} for event in monitored.events],
         "actuators": {
             name: {
                 "mean_probability": float(monitored.actuator_fault_probability[:, j].mean()),
@@ -270,7 +275,7 @@ def _zone(recording: Recording) -> str:
     return f" ({zone})" if zone else ""
 
 
-def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -> None:
+def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None, doubtful: Sequence[FaultEvent]) -> None:
     console, say = output.sayer()
     recording = monitored.recording
     say(
@@ -305,7 +310,7 @@ def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None) -
         say(f"There is no fault probability: {monitored.why_no_probability}")
     else:
         units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
-        print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording)
+        print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording, doubtful)
     for note in numbers["notes"]:
         say(f"\n{note}")
     if folder is not None:
