@@ -122,7 +122,8 @@ def design(
         itself contains: see `LinearModel.with_delays`.
     initial_spread : number
         Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Larger, such as 1e4,
-        where the plant may start elsewhere than at its start values: else healthy sensors are blamed at first.
+        where the plant may start elsewhere than at its start values and the learner is not the default one, which expects that
+        (``start_doubt`` of `SwitchingPrecision`), or where it may move at the start.
 
     Returns
     -------

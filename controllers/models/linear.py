@@ -208,6 +208,11 @@ class LinearModel(NamedArguments):
         return tuple(tuple(group) for group in groups.values())
 
     @property
+    def quantity(self) -> tuple[int, ...]:
+        """For each sensor, the number of its group in `alike`."""
+        return tuple(next(q for q, group in enumerate(self.alike) if i in group) for i in range(self.sensors))
+
+    @property
     def plant_states(self) -> int:
         """Number of the plant's own states, without disturbances and past signals (`with_delays`); they are the first ones."""
         return self.states - self.disturbances if self.delays is None else self.delays.plant
@@ -242,6 +247,20 @@ class LinearModel(NamedArguments):
             delays=None,
             names=self.names and replace(self.names, states=self.names.states[: self.delays.plant]),
         )
+
+    @property
+    def state_at_samples(self) -> Floats:
+        """The least deviation of the state from its prediction, at rest, at which all sensors of a quantity deviate by 1 (n x m).
+
+        The other quantities do not deviate, as far as the plant's states permit that, nor do disturbances.
+        """
+        rest = np.zeros((self.states, self.plant_states))
+        rest[: self.plant_states] = np.eye(self.plant_states)
+        if self.delays is not None:
+            rest[self.delays.places] = self.delays.present
+        together = np.equal.outer(self.quantity, self.quantity).astype(float)
+        states: Floats = rest @ np.linalg.pinv(self.matrix("C") @ rest) @ together
+        return states
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -123,6 +123,10 @@ class SwitchingPrecision(PrecisionLearner):
         (a process mode with a `scale` above 1). Only later samples can decide that. The estimate follows the sensors unless a
         fault is more probable. It belongs to the joint form, with two or more sensors of one quantity, such a process mode and
         an `Offset`; otherwise it has no effect.
+    start_doubt : float
+        Prior probability, from 0 to below 1, that the plant starts elsewhere than the controller's belief before the first sample
+        says. If the sensors' first samples agree on another state, that is then the state, and no sensor is blamed. It belongs to
+        the joint form with a process mode; otherwise it has no effect.
     duration_shape : float
         Shape, above 1, of the Lomax distribution of a fault's duration, whose mean is its ``time_to_recovery``. Near 1 many
         faults are short and a few very long. Infinite gives the exponential distribution of all other modes, for faults of known
@@ -153,6 +157,7 @@ class SwitchingPrecision(PrecisionLearner):
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
     alike: float = 0.2
+    start_doubt: float = 0.1
     duration_shape: float = 1.1
     gain_limit: float = 1.0
     noise_factor: float = 3.0
@@ -162,6 +167,7 @@ class SwitchingPrecision(PrecisionLearner):
     def __post_init__(self) -> None:
         check_flags(self, "joint")
         check_number(self, "alike", least=0, below=1)
+        check_number(self, "start_doubt", least=0, below=1)
         check_number(self, "duration_shape", above=1, finite=False)
         check_number(self, "gain_limit", above=0, finite=False)
         check_number(self, "noise_factor", least=1, most=1e3)
@@ -291,6 +297,8 @@ class SwitchingPrecision(PrecisionLearner):
         settings += [self._jumps_alike(process_modes[layout.kick], step) for _ in layout.groups]
         settings.append(1.0 / (self.duration_shape - 1.0))
         settings.append(min(1.0, self.gain_limit * filter_share(model)) if any(layout.fades) else 1.0)
+        if process_modes:
+            settings += [self.start_doubt, *model.state_at_samples.ravel().tolist()]
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
@@ -406,7 +414,7 @@ class SwitchingPrecision(PrecisionLearner):
         ]
         return Layout(
             n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
-            becomes=becomes, slow=slow, lost=self._lost, groups=groups, common=common, kick=kick,
+            becomes=becomes, slow=slow, lost=self._lost, quantity=model.quantity, groups=groups, common=common, kick=kick,
             fades=tuple(int(mode.fading > 1) for mode in process_modes), alone=spans[0], other=spans[1],
             faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(process_modes),
             width=width, width_of_settings=settings,

@@ -35,8 +35,8 @@ class Layout:
     actuators, the hypotheses, the pool, the unmodelled courses, and scratch space. The hypotheses are: no fault; each kind of
     offset on each sensor; each sensor on an unmodelled course; each group of sensors with the same offset, and its end; each mode
     of each actuator; each of the process, and the end of such a mode. The settings are those of the per-sensor form, then those
-    of each mode of each actuator and of the process, then of each group, then the haste of young faults, last the estimate's
-    gain.
+    of each mode of each actuator and of the process, then of each group, then the haste of young faults, the estimate's gain,
+    and with modes of the process the doubt of the start and the states at samples.
 
     An offset that jumps is a separate hypothesis for its first sample. Merged at once with earlier ones, which nothing has
     contradicted so far, it would hardly remain a jump.
@@ -55,6 +55,8 @@ class Layout:
         For each of these, whether it needs another sensor as a witness (1 or 0).
     lost : tuple of int
         The sensors' modes that are unmodelled courses, where the state is inferred without that sensor.
+    quantity : tuple of int
+        For each sensor, the number of what it measures.
     groups : tuple of tuple of int
         Groups of sensors that measure the same, and may all have the same offset.
     common : int
@@ -84,6 +86,7 @@ class Layout:
     becomes: tuple[int, ...]
     slow: tuple[int, ...]
     lost: tuple[int, ...]
+    quantity: tuple[int, ...]
     groups: tuple[tuple[int, ...], ...]
     common: int
     kick: int
@@ -177,6 +180,16 @@ class Layout:
     def gain_share(self) -> int:
         """Place in the settings of the estimate's gain on a deviation while a belief fades."""
         return self.haste + 1
+
+    @property
+    def doubt(self) -> int:
+        """Place in the settings of the probability that the plant starts elsewhere."""
+        return self.gain_share + 1
+
+    @property
+    def elsewhere(self) -> int:
+        """Place in the settings of the state at a sample of each sensor's quantity, a table of states x sensors."""
+        return self.doubt + 1
 
     @property
     def actuator(self) -> int:
@@ -299,5 +312,5 @@ class Layout:
         hypotheses = np.tile(hypothesis, (self.hypotheses + 1, 1))  # the last one is the pool
         hypotheses[:, PROBABILITY] = [1.0, *[LEAST] * self.hypotheses]
         before = np.zeros(self.scratch - self.grow)
-        scratch = np.zeros(max(N * N, COURSE_SCRATCH))
+        scratch = np.zeros(max(N * N, COURSE_SCRATCH, 2 * self.m))
         return np.concatenate([np.tile(actuator, self.p), hypotheses.ravel(), before, scratch])

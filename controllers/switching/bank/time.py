@@ -38,16 +38,13 @@ from bayesftc.controllers.switching.bank.layout import (
 )  # fmt: skip
 from bayesftc.controllers.switching.bank.merges import make_become, make_collect, make_receive, make_witnessed
 from bayesftc.controllers.switching.bank.onsets import make_begin, make_merge_onsets
+from bayesftc.controllers.switching.bank.starts import make_settle
 from bayesftc.controllers.switching.mode_kernels import expected_jump
 from bayesftc.controllers.switching.sensor_kernels import ENDS, FIRST_SETTINGS, LEAST, OWN_SETTINGS, held
 from bayesftc.cosim.ops import maximum, minimum, select
 
 EXPIRES = 0.02
 """Probability per sample that a drift without a witness ends, because it may be the state's motion."""
-
-SETTLES = 0.02
-"""Probability per sample that the end of a process mode becomes final. Until then the end is a separate hypothesis, because often
-only the samples after a kick reveal it."""
 
 TELLING = 9.0
 """Squared common offset, in units of its variance, from which on it counts as an offset."""
@@ -89,7 +86,7 @@ def make_pass_time(
         move_lost(C, nominal, moving, memory, settings)
         move_common(nominal, moving, memory, settings)
         move_actuators(B, applied, moving, memory, settings)
-        move_process(sampled, C, nominal, moving, memory, settings)
+        move_process(e, present, sampled, C, nominal, moving, memory, settings)
         merge_onsets(e, sampled, C, Q, nominal, applied, memory, settings)
 
     return pass_time
@@ -259,9 +256,9 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
     n, plant, m, H, G = layout.n, layout.plant, layout.m, layout.hypotheses, layout.process_modes
     sensor, kept, row_length, process = layout.sensor, layout.kept, layout.row, layout.process
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
-    of_process, collect, receive = layout.process_settings, make_collect(layout), make_receive(layout)
+    of_process, settle, receive = layout.process_settings, make_settle(layout), make_receive(layout)
 
-    def move_process(sampled, C, nominal, moving, memory, settings):
+    def move_process(e, present, sampled, C, nominal, moving, memory, settings):
         for q in range(H - process):
             at = none + (process + q) * stride
             for i in range(m):
@@ -269,7 +266,7 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
             move(memory, at, n, 0, 0, NO_OFFSET, moving, places)
         if G > 0:
             after = none + (process + G) * stride
-            collect(memory, after, SETTLES, -1)
+            settle(e, present, C, nominal, memory, settings, after)
             for q in range(G):
                 at, mode_row = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
                 ended = memory[at] * settings[mode_row + STOPS]

@@ -28,7 +28,9 @@ def filtered(model, mode, steps, noise, left=1.0):
     """
     n, m = model.states, model.sensors
     A, B, C, Q = (model.matrix(name) for name in ("A", "B", "C", "process_covariance"))
-    precision = SwitchingPrecision([Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode], alike=0.0, noise_factor=1.0)
+    precision = SwitchingPrecision(
+        [Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode], alike=0.0, start_doubt=0.0, noise_factor=1.0
+    )
     step = StateEstimator(model, precision, initial_covariance=0.3).online(compiled=False)
     one = KalmanFilter(n, m, 1)
     one.x, one.P = np.zeros((n, 1)), 0.3 * np.eye(n) + noise  # it begins with the first sample

@@ -252,7 +252,7 @@ def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
     fading, n = 1.3, model.states
     mode = NoisierProcess(1e-15, NEVER, scale=1.0, fading=fading)
     precision = SwitchingPrecision(
-        [Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode], noise_factor=1.0, gain_limit=np.inf
+        [Offset(NEVER, NEVER)], loss=1e-9, process_modes=[mode], start_doubt=0.0, noise_factor=1.0, gain_limit=np.inf
     )
     step = StateEstimator(model, precision, initial_covariance=0.3).online(compiled=False)
     grown = np.diag([fading**0.5] * (n - model.disturbances) + [1.0] * model.disturbances)
