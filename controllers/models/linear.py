@@ -254,13 +254,25 @@ class LinearModel(NamedArguments):
 
         The other quantities do not deviate, as far as the plant's states permit that, nor do disturbances.
         """
+        rest = self._rest()
+        together = np.equal.outer(self.quantity, self.quantity).astype(float)
+        states: Floats = rest @ np.linalg.pinv(self.matrix("C") @ rest) @ together
+        return states
+
+    @property
+    def unread(self) -> Floats:
+        """The share of each of the plant's states that no sensor reads at one instant; 0 for all other states (n)."""
+        read, share = self.matrix("C") @ self._rest(), np.zeros(self.states)
+        share[: self.plant_states] = 1.0 - np.diag(np.linalg.pinv(read) @ read)
+        return np.where(share > 1e-9, share, 0.0)
+
+    def _rest(self) -> Floats:
+        """Return the map of the plant's states to all states at rest: past readings are the present ones, disturbances 0."""
         rest = np.zeros((self.states, self.plant_states))
         rest[: self.plant_states] = np.eye(self.plant_states)
         if self.delays is not None:
             rest[self.delays.places] = self.delays.present
-        together = np.equal.outer(self.quantity, self.quantity).astype(float)
-        states: Floats = rest @ np.linalg.pinv(self.matrix("C") @ rest) @ together
-        return states
+        return rest
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ LEAST_RATE = 1e-6
 """Least rate of the noise's precision, so that samples that repeat exactly do not make it infinitely precise."""
 
 
-def follow(r, change, present, entered, memory, at, scratch, settings, first):
+def follow(r, change, present, entered, memory, at, scratch, settings, first, least):
     """Return the log density of an innovation on an unmodelled course, and learn from it.
 
     Parameters
@@ -48,6 +48,8 @@ def follow(r, change, present, entered, memory, at, scratch, settings, first):
         The regression's numbers are from the place ``at`` on, scratch space from ``scratch`` on.
     settings : array
         The settings are from the place ``first`` on.
+    least : float
+        Least variance of the density.
     """
     kept = (1.0 - entered) * settings[first + FORGETTING]
     fresh = 1.0 - kept
@@ -84,7 +86,7 @@ def follow(r, change, present, entered, memory, at, scratch, settings, first):
         memory[solved + i] = x
         memory[reached + i] = z
         explained, mean, spread = explained + x * x, mean + x * z, spread + z * z
-    scale = maximum(rate - 0.5 * explained, LEAST_RATE) * spread
+    scale = maximum(maximum(rate - 0.5 * explained, LEAST_RATE) * spread, shape * least)
     error = r - mean
     density = 0.5 * log(squared_gamma_half_step(shape) / scale) - (shape + 0.5) * log(
         1.0 + 0.5 * (error * error / scale)

@@ -298,7 +298,7 @@ class SwitchingPrecision(PrecisionLearner):
         settings.append(1.0 / (self.duration_shape - 1.0))
         settings.append(min(1.0, self.gain_limit * filter_share(model)) if any(layout.fades) else 1.0)
         if process_modes:
-            settings += [self.start_doubt, *model.state_at_samples.ravel().tolist()]
+            settings += [self.start_doubt, *model.state_at_samples.ravel().tolist(), *model.unread.tolist()]
         return Learner(
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),

@@ -192,6 +192,11 @@ class Layout:
         return self.doubt + 1
 
     @property
+    def unread(self) -> int:
+        """Place in the settings of the share of each state that no sensor reads."""
+        return self.elsewhere + self.n * self.m
+
+    @property
     def actuator(self) -> int:
         """Number of stored values of an actuator."""
         return OF_MODES + 2 * self.actuator_modes

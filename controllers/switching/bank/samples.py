@@ -33,6 +33,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     LEAST_TRUST,
     MODE_ARRIVES,
     MODE_MISSING,
+    NOISE,
     OWN_SETTINGS,
     TRUSTED,
     WIDTH,
@@ -46,6 +47,10 @@ from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sq
 
 LEAST_EFFECT, MOST_EFFECT = 0.1, 2.0
 """Least and largest effectiveness that the control law uses; a smaller one would require impossible controls."""
+
+LOUD = 1.5
+"""Learned variance of a sensor's noise, in nominal ones, from which on a course quieter than that is no sign of a fault. What was
+learned while the belief was wrong would otherwise make a healthy sensor unmodelled, and be forgotten no more."""
 
 
 @cache
@@ -83,11 +88,11 @@ def make_weigh(
                 at, place, variance = none + h * stride, i * row_length + k, sample.nominal[i, i]
                 spread, expected = expect(memory, at, n, 0, 0, i, C, scratch)
                 error = held(sample.e[i] - expected, minimum(spread + variance, ABSURD * variance))
-                deviation, begun = sqrt(variance), courses + (i * U + u) * course
+                deviation, begun, noise = sqrt(variance), courses + (i * U + u) * course, memory[i * sensor + NOISE]
                 change = sample.y[i] - memory[i * sensor + LAST]
                 density = follow(
                     error / deviation, change / deviation, sample.present[i], memory[begun], memory, begun + 1, scratch,
-                    settings, place + OWN_SETTINGS,
+                    settings, place + OWN_SETTINGS, select(noise > LOUD, noise, 0.0),
                 ) - log(deviation)  # fmt: skip
                 width = settings[i * row_length + WIDTH]
                 equal = select(absolute(change) <= 0.5 * width, 1.0, 0.0)

@@ -19,6 +19,10 @@ NEAR, FAR = 25.0, 100.0
 """Squared distances, in variances of the sensor's noise: up to the first the plant starts where it is believed to be; about the
 second a start elsewhere becomes probable."""
 
+SPREAD = 100.0
+"""How much the variance of an unread state grows in a start elsewhere on which two samples agree: the plant may move as well. It
+does not grow where a quantity has a single sensor, because the next samples would then say that the sensor has an offset."""
+
 
 @cache
 def make_settle(layout: Layout) -> Callable[..., None]:
@@ -31,7 +35,7 @@ def make_settle(layout: Layout) -> Callable[..., None]:
     n, m, sensor, none, elsewhere = layout.n, layout.m, layout.sensor, layout.first, layout.elsewhere
     quantity, new, error = layout.quantity, layout.scratch, layout.scratch + layout.m
     leads = tuple(quantity.index(of) == i for i, of in enumerate(quantity))
-    collect, receive, doubt = make_collect(layout), make_receive(layout), layout.doubt
+    collect, receive, doubt, unread = make_collect(layout), make_receive(layout), layout.doubt, layout.unread
 
     def compare(e, present, C, nominal, memory, at):
         """Write which sensors have their first sample (1 or 0), and the samples' deviations from the likelier belief."""
@@ -43,13 +47,17 @@ def make_settle(layout: Layout) -> Callable[..., None]:
             memory[new + i] = select(both(last != last, present[i] > 0.5), 1.0, 0.0)
             memory[error + i] = held(total, nominal[i, i])
 
-    def median(i, memory):
-        """Return the median deviation of the first samples of a sensor's quantity, of the two middle ones the smaller."""
+    def samples(i, memory):
+        """Return the number of first samples of a sensor's quantity."""
         count = 0.0 * memory[new]
-        low, high = 0.0 * count, 0.0 * count
         for j in range(m):
             if quantity[j] == quantity[i]:
                 count = count + memory[new + j]
+        return count
+
+    def median(i, count, memory):
+        """Return the median deviation of these samples, of the two middle ones the smaller."""
+        low, high = 0.0 * count, 0.0 * count
         for j in range(m):
             if quantity[j] == quantity[i]:
                 twice, mine = 0.0 * count, memory[error + j]
@@ -65,19 +73,25 @@ def make_settle(layout: Layout) -> Callable[..., None]:
     def settle(e, present, C, nominal, memory, settings, at):
         compare(e, present, C, nominal, memory, at)
         farthest, wide = 0.0 * memory[at], 1.0 + 0.0 * memory[at]
+        spread = select(memory[at] < memory[none], SPREAD, 0.0)
         for i in range(m):
             if leads[i]:
-                far, variance = median(i, memory), nominal[i, i]
+                count, variance = samples(i, memory), nominal[i, i]
+                far = median(i, count, memory)
                 far = select(far * far > NEAR * variance, far, 0.0)
                 farthest = maximum(farthest, far * far / variance)
                 wide = wide * sqrt(variance / (variance + far * far))
                 memory[error + i] = far
+                spread = select(both(far != 0.0, count < 1.5), 0.0, spread)
         moved = select(farthest > 0.0, 1.0, 0.0)
         incoming = moved * settings[doubt] * memory[none]
         receive(memory, at, incoming, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         memory[none] = maximum(memory[none] - incoming, LEAST)
         memory[at] = maximum(memory[at] * select(moved > 0.5, wide * (farthest / (farthest + FAR)), 1.0), LEAST)
         z, P, N = at + STATE, at + STATE + n + 2, n + 2
+        for a in range(n):
+            grows = moved * spread * settings[unread + a]
+            memory[P + a * N + a] = memory[P + a * N + a] * (1.0 + grows)
         for i in range(m):
             if leads[i]:
                 far, first = memory[error + i], elsewhere + i

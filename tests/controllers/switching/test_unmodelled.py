@@ -280,6 +280,25 @@ def test_a_belief_that_fades_is_that_of_filterpys_fading_memory(model):
     assert out.process_mode_probability[1] == pytest.approx(1.0)
 
 
+def test_noise_that_falls_to_the_models_is_no_fault():
+    """Two sensors that agree were 2.6 times noisier at first, which was learned; later they are as the model says."""
+    model = LinearModel(
+        [[1.0, 0.1], [0.0, 0.95]], [[0.0], [0.1]], [[1.0, 0.0]] * 2, [[1e-5, 1e-4], [1e-4, 2e-3]], 4e-4, 0.1
+    )
+    step, rng, x, blamed = (
+        StateEstimator(model, SwitchingPrecision()).online(),
+        np.random.default_rng(4),
+        np.zeros(2),
+        0,
+    )
+    for k in range(300):
+        y = x[0] + 0.02 * (2.6 if k < 60 else 1.0) * rng.normal(size=2)
+        probability = step(y=list(y), u=[0.0]).fault_probability
+        blamed += k >= 60 and probability.max() > 0.5
+        x = model.matrix("A") @ x + rng.multivariate_normal([0, 0], model.matrix("process_covariance"))
+    assert blamed <= 10
+
+
 @pytest.mark.slow
 def test_a_belief_that_fades_is_not_lost_where_no_sensor_sees_it():
     """Of a position of which only the speed is measured any more: its variance is bounded by that of its sensors."""

@@ -81,18 +81,25 @@ def test_past_readings_are_those_of_the_place():
 
 
 def test_the_belief_is_then_that_of_filterpy_from_the_median_on():
-    """It goes to the median sample, with this sensor's variance besides its own, and is then corrected by all samples."""
+    """It goes to the median sample, with this sensor's variance besides its own, and may move; all samples correct it."""
     of, rng = model("ppp"), np.random.default_rng(5)
     y = 7.0 + 0.02 * rng.normal(size=3)
     precision = SwitchingPrecision(noise_factor=1.0, start_doubt=0.999)
     out = StateEstimator(of, precision, initial_covariance=1e-3).online(compiled=False)(y=list(y), u=[0.0])
     one = KalmanFilter(2, 3)
-    one.x, one.P = np.array([[np.median(y)], [0.0]]), np.diag([1e-3 + 4e-4, 1e-3])
+    one.x, one.P = np.array([[np.median(y)], [0.0]]), np.diag([1e-3 + 4e-4, 0.101])
     one.H, one.R = of.matrix("C"), of.matrix("sensor_covariance")
     one.update(y[:, None])
     np.testing.assert_allclose(out.x_hat, one.x[:, 0], rtol=1e-4, atol=1e-12)
     np.testing.assert_allclose(out.P, one.P, rtol=0.02, atol=1e-9)
     assert out.process_mode_probability[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_may_move_as_well(seed):
+    x, estimate, probability = drive(model("pp"), 2.0, 1.0, seed=seed)
+    assert np.abs(estimate - x).max() < 0.06
+    assert probability[:30].max() < 0.2
 
 
 def test_both_engines_give_the_same_bits(same_bits):
