@@ -66,6 +66,7 @@ def design(
     preview: int = 0,
     input_delays: int | Sequence[int] = 0,
     sensor_delays: int | Sequence[int] = 0,
+    initial_mean: float | Sequence[float] | None = None,
     initial_spread: float = 10.0,
 ) -> LQGController:
     """Return a fault-tolerant controller for a plant, a block for `bayesftc.cosim.closed_loop`.
@@ -110,7 +111,8 @@ def design(
     goal_covariance, control_covariance : number, vector or matrix, optional
         Inverses of the costs, in place of the squares of the acceptable values.
     precision : PrecisionLearner, optional
-        Learns the sensors' precisions; by default `SwitchingPrecision`.
+        Learns the sensors' precisions; by default `SwitchingPrecision`. If a sensor is slower than `dt`, give its ``loss``, the
+        share of steps without a sample: ``SwitchingPrecision(loss=(0.01, 0.9))``.
     belief : {"filtered", "joint"}
         How the state is inferred.
     u_min, u_max, u_rate : number or vector
@@ -120,6 +122,9 @@ def design(
     input_delays, sensor_delays : int or sequence of int
         Samples by which each control acts late, and by which the values of each sensor are old, in addition to what `plant`
         itself contains: see `LinearModel.with_delays`.
+    initial_mean : number or vector, optional
+        Mean of the model's states (``controller.model.names.states``) before the first sample, as in `LQGController`. By default
+        the plant's start, as in ``StateSpace(initial=...)``; 0 for a `LinearModel` and for an FMU without accessible states.
     initial_spread : number
         Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Larger, such as 1e4,
         where the plant may start elsewhere than at its start values and the learner is not the default one, which expects that
@@ -240,7 +245,7 @@ def design(
         u_min=low,  # type: ignore[arg-type]
         u_max=high,  # type: ignore[arg-type]
         u_rate=u_rate,  # type: ignore[arg-type]
-        initial_mean=mean,  # type: ignore[arg-type]
+        initial_mean=mean if initial_mean is None else initial_mean,  # type: ignore[arg-type]
         initial_covariance=start,
         preview=preview,
     )

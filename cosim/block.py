@@ -183,6 +183,10 @@ class Block(NamedArguments):
     def online(self, dt: float | str | Fraction | None = None, *, compiled: bool = True) -> Online:
         """Return the block as a callable that makes one step, for your own loop or for hardware.
 
+        NaN or None is a missing sample. A controller's default learner takes many in a row for a fault. For a sensor that is
+        slower than the controller, give the learner the share of steps without a sample: ``SwitchingPrecision(loss=(0.01, 0.9))``
+        for a second sensor that sends at every tenth step.
+
         Parameters
         ----------
         dt : float, str or Fraction, optional

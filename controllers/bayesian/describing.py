@@ -41,6 +41,7 @@ def model_lines(controller: BayesianController) -> list[str]:
         f"{_count(len(model.alike), 'quantity', 'quantities')}{f' ({sensors})' if sensors else ''}, every {show(model.step)} s"
         f"{_about(model)}.",
         f"Expected standard deviations of the sensors: {_numbers(std)}.",
+        f"Expected process noise in each step, as standard deviations: {_process_noise(model)}.",
         f"Goals: {controller.goals}; limits of the control: {_limits(controller)}.",
     ]
     if model.delays is not None:
@@ -52,6 +53,22 @@ def model_lines(controller: BayesianController) -> list[str]:
             1, f"Delays in samples: {'; '.join(late)}; {_count(model.delays.states, 'state')} of past signals."
         )
     return lines
+
+
+def _process_noise(model: LinearModel) -> str:
+    """Return the standard deviations of the process noise: of the controls if it acts as they do, else of the states."""
+    n, d = model.plant_states, model.disturbances - model.constant
+    whole = model.matrix("process_covariance")
+    Q, B = whole[:n, :n], model.effects[:n]
+    back = np.linalg.pinv(B)
+    on_controls = back @ Q @ back.T
+    if np.abs(B @ on_controls @ B.T - Q).max() <= 1e-9 * np.abs(Q).max():
+        text = f"{_numbers(_std(on_controls))} on {'each control' if model.controls > 1 else 'the control'}"
+    else:
+        text = f"{_numbers(_std(Q))} of each state"
+    return (
+        f"{text}; {_numbers(_std(whole)[model.states - model.disturbances :][:d])} of each disturbance" if d else text
+    )
 
 
 def learner_lines(controller: BayesianController) -> list[str]:

@@ -20,6 +20,7 @@ from bayesftc.controllers.estimation.belief import ESTIMATION, advance, estimati
 from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, Limits, decide, limit
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner, made_once
+from bayesftc.cosim.base.html import Lines
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Definition
 from bayesftc.cosim.errors import ModelError, brief
@@ -377,13 +378,13 @@ class BayesianController(BayesianBlock):
     def describe(self) -> str:
         """Return a description of the controller and of the closed loop as text.
 
-        It has the poles, the model, the precision learner and the faults that it distinguishes, the gains of filter and control
-        in steady state, and the expected standard deviations of tracking and belief.
+        It has the poles, the model and its noise, the precision learner and the faults that it distinguishes, the gains of filter
+        and control in steady state, and the expected standard deviations of tracking and belief.
         """
         from bayesftc.controllers.bayesian import describing
 
         parts = (describing.model_lines, describing.learner_lines, describing.gain_lines, describing.accuracy_lines)
-        return "\n".join([*self._pole_lines(), *(line for part in parts for line in part(self))])
+        return Lines("\n".join([*self._pole_lines(), *(line for part in parts for line in part(self))]))
 
     def _pole_lines(self) -> list[str]:
         from bayesftc.controllers.bayesian.describing import pole_lines

@@ -18,7 +18,7 @@ from bayesftc.controllers.diagnosis.explanations import (
     innovations,
     lagged,
 )
-from bayesftc.controllers.diagnosis.judge import Explanation, Judge
+from bayesftc.controllers.diagnosis.judge import RELEVANT, Explanation, Judge
 from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
@@ -251,4 +251,8 @@ def _times(judge: Judge) -> list[Explanation]:
         return _by_models(judge, "dt", [((f,), 1, *results) for f, results in found.items()])
 
     results = tried(FACTORS)
-    return results + tried(max(results, key=lambda x: x.total).values[0] * f for f in NEAR) if results else []
+    results += tried(max(results, key=lambda x: x.total).values[0] * f for f in NEAR) if results else []
+    if judge.model.effects.any():
+        return results
+    # Of a plant that nothing drives, a time scale is only another size of its noise, and fits any recording a little better.
+    return [x for x in results if max(x.left) < 1.0 - RELEVANT["dynamics"]]

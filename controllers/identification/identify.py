@@ -18,6 +18,7 @@ from bayesftc.controllers.models.checks import as_number
 from bayesftc.controllers.models.delays import whole_delays
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import PoorFitWarning
+from bayesftc.cosim.base.html import Lines
 from bayesftc.cosim.base.recordings.table_files import find_times
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.run.tables import named_columns, read_table, sample_time
@@ -106,7 +107,7 @@ class Identification:
                 f"{name}: {self.fit[i]:.1f} % explained one sample ahead, {simulated}; residuals white with probability "
                 f"{self.whiteness[i]:.2g}."
             )
-        return "\n".join([*lines, *self.poor])
+        return Lines("\n".join([*lines, *self.poor]))
 
     def plot(self) -> Figure:
         """Return a figure: held-out data, predictions and residuals of each output, and the choice of the order."""

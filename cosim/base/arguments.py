@@ -16,7 +16,9 @@ _WORDS = {
     "count": ("sensors",),
     "end": ("stop", "duration"),
     "from": ("start",),
+    "factors": ("grid",),
     "goal": ("reference",),
+    "grid": ("factors",),
     "length": ("duration",),
     "n": ("count",),
     "onset": ("start",),
@@ -43,6 +45,12 @@ class _Arguments(NamedTuple):
     unnamed: tuple[str, ...]
 
 
+def hint_at(name: str, known: Collection[str]) -> str:
+    """Return the end of a message about an unknown argument or key: those that a user means by the word, else similar ones."""
+    meant = [repr(word) for word in _WORDS.get(name, ()) if word in known]
+    return f"did you mean {' or '.join(meant)}?" if meant else did_you_mean(name, known)
+
+
 def check_arguments(called: Callable[..., Any], unnamed: int, named: Collection[str]) -> None:
     """Refuse arguments that a function or the constructor of a class does not have, and a call without those that it needs.
 
@@ -57,9 +65,7 @@ def check_arguments(called: Callable[..., Any], unnamed: int, named: Collection[
     known, title = found.known, called.__name__
     for name in named:
         if name not in known:
-            meant = [repr(word) for word in _WORDS.get(name, ()) if word in known]
-            hint = f"did you mean {' or '.join(meant)}?" if meant else did_you_mean(name, known)
-            raise TypeError(f"{title} has no argument {name!r}; {hint}")
+            raise TypeError(f"{title} has no argument {name!r}; {hint_at(name, known)}")
     if unnamed > len(found.unnamed):
         most = f"at most {len(found.unnamed)}" if found.unnamed else "none"
         raise TypeError(
@@ -115,4 +121,4 @@ def _arguments(called: Callable[..., Any]) -> _Arguments | None:
     )
 
 
-__all__ = ["NamedArguments", "check_arguments", "with_named_arguments"]
+__all__ = ["NamedArguments", "check_arguments", "hint_at", "with_named_arguments"]

@@ -1,4 +1,4 @@
-"""HTML tables, which notebooks show instead of a ``repr``; all text is escaped."""
+"""What notebooks show instead of a ``repr``: HTML tables, whose text is escaped, and texts of several lines."""
 
 from __future__ import annotations
 
@@ -19,6 +19,15 @@ LENGTH = 400
 """Most characters of a text in a cell."""
 
 _CELL = "text-align: left; vertical-align: top; white-space: pre-wrap"
+
+
+class Lines(str):
+    """A text that IPython and notebooks show line by line, not as a string in quotes."""
+
+    __slots__ = ()
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        printer.text(str(self))
 
 
 def table(title: str, rows: Iterable[Sequence[object]], header: Sequence[str] = ()) -> str:

@@ -19,6 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.cosim.base.html import Lines
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Definition, ExternalBlock
 from bayesftc.cosim.diagram.contract import checked
@@ -169,7 +170,7 @@ class Schedule:
                 lines.append(
                     f"to t_k+1   {self.nodes[call.node].name}" + (f"  (reads {seen} at t_k+1)" if seen else "")
                 )
-        return "\n".join(lines)
+        return Lines("\n".join(lines))
 
     def every(self, call: Call) -> int:
         """Return the multiple of the base step at which a call is made."""

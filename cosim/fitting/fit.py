@@ -243,7 +243,7 @@ def _with_parameters(fmu: FMU, box: Box) -> FMU:
     variables = {variable.name: variable for variable in fmu.description.variables}
     for name in box.names:
         if name not in variables:
-            settable = [v.name for v in variables.values() if v.causality in ("parameter", "local", "input")]
+            settable = [v.name for v in variables.values() if v.causality in ("parameter", "local")]
             raise UnknownNameError(f"The FMU has no parameter {name!r}; {did_you_mean(name, settable)}")
         variable = variables[name]
         if variable.shape or variable.type not in ("Real", "Float32", "Float64"):

@@ -28,7 +28,12 @@ Step = Callable[[float, int], None]
 
 
 MOST_SHOWN = 60
-"""Most characters of an output where all are shown."""
+"""Most characters of an output where all are shown; of a longer array its size is shown."""
+
+
+def _shown(value: Any) -> str:
+    text = brief(value, MOST_SHOWN)
+    return f"<{' x '.join(map(str, value.shape))} numbers>" if text.endswith("...") and np.ndim(value) else text
 
 
 class Outputs(dict[str, Any]):
@@ -37,13 +42,16 @@ class Outputs(dict[str, Any]):
     def __getattr__(self, name: str) -> Any:
         if name in self:
             return self[name]
-        raise AttributeError(f"The block has no output {name!r}; {did_you_mean(name, self)}")
+        raise AttributeError(
+            f"The block has no output {name!r}; {did_you_mean(name, self)} A controller's outputs depend on its learner "
+            f"(fault_kind: SwitchingPrecision). Use out.get({name!r}), which is None where there is no such output."
+        )
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self]
 
     def __repr__(self) -> str:
-        return f"Outputs({', '.join(f'{name}={brief(value, MOST_SHOWN)}' for name, value in self.items())})"
+        return f"Outputs({', '.join(f'{name}={_shown(value)}' for name, value in self.items())})"
 
     def _repr_html_(self) -> str:
         """Return a table of the outputs, for notebooks."""

@@ -35,7 +35,7 @@ BREATH = 0.05
 """Seconds between two returns of the compiled loop to Python."""
 
 SILENCE, PERIOD = 2.0, 10.0
-"""Seconds after the first step before a message on how far a run without `progress` is, and between two messages."""
+"""Seconds after the compiler before a message on how far a run without `progress` is, and between two messages."""
 
 _MEMBERS = {name for name in (*vars(External), *External.__annotations__) if not name.startswith("_")}
 
@@ -188,6 +188,7 @@ def advance(
     # The first piece is one step: with a slow FMU, Ctrl-C must not wait for many steps.
     begin, piece, started = max(run.k, 0), 1, time.perf_counter()
     origin, due = begin, inf
+    counted, since = begin, started  # the rate counts from there, without the time of the compiler
     while True:
         before = time.perf_counter()
         until = min(begin + (pacer.pack if pacer else piece), end)
@@ -211,20 +212,20 @@ def advance(
         run.sound = True
         if pacer:
             pacer.done(until)
+        # The first step may wait for the compiler. An interpreted run compiles later, in a piece that is the longest by far.
+        if due == inf or (until - begin > 1 and now - before > max(1.0, before - since)):
+            due, counted, since = now + SILENCE, until, now
         if progress:
             progress(until - origin, end - origin)
         elif now > due and not pacer:
             due = now + PERIOD
             t, last = (float(k * run.schedule.step) for k in (until, end))
-            done, left = until - origin, end - until
             tell(
-                f"Simulating: {done / (done + left):.0%} ({share_of_time(t, last)}) after {spoken(now - started)}, "
-                f"about {spoken((now - started) * left / done)} left."
+                f"Simulating: {(until - origin) / (end - origin):.0%} ({share_of_time(t, last)}) after "
+                f"{spoken(now - started)}, about {spoken((now - since) * (end - until) / (until - counted))} left."
             )
         if until == end:
             return None
-        if due == inf:
-            due = now + SILENCE  # not from the start, because the first step may wait for the compiler
         if time_limit is not None and now - started > time_limit:
             t = float(until * run.schedule.step)
             return f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {until} of {end})."

@@ -82,7 +82,7 @@ def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: s
             columns += several
         else:
             raise UnknownNameError(
-                f"The recording has no {kind} {name!r}; {did_you_mean(name, list(map(str, table.columns)))}"
+                f"The recording has no column {name!r} for an {kind}; {did_you_mean(name, list(map(str, table.columns)))}"
             )
     if not len(table):
         raise ModelError("The recording has no rows. Check the file, or what the table was made of.")

@@ -131,6 +131,7 @@ def test_one_of_two_alternatives_is_enough():
     section = Section("s", "S", (fast, slow, alone, unknown))
     assert [section.met(f) for f in section.figures] == [True, True, False, None]
     assert _run._verdict(section, slow) == "by the alternative"
+    assert "not reached here" in _run._verdict(section, alone)
     assert section.bars()["s.slow"]["or"] == ["s.fast"]
     assert section.bars()["s.unknown"] == {"value": None, "at_least": 1.0, "met": None, "reason": "There is none."}
 
@@ -141,7 +142,7 @@ def test_without_the_extra_the_rest_is_measured_and_a_reason_says_what_to_instal
     for slow in ("_campaign", "_rate"):  # what is measured without the extra is not what is tested
         monkeypatch.setattr(executors, slow, lambda *_, **__: (1.0, 2.0))
     measured = import_module(f"bayesftc.bench.measures.{section}").measure(quick=True)
-    console = Console(width=200, file=io.StringIO())
+    console = Console(width=210, file=io.StringIO())
     console.print(_run.as_table(measured))
     assert "pip install 'bayesftc[campaign]'" in console.file.getvalue()
     figures = measured.figures
@@ -181,6 +182,7 @@ def test_what_was_measured_is_kept(monkeypatch, capsys, json_):
         assert json.loads(out)["refused"] == {"reason": "No C compiler was found."}
     else:
         assert "a figure" in out
+        assert "The targets are the project's own" in out
         assert "Refused: No C compiler was found." in out
 
 

@@ -442,3 +442,13 @@ def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, sentence):
     assert "Biases, repeats and missing come from the stretch" in healthy.output
     first = (tmp_path / "healthy.toml").read_text().splitlines()[0]
     assert first == "# Fitted by bayesftc monitor --fit to 0 to 59.9 s, with healthy sensors from 0 to 29 s."
+
+
+@pytest.mark.slow
+def test_the_recording_of_the_readme_fits_its_model(tmp_path):
+    drive = tmp_path / "drive.csv"
+    drive.write_text(RUNNER.invoke(app, ["example", "faulty_wheel_speed"]).stdout, encoding="utf-8")
+    made = RUNNER.invoke(app, ["monitor", str(drive), "--fit", "--model", str(tmp_path / "model.toml"), "--json"])
+    found = json.loads(made.stdout)
+    assert found["model"] is None
+    assert {event["sensor"] for event in found["faults"]} == {"front_left", "rear_left", "front_right"}

@@ -155,6 +155,7 @@ def test_limits_that_exclude_the_operating_point_are_refused(settings, words):
 
 def test_a_start_elsewhere_is_no_fault_of_the_sensors_if_it_is_expected():
     settings = {"measured": "y", "actuated": "u", "dt": 0.1, "sensors": 2, "noise": {"u": 0.01}}
+    settings["precision"] = controllers.SwitchingPrecision(start_doubt=0.0)
     system = control.ss([[-0.5]], [[0.5]], [[1.0]], 0, inputs=["u"], outputs=["y"])
     blamed = []
     for spread in (10.0, 1e5):
@@ -173,6 +174,14 @@ def test_a_start_elsewhere_is_no_fault_of_the_sensors_if_it_is_expected():
     assert blamed[0] > 0.2 > 0.02 >= blamed[1]
     with pytest.raises(ModelError, match="initial_spread"):
         design(system, **settings, initial_spread=-1.0)
+    given = design(
+        system, **settings, initial_mean=2.0, sensor_delays=1, disturbance=0.1
+    )  # also a delayed y, and no load
+    np.testing.assert_array_equal(given.initial_mean, [2.0, 2.0, 0.0])
+    elsewhere = design(cosim.StateSpace(system, initial=[3.0]), **settings, initial_mean=[2.0])
+    np.testing.assert_array_equal(elsewhere.initial_mean, [2.0])  # and not the 3.0 of the plant
+    with pytest.raises(ModelError, match="initial_mean has the shape"):
+        design(system, **settings, initial_mean=[2.0, 0.0])
 
 
 def test_outputs_may_have_different_numbers_of_sensors():

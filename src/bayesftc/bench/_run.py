@@ -85,7 +85,7 @@ def _measured(name: str, quick: bool) -> Section:
 def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = SECTIONS) -> None:
     """Measure `sections` (see `measure`) and print each table at once, or one JSON object at the end.
 
-    A missed bar is no error. After Ctrl-C or an error, the object has the measurements until then.
+    A target that is not reached is no error. After Ctrl-C or an error, the object has the measurements until then.
     """
     measured = measure(sections, quick=quick)
     if json:
@@ -102,6 +102,7 @@ def main(json: bool = False, *, quick: bool = False, sections: Iterable[str] = S
     console = Console() if sys.stdout.isatty() else Console(width=110)  # rich's default is 80 columns
     machine = describe_machine()
     console.print(", ".join(f"{name} {value}" for name, value in machine.items()), highlight=False)
+    console.print("The targets are the project's own, for a machine without other load.")
     for section in measured:
         if section.reason:
             console.print(f"{section.title}: {section.reason}", highlight=False, markup=False)
@@ -128,9 +129,9 @@ def as_table(section: Section) -> Table:
 
     table = Table(title=section.title, title_justify="left")
     table.add_column("", overflow="fold")
-    for heading in ("median", "min", "max", "bar"):
+    for heading in ("median", "min", "max", "target"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("met", overflow="fold")
+    table.add_column("", overflow="fold")
     for figure in section.figures:
         shown = [_shown(figure, value) for value in (figure.value, *_extremes(figure))]
         table.add_row(figure.label, *shown, _bar(figure), _verdict(section, figure))
@@ -158,7 +159,7 @@ def _verdict(section: Section, figure: Figure) -> str:
     from rich.markup import escape  # texts such as [campaign] are no markup
 
     met = section.met(figure) if figure.has_bar else None
-    words = {True: "[green]yes[/]", False: "[bold red]no[/]", None: ""}[met]
+    words = {True: "[green]reached[/]", False: "[yellow]not reached here[/]", None: ""}[met]
     if met and not figure.clears:
         words = "by the alternative"
     remarks = figure.reason or "", f"({figure.note})" if figure.note else ""

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from bayesftc.cosim.errors import BayesFTCError, ScenarioError, SimulationError, did_you_mean
+from bayesftc.cosim.base.arguments import hint_at
+from bayesftc.cosim.errors import BayesFTCError, ScenarioError, SimulationError
 from bayesftc.scenario._files import MARKS
 
 KINDS_OF_FILES = {
@@ -42,7 +43,7 @@ class Place:
         for key in keys:
             if key not in known:
                 hint = "" if self.key else _hint(self.file, keys, known)
-                error = self.error(f"has the unknown {what} {key!r}; {did_you_mean(key, known)}{hint}")
+                error = self.error(f"has the unknown {what} {key!r}; {hint_at(key, known)}{hint}")
                 error.unknown = key, tuple(known)
                 raise error
 

@@ -3,6 +3,7 @@
 import control
 import numpy as np
 import pytest
+from IPython.lib.pretty import pretty
 from scipy.linalg import solve_discrete_are
 
 from bayesftc import controllers, cosim
@@ -43,7 +44,9 @@ def test_every_learner_is_described(learner):
     assert f"Precision learner: {learner.__name__}." in text
     assert "Model: 2 states, 1 control, 2 sensors of 1 quantity, every 0.1 s." in text
     assert "Expected standard deviation" in text
+    assert "Expected process noise in each step, as standard deviations: 0.01, 0.01414 of each state.\n" in text
     assert len(text) < 3000
+    assert pretty(text) == str(text)  # as the last line of a notebook's cell
 
 
 def test_settings_faults_names_and_limits_are_named():
@@ -60,6 +63,7 @@ def test_settings_faults_names_and_limits_are_named():
     assert "Sensor faults that are distinguished: Offset." in text
     assert "Actuator faults that are distinguished: LostEffect." in text
     assert "limits of the control: -2 to 3" in text
+    assert "0.01, 0.01414 of each state; 0.01 of each disturbance.\n" in text
 
 
 def test_a_bayesian_controller_says_its_poles_and_why_it_has_no_probability():
@@ -85,5 +89,9 @@ def test_the_control_at_the_operating_point_is_named():
 
     tank = control.nlsys(drain, lambda t, x, u, params: x, inputs=["pump"], outputs=["level"], states=["h"])
     plant = cosim.StateSpace(tank, initial=[1.0])
-    text = controllers.design(plant, measured="level", actuated="pump", sensors=2, dt=0.1, at={"pump": 2.0}).describe()
+    settings = {"noise": {"pump": 0.3}, "input_delays": 1}
+    text = controllers.design(
+        plant, measured="level", actuated="pump", sensors=2, dt=0.1, at={"pump": 2.0}, **settings
+    ).describe()
+    assert "Expected process noise in each step, as standard deviations: 0.3 on the control.\n" in text
     assert "every 0.1 s, about an operating point at which the control is 2.\n" in text

@@ -503,6 +503,17 @@ def test_the_comparison_before_a_run_leaves_its_bits():
         np.testing.assert_array_equal(before[name], after[name])
 
 
+def test_a_model_without_control_that_is_too_still_is_found():
+    rng, A = np.random.default_rng(0), np.array([[1.0, 0.1], [0.0, 1.0]])
+    x, still = np.zeros((500, 2)), [[0.0], [0.0]]
+    for k in range(499):
+        x[k + 1] = A @ x[k] + [0.0, 0.05 * rng.standard_normal()]
+    y = x[:, :1] + 0.1 * rng.standard_normal((500, 2))
+    for std, found in ((0.05, False), (0.01, True)):
+        model = controllers.LinearModel(A, still, [[1.0, 0.0]] * 2, np.diag([0.0, std**2]), 0.01, dt=0.1)
+        assert (diagnose_recording(model, y, np.zeros(500)) is not None) == found
+
+
 def test_the_remedy_for_a_model_without_control_needs_no_control():
     model = controllers.LinearModel([[0.9]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
     words = sentence("nonlinear", (), model)

@@ -347,7 +347,7 @@ def test_a_poor_fit_is_said():
 @pytest.mark.parametrize(
     ("change", "settings", "error", "words"),
     [
-        ({}, {"inputs": "v"}, UnknownNameError, "no input 'v'"),
+        ({}, {"inputs": "v"}, UnknownNameError, "no column 'v' for an input"),
         ({}, {"outputs": []}, ModelError, "outputs=.*at least one column"),
         ({}, {"held_out": 1.0}, ModelError, "held_out=1.0; it must be .* below 1"),
         ({}, {"order": 1.5}, ModelError, "order=1.5"),

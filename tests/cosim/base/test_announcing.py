@@ -4,6 +4,9 @@ import logging
 import re
 import sys
 import time
+from contextlib import nullcontext
+from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -93,6 +96,27 @@ def test_the_check_of_a_model_against_a_recording_reports_itself(fresh, caplog, 
     for _ in range(2):
         controllers.diagnose_recording(model, y, u[:, :1])
     assert caplog.messages == ["Comparing the samples with the model, for some seconds."] * 2
+
+
+def test_the_time_left_does_not_count_the_compiler(caplog, monkeypatch):
+    """As in an interpreted run: the first step compiles for 20 s, a piece 1.5 s later for 15 s, and each step takes 0.01 s."""
+    clock = [0.0]
+    monkeypatch.setattr(announcing.announcement, "said", lambda: True)
+    monkeypatch.setattr(running, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    late = [15.0]
+
+    def steps(begin, end, *, first):
+        clock[0] += 0.01 * (end - begin) + 20.0 * first + (late.pop() if clock[0] > 21.5 and late else 0.0)
+        return end, None
+
+    whole = nullcontext(SimpleNamespace(changed=False))
+    run = SimpleNamespace(k=-1, guard=whole, schedule=SimpleNamespace(step=Fraction(1, 10)))
+    assert running.advance(SimpleNamespace(advance=steps), 2000, run) is None
+    assert run.k == 2000
+    text = r"Simulating: (\d+)% \([\d.]+ of 200 s\) after (\d+) s, about (\d+) s left\."
+    said = [[int(number) for number in re.fullmatch(text, message).groups()] for message in caplog.messages]
+    assert [after for _, after, _ in said] == [39, 49]
+    assert all(abs(left - (100 - share) / 5) <= 0.7 for share, _, left in said)  # 5 % of the run in a second
 
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])

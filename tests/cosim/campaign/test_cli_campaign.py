@@ -122,6 +122,7 @@ def test_a_part_of_what_is_another_factor_is_changed_after_it(file):
     ("line", "instead", "message"),
     [
         ("seeds = 3", "sedes = 3", "did you mean 'seeds'"),
+        ("[factors]", "[grid]", "has the unknown key 'grid'; did you mean 'factors'?"),
         ('scenario = "cruise_control"', "", "lacks 'scenario'"),
         ('scenario = "cruise_control"', 'scenario = "cruise"', "did you mean 'cruise_control'"),
         ('kind = "rmse"', 'kind = "rms"', "did you mean 'RMSE'"),

@@ -236,7 +236,7 @@ def test_a_sample_may_count_in_none_of_the_sensors():
         ({"parameters": {"mass": (80, 120)}}, "no parameter 'mass'"),
         ({"parameters": {"force": (80, 120)}}, "is an input"),
         ({"inputs": {"push": "u"}}, "no input 'push'"),
-        ({"inputs": {"force": "uu"}}, "no input 'uu'"),
+        ({"inputs": {"force": "uu"}}, "no column 'uu' for an input"),
         ({"outputs": {"speed": "v0"}}, "no output 'speed'"),
         ({"outputs": {"v": ["v0", "v0"]}}, "twice"),
         ({"outputs": {}}, "no outputs"),

@@ -59,8 +59,11 @@ def test_outputs(step):
     assert kept.tolist() == [1.0, 2.0]  # what was handed out does not change
     with pytest.raises(AttributeError, match="The block has no output 'las'; did you mean 'last'"):
         out.las  # noqa: B018
+    with pytest.raises(AttributeError, match=r"depend on its learner .* Use out\.get\('fault_kind'\)"):
+        out.fault_kind  # noqa: B018
     assert {"u", "last", "items"} <= set(dir(out))  # what a console completes
     assert repr(out).startswith("Outputs(u=")
+    assert repr(type(out)(p=np.full((2, 8), 1 / 3), q=np.ones(2))) == "Outputs(p=<2 x 8 numbers>, q=array([1., 1.]))"
     assert repr(step).startswith("<Step of ")
 
 

@@ -71,9 +71,12 @@ def fit(
         fitted = cosim.fit(
             find_fmu(fmu),
             recording,
-            {name: _range(name, text) for name, text in _pairs("--parameter", parameters).items()},
-            inputs=_pairs("--input", inputs or (), alone=True),
-            outputs={name: text.split(",") for name, text in _pairs("--output", outputs, alone=True).items()},
+            {name: _range(name, text) for name, text in _pairs("--parameter", parameters, "NAME=LOW:HIGH").items()},
+            inputs=_pairs("--input", inputs or (), "NAME=COLUMN", alone=True),
+            outputs={
+                name: text.split(",")
+                for name, text in _pairs("--output", outputs, "NAME=COLUMN,...", alone=True).items()
+            },
             time=time,
             dt=dt,
             held_out=held_out,
@@ -128,13 +131,13 @@ def summary(fitted: Any) -> dict[str, Any]:
     )
 
 
-def _pairs(option: str, given: Sequence[str], *, alone: bool = False) -> dict[str, str]:
-    """Return the name and the text of each ``NAME=TEXT``; with `alone`, a name alone stands for ``NAME=NAME``."""
+def _pairs(option: str, given: Sequence[str], form: str, *, alone: bool = False) -> dict[str, str]:
+    """Return the name and the text of each option, of the given form; with `alone`, a name alone stands for ``NAME=NAME``."""
     pairs: dict[str, str] = {}
     for text in given:
         name, sign, value = (part.strip() for part in text.partition("="))
         if not name or not (value or (alone and not sign)):
-            raise typer.BadParameter(f"{option} {text} has no name or no value. Write NAME=VALUE.")
+            raise typer.BadParameter(f"{option} {text} has no name or no value. Write {form}.")
         if name in pairs:
             raise typer.BadParameter(f"{option} names {name!r} twice. Give each name once.")
         pairs[name] = value or name
