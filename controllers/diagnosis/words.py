@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,8 @@ if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
 ALIKE = "All sensors disagree with the model in the same way"
+
+APART = "Sensors of different quantities disagree by the model"
 
 _ESTIMATED = "LinearModel.with_disturbance; disturbance in design and in a scenario"
 
@@ -33,19 +36,22 @@ def sentence(
     model: LinearModel,
     others: Sequence[tuple[str, Sequence[float]]] = (),
     inferred: Sequence[float] | None = None,
+    units: Sequence[str | None] = (),
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
 
-    `inferred` has the largest fault probability of each actuator; None if the controller infers none.
+    `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
+    each sensor, if known.
     """
     alone = _alone(model)
+    words = {**_WORDS, "offset": partial(_offset, units=units)}
     also = "".join(
-        f" Or, nearly as likely by this run: {_WORDS[other](other_values, model)}" for other, other_values in others
+        f" Or, nearly as likely by this run: {words[other](other_values, model)}" for other, other_values in others
     )
-    if not np.any(model.B):
+    if not np.any(model.B) and "offset" not in (kind, *(other for other, _ in others)):
         return f"{ALIKE}: {UNMOVED}{alone}"
     actuators = _actuators([(kind, values), *others], model, inferred)
-    return f"{ALIKE}: {_WORDS[kind](values, model)}{also}{actuators}{alone}"
+    return f"{APART if kind == 'offset' else ALIKE}: {words[kind](values, model)}{also}{actuators}{alone}"
 
 
 def _actuators(
@@ -140,6 +146,31 @@ def _load(values: Sequence[float], model: LinearModel) -> str:
     return (
         f"a constant load acts, as large as a control of {pushed}. Estimate it ({_ESTIMATED}), or add it to the model."
     )
+
+
+def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    groups = [group for group in model.alike if any(values[i] for i in group)]
+    off = [i for group in groups for i in group]
+    stds = dict(zip(off, (f"{max(abs(values[i]) for i in group):.1g}" for group in groups for _ in group), strict=True))
+    std = stds[off[0]] if len(groups) == 1 else f"[{', '.join(stds[i] for i in sorted(off))}]"
+    each = " and ".join(_offset_of(group, values, model, units) for group in groups)
+    return (
+        f"{each}. Subtract it from the readings, or estimate it (LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
+        f"sensors={sorted(off)}))."
+    )
+
+
+def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    """Return which sensors of one quantity have which offset."""
+    numbers = " and ".join(map(str, group))
+    names = " and ".join(dict.fromkeys(model.names.sensors[i] for i in group)) if model.names else ""
+    if len(group) == 1:
+        who = f"the only sensor of {names}" if names else f"sensor {numbers}, the only one of its quantity,"
+    else:
+        who = f"all sensors of {names} ({numbers})" if names else f"sensors {numbers}, all of one quantity,"
+    sizes = " and ".join(dict.fromkeys(f"{values[i]:.2g}" for i in group))
+    unit = f" {units[group[0]]}" if units and units[group[0]] else ""
+    return f"{who} {'has' if len(group) == 1 else 'have'} a constant offset of about {sizes}{unit}"
 
 
 def _noise(values: Sequence[float], model: LinearModel) -> str:
