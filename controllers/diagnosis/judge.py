@@ -152,11 +152,11 @@ class Judge:
     def pushes(self, pushes: Floats) -> Floats:
         """Return the responses of the innovations to pushes (H x T x n) of any size."""
         scale = np.maximum(np.abs(pushes).max(axis=(1, 2), keepdims=True), 1e-300)
-        return self._responses(pushes / scale, 0.0) * scale[:, 0, 0][:, None, None]
+        return np.asarray(self._responses(pushes / scale, 0.0) * scale[:, 0, 0][:, None, None])
 
     def offset(self, readings: Floats) -> Floats:
         """Return the response of the innovations to constant readings of the sensors (sets x T x m)."""
-        return self._responses(np.zeros((1, *self.moved.shape)), readings)[:, 0]
+        return np.asarray(self._responses(np.zeros((1, *self.moved.shape)), readings)[:, 0])
 
     def _responses(self, pushes: Floats, readings: Floats | float) -> Floats:
         """Return the innovations of a plant that begins at zero, for some pushes of its state, and constant readings."""

@@ -44,11 +44,9 @@ def offsets(judge: Judge) -> list[Explanation]:
 def _visible(judge: Judge, response: Floats) -> bool:
     """Return whether the sensors tell an offset from another start of the plant."""
     sets = range(len(judge.bank))
-    whole, rest = (
-        sum(float((part(k) ** 2).sum()) for k in sets)
-        for part in (lambda k: judge.part(response, k), lambda k: judge.free(response, k, judge.begin))
-    )
-    return rest > VISIBLE**2 * whole
+    whole = [np.sum(judge.part(response, k) ** 2) for k in sets]
+    rest = [np.sum(judge.free(response, k, judge.begin) ** 2) for k in sets]
+    return bool(np.sum(rest) > VISIBLE**2 * np.sum(whole))
 
 
 def _fitted(judge: Judge, responses: Floats, shapes: tuple[Floats, ...]) -> Explanation:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -22,6 +22,10 @@ _ESTIMATED = "LinearModel.with_disturbance; disturbance in design and in a scena
 
 NO_EFFECT = 0.05
 """Effect of a control, relative to the model's, below which it counts as none."""
+
+PRIOR = 10.0
+"""Standard deviation of an offset to be estimated, relative to the one found; with a smaller one the default learner doubts other
+sensors until it is estimated."""
 
 UNMOVED = (
     "the quantity moves differently from the model, or the recording has long gaps. Fit the model to a stretch that moves as the "
@@ -44,7 +48,10 @@ def sentence(
     each sensor, if known.
     """
     alone = _alone(model)
-    words = {**_WORDS, "offset": partial(_offset, units=units)}
+    words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
+        **_WORDS,
+        "offset": partial(_offset, units=units),
+    }
     also = "".join(
         f" Or, nearly as likely by this run: {words[other](other_values, model)}" for other, other_values in others
     )
@@ -150,13 +157,14 @@ def _load(values: Sequence[float], model: LinearModel) -> str:
 
 def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     groups = [group for group in model.alike if any(values[i] for i in group)]
-    off = [i for group in groups for i in group]
-    stds = dict(zip(off, (f"{max(abs(values[i]) for i in group):.1g}" for group in groups for _ in group), strict=True))
-    std = stds[off[0]] if len(groups) == 1 else f"[{', '.join(stds[i] for i in sorted(off))}]"
+    sensors = sorted(i for group in groups for i in group)
+    stds = [f"{PRIOR * max(abs(values[i]) for i in group):.1g}" for group in groups for _ in group]
+    of = dict(zip((i for group in groups for i in group), stds, strict=True))
+    std = stds[0] if len(groups) == 1 else f"[{', '.join(of[i] for i in sensors)}]"
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
     return (
-        f"{each}. Subtract it from the readings, or estimate it (LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
-        f"sensors={sorted(off)}))."
+        f"{each}. Subtract it from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
+        f"sensors={sensors})."
     )
 
 
