@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 ALIKE = "All sensors disagree with the model in the same way"
 
-APART = "Sensors of different quantities disagree by the model"
+APART = "By the model, sensors of different quantities disagree"
 
 _ESTIMATED = "LinearModel.with_disturbance; disturbance in design and in a scenario"
 
@@ -58,7 +58,8 @@ def sentence(
     if not np.any(model.B) and "offset" not in (kind, *(other for other, _ in others)):
         return f"{ALIKE}: {UNMOVED}{alone}"
     actuators = _actuators([(kind, values), *others], model, inferred)
-    return f"{APART if kind == 'offset' else ALIKE}: {words[kind](values, model)}{also}{actuators}{alone}"
+    which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
+    return f"{which}: {words[kind](values, model)}{also}{actuators}{alone}"
 
 
 def _actuators(
@@ -158,9 +159,8 @@ def _load(values: Sequence[float], model: LinearModel) -> str:
 def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     groups = [group for group in model.alike if any(values[i] for i in group)]
     sensors = sorted(i for group in groups for i in group)
-    stds = [f"{PRIOR * max(abs(values[i]) for i in group):.1g}" for group in groups for _ in group]
-    of = dict(zip((i for group in groups for i in group), stds, strict=True))
-    std = stds[0] if len(groups) == 1 else f"[{', '.join(of[i] for i in sensors)}]"
+    stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
+    std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
     return (
         f"{each}. Subtract it from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
