@@ -163,7 +163,7 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
     return (
-        f"{each}. Subtract it from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
+        f"{each}. Subtract this from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
         f"sensors={sensors})."
     )
 
@@ -176,9 +176,10 @@ def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel
         who = f"the only sensor of {names}" if names else f"sensor {numbers}, the only one of its quantity,"
     else:
         who = f"all sensors of {names} ({numbers})" if names else f"sensors {numbers}, all of one quantity,"
-    sizes = " and ".join(dict.fromkeys(f"{values[i]:.2g}" for i in group))
+    sizes = list(dict.fromkeys(f"{values[i]:.2g}" for i in group))
+    offset = "a constant offset" if len(sizes) == 1 else "constant offsets"
     unit = f" {units[group[0]]}" if units and units[group[0]] else ""
-    return f"{who} {'has' if len(group) == 1 else 'have'} a constant offset of about {sizes}{unit}"
+    return f"{who} {'has' if len(group) == 1 else 'have'} {offset} of about {' and '.join(sizes)}{unit}"
 
 
 def _noise(values: Sequence[float], model: LinearModel) -> str:
