@@ -47,19 +47,15 @@ def sentence(
     `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
     each sensor, if known.
     """
-    alone = _alone(model)
+    found, moved = [(kind, values), *others], bool(np.any(model.B))
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
         **_WORDS,
         "offset": partial(_offset, units=units),
     }
-    also = "".join(
-        f" Or, nearly as likely by this run: {words[other](other_values, model)}" for other, other_values in others
-    )
-    if not np.any(model.B) and "offset" not in (kind, *(other for other, _ in others)):
-        return f"{ALIKE}: {UNMOVED}{alone}"
-    actuators = _actuators([(kind, values), *others], model, inferred)
+    said = dict.fromkeys(words[each](its, model) if moved or each == "offset" else UNMOVED for each, its in found)
     which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
-    return f"{which}: {words[kind](values, model)}{also}{actuators}{alone}"
+    actuators = _actuators(found, model, inferred) if moved else ""
+    return f"{which}: {' Or, nearly as likely by this run: '.join(said)}{actuators}{_alone(model)}"
 
 
 def _actuators(

@@ -542,6 +542,10 @@ def test_the_remedy_for_a_model_without_control_needs_no_control():
     words = sentence("nonlinear", (), model)
     assert "monitor --fit --from --to" in words
     assert "linearis" not in words
+    either = sentence("offset", (0.5, 0.5), model, [("nonlinear", ()), ("dynamics", ())])
+    assert either.count("Or, nearly as likely by this run") == 1
+    assert "offset of about 0.5" in either
+    assert "linearis" not in either
     assert "monitor" not in sentence("nonlinear", (), replace(model, B=[[0.1]]))
 
 
