@@ -18,7 +18,7 @@ from bayesftc.cosim.ops import square
 class NoisierProcess:
     """The model predicts the plant's states less precisely than usual: by default a kick, large and for a single sample.
 
-    Either the process noise is larger (`scale`), or the past counts less (`fading`), as in a filter with a fading memory. A
+    Either the process noise has another `scale`, or the past counts less (`fading`), as in a filter with a fading memory. A
     fading memory covers models that are wrong in any direction.
 
     Parameters
@@ -30,7 +30,8 @@ class NoisierProcess:
         Mean duration in seconds after the first sample.
     scale : float
         Standard deviation of the process noise in this mode, in nominal ones. The default kick reaches four times as far. With a
-        larger scale, a plant slower than its model makes the loop unstable sooner.
+        larger scale, a plant slower than its model makes the loop unstable sooner. Below 1 the process is quieter, where the
+        nominal noise may be stated too large.
     fading : float
         Factor of the predicted covariance of the plant's states at each sample in this mode (Sorenson and Sacks, Information
         Sciences 3, 1971). Steps without a sample of any sensor do not count. Steps do not count either if the covariance reaches
@@ -39,7 +40,7 @@ class NoisierProcess:
     Raises
     ------
     ModelError
-        If neither scale nor fading is above 1.
+        If scale and fading are 1, or out of their range.
 
     Examples
     --------
@@ -61,11 +62,11 @@ class NoisierProcess:
     def __post_init__(self) -> None:
         check_number(self, "time_to_fault", above=0)
         check_number(self, "time_to_recovery", least=0)
-        check_number(self, "scale", least=1, most=1e6)
+        check_number(self, "scale", above=0, most=1e6)
         check_number(self, "fading", least=1, most=1e6)
         if self.scale == 1 and self.fading == 1:
             raise ModelError(
-                "NoisierProcess has scale 1 and fading 1, which has no effect; make one of them larger than 1."
+                "NoisierProcess has scale 1 and fading 1, which has no effect; make one of them larger than 1, or scale smaller."
             )
 
     def settings(self, step: float) -> tuple[float, float, float, float]:

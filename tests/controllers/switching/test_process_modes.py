@@ -57,6 +57,10 @@ def test_a_noisier_process_is_filtered_as_filterpy_does():
     assert out.process_mode_probability[1] == pytest.approx(1.0)
 
 
+def test_a_quieter_process_is_filtered_as_filterpy_does():
+    filtered(TWO, NoisierProcess(AT_ONCE, NEVER, scale=0.3), 40, -0.91 * TWO.matrix("process_covariance"))
+
+
 def test_a_kick_is_one_sample_of_noise():
     out = filtered(TWO, NoisierProcess(AT_ONCE, 0.0, scale=7.0), 2, 48.0 * TWO.matrix("process_covariance"), left=0.0)
     assert out.process_mode_probability[2] == pytest.approx(1.0)  # it has ended
@@ -209,6 +213,7 @@ def test_they_are_a_part_of_the_joint_form(precision, ports):
     ("make", "words"),
     [
         (lambda: NoisierProcess(scale=1.0), "NoisierProcess has scale"),
+        (lambda: NoisierProcess(scale=0.0), "NoisierProcess has scale"),
         (lambda: NoisierProcess(scale=1e200), "NoisierProcess has scale"),
         (lambda: NoisierProcess(time_to_recovery=-1.0), "NoisierProcess has time_to_recovery"),
         (
