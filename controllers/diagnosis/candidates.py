@@ -19,6 +19,7 @@ from bayesftc.controllers.diagnosis.explanations import (
     lagged,
 )
 from bayesftc.controllers.diagnosis.judge import RELEVANT, Explanation, Judge
+from bayesftc.controllers.diagnosis.offsets import offsets
 from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
@@ -61,12 +62,17 @@ def explanations(judge: Judge) -> list[Explanation]:
     fine = judge.inputs(
         [*_late(judge, coarse), *_early(judge, coarse), *(c for j in controls for c in _limits(judge, j, coarse))]
     )
-    results = coarse + fine + _times(judge) + _pushed(judge) + changes(judge)
+    results = coarse + fine + _times(judge) + _pushed(judge) + changes(judge) + offsets(judge)
     best: dict[str, Explanation] = {}
     for x in results:
         if x.kind not in best or x.total > best[x.kind].total:
             best[x.kind] = x
-    return sorted(best.values(), key=lambda x: -x.total)
+    return ranked(best.values())
+
+
+def ranked(found: Iterable[Explanation]) -> list[Explanation]:
+    """Return explanations, the best first; of equal ones, such as a load and an offset of a speed, in the order given."""
+    return sorted(found, key=lambda x: -round(x.total, 6))
 
 
 @lru_cache(maxsize=512)  # called again for each shorter part of a recording

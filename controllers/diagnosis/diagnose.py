@@ -2,7 +2,8 @@
 
 Observers of sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a
 lag or a limit; the plant is faster or slower than the model; a load acts all the time, or begins during the run; the plant has
-other dynamics, or nonlinear ones; noise moves it that the model does not have. The measure is the likelihood, with a free scale
+other dynamics, or nonlinear ones; noise moves it that the model does not have; all sensors of a quantity have an offset. The
+measure is the likelihood, with a free scale
 of the innovations (so that noise of another size has no effect), less the cost of the parameters (BIC). An explanation counts
 only with the evidence of *every* set: an error of one set alone is a fault of its sensors. Stretches in which sensors of one
 quantity disagree are left out. The fault probabilities of the precision learner, which a wrong model spoils, are therefore not
@@ -19,7 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
-from bayesftc.controllers.diagnosis.candidates import explanations, noisier
+from bayesftc.controllers.diagnosis.candidates import explanations, noisier, ranked
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, Explanation, Judge
 from bayesftc.controllers.diagnosis.words import sentence
@@ -45,7 +46,7 @@ CUTS = (1e6, 300.0, 100.0, 30.0, 10.0, 6.0)
 
 After a loss of the plant, such as a fallen pendulum, no linear model holds; the cause shows before."""
 
-SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit"})
+SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "offset"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
 WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
@@ -77,7 +78,8 @@ class ModelFinding:
         ``"sign"`` or ``"gain"`` of a column of B, ``"dt"`` (the plant is faster or slower), ``"late"`` (a delay or a lag of the
         control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control), ``"nonlinear"`` (far from the
         point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of
-        the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run), ``"noise"``
+        the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run), ``"offset"``
+        (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model; only where another kind would count without it, or `model_suspect` was raised),
         ``"unknown"``.
     sentence : str
@@ -87,6 +89,7 @@ class ModelFinding:
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
         ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the first sample (infinity: to
         the last one), then as ``load``; ``loss``: begin, end, effect relative to the model's, and number of the control;
+        ``offset``: a value for each sensor, in its unit, 0 for those without;
         ``noise``: number of the state (-1 for each) and standard deviation in a sample; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
@@ -190,7 +193,11 @@ def diagnose(
         return ModelFinding("unknown", words) if raised else None
     samples = samples_of(signals, y, name, reader)
     inferred = _inferred(signals, controller, name)
-    result = _finding(model, samples, signals[f"{name}.u"], controller.initial_mean, alone=raised, inferred=inferred)
+    roles = getattr(signals, "roles", None)
+    units = [sensor.unit for sensor in roles.sensors] if roles is not None else []
+    result = _finding(
+        model, samples, signals[f"{name}.u"], controller.initial_mean, alone=raised, inferred=inferred, units=units
+    )
     if result is None and raised:
         return ModelFinding("unknown", sentence("unknown", (), model))
     return result
@@ -264,6 +271,7 @@ def _finding(
     *,
     alone: bool,
     inferred: Sequence[float] | None = None,
+    units: Sequence[str | None] = (),
 ) -> ModelFinding | None:
     """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`."""
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
@@ -276,7 +284,7 @@ def _finding(
     if not result:
         return None
     best = result[0]
-    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]], inferred)
+    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]], inferred, units)
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 
@@ -316,7 +324,7 @@ def best_explanations(
             continue
         counting = [x for x in explanations(judge) if x.counts]
         if counting or alone:
-            counting = sorted(counting + [x for x in noisier(judge) if x.counts], key=lambda x: -x.total)
+            counting = ranked(counting + [x for x in noisier(judge) if x.counts])
         near = [x for x in counting if x.total > counting[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
         kinds = {x.kind for x in near}
         near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]

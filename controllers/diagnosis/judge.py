@@ -152,18 +152,27 @@ class Judge:
     def pushes(self, pushes: Floats) -> Floats:
         """Return the responses of the innovations to pushes (H x T x n) of any size."""
         scale = np.maximum(np.abs(pushes).max(axis=(1, 2), keepdims=True), 1e-300)
+        return np.asarray(self._responses(pushes / scale, 0.0) * scale[:, 0, 0][:, None, None])
+
+    def offset(self, readings: Floats) -> Floats:
+        """Return the response of the innovations to constant readings of the sensors (sets x T x m)."""
+        return np.asarray(self._responses(np.zeros((1, *self.moved.shape)), readings)[:, 0])
+
+    def _responses(self, pushes: Floats, readings: Floats | float) -> Floats:
+        """Return the innovations of a plant that begins at zero, for some pushes of its state, and constant readings."""
         silent = replace(
             self.recording,
-            y=np.where(np.isfinite(self.recording.y), 0.0, np.nan),
+            y=np.where(np.isfinite(self.recording.y), readings, np.nan),
             mean=np.zeros_like(self.recording.mean),
         )
-        (white,), _ = innovations([self.model], [self.bank], silent, (pushes / scale)[None])
-        return np.asarray(white[:, : len(pushes)] * scale[:, 0, 0][:, None, None])
+        (white,), _ = innovations([self.model], [self.bank], silent, pushes[None])
+        return np.asarray(white[:, : len(pushes)])
 
-    def fitted(self, kind: str, responses: Floats) -> Explanation:
-        """Fit the sizes of pushes by least squares, from their responses."""
+    def fitted(self, kind: str, responses: Floats, meaning: Floats | None = None) -> Explanation:
+        """Fit sizes by least squares, from their responses; the values are these, or their sum over rows of a meaning."""
         theta, _, costs = self._fit(responses)
-        return self.of(kind, [tuple(map(float, theta))], costs, len(theta))[0]
+        values = theta if meaning is None else theta @ meaning
+        return self.of(kind, [tuple(map(float, values))], costs, len(theta))[0]
 
     def flipped(self, responses: Floats, control: int) -> list[Explanation]:
         """Fit pushes of which the first is the control's effect; return ``"sign"`` if that effect is clearly reversed."""

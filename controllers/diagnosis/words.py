@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -15,10 +16,16 @@ if TYPE_CHECKING:
 
 ALIKE = "All sensors disagree with the model in the same way"
 
+APART = "By the model, sensors of different quantities disagree"
+
 _ESTIMATED = "LinearModel.with_disturbance; disturbance in design and in a scenario"
 
 NO_EFFECT = 0.05
 """Effect of a control, relative to the model's, below which it counts as none."""
+
+PRIOR = 10.0
+"""Standard deviation of an offset to be estimated, relative to the one found; with a smaller one the default learner doubts other
+sensors until it is estimated."""
 
 UNMOVED = (
     "the quantity moves differently from the model, or the recording has long gaps. Fit the model to a stretch that moves as the "
@@ -33,19 +40,22 @@ def sentence(
     model: LinearModel,
     others: Sequence[tuple[str, Sequence[float]]] = (),
     inferred: Sequence[float] | None = None,
+    units: Sequence[str | None] = (),
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
 
-    `inferred` has the largest fault probability of each actuator; None if the controller infers none.
+    `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
+    each sensor, if known.
     """
-    alone = _alone(model)
-    also = "".join(
-        f" Or, nearly as likely by this run: {_WORDS[other](other_values, model)}" for other, other_values in others
-    )
-    if not np.any(model.B):
-        return f"{ALIKE}: {UNMOVED}{alone}"
-    actuators = _actuators([(kind, values), *others], model, inferred)
-    return f"{ALIKE}: {_WORDS[kind](values, model)}{also}{actuators}{alone}"
+    found, moved = [(kind, values), *others], bool(np.any(model.B))
+    words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
+        **_WORDS,
+        "offset": partial(_offset, units=units),
+    }
+    said = dict.fromkeys(words[each](its, model) if moved or each == "offset" else UNMOVED for each, its in found)
+    which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
+    actuators = _actuators(found, model, inferred) if moved else ""
+    return f"{which}: {' Or, nearly as likely by this run: '.join(said)}{actuators}{_alone(model)}"
 
 
 def _actuators(
@@ -140,6 +150,32 @@ def _load(values: Sequence[float], model: LinearModel) -> str:
     return (
         f"a constant load acts, as large as a control of {pushed}. Estimate it ({_ESTIMATED}), or add it to the model."
     )
+
+
+def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    groups = [group for group in model.alike if any(values[i] for i in group)]
+    sensors = sorted(i for group in groups for i in group)
+    stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
+    std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
+    each = " and ".join(_offset_of(group, values, model, units) for group in groups)
+    return (
+        f"{each}. Subtract this from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
+        f"sensors={sensors})."
+    )
+
+
+def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    """Return which sensors of one quantity have which offset."""
+    numbers = " and ".join(map(str, group))
+    names = " and ".join(dict.fromkeys(model.names.sensors[i] for i in group)) if model.names else ""
+    if len(group) == 1:
+        who = f"the only sensor of {names}" if names else f"sensor {numbers}, the only one of its quantity,"
+    else:
+        who = f"all sensors of {names} ({numbers})" if names else f"sensors {numbers}, all of one quantity,"
+    sizes = list(dict.fromkeys(f"{values[i]:.2g}" for i in group))
+    offset = "a constant offset" if len(sizes) == 1 else "constant offsets"
+    unit = f" {units[group[0]]}" if units and units[group[0]] else ""
+    return f"{who} {'has' if len(group) == 1 else 'have'} {offset} of about {' and '.join(sizes)}{unit}"
 
 
 def _noise(values: Sequence[float], model: LinearModel) -> str:

@@ -343,7 +343,9 @@ class FMU(ExternalBlock):
 
     def _units_of_ports(self, side: str) -> dict[str, str]:
         """Return the units that ports among the requested inputs or outputs have."""
-        return {p.name: p.unit for p in self._without_tunable(side) or () if isinstance(p, Port) and p.unit}
+        requested = self._without_tunable(side)
+        ports = requested if isinstance(requested, list | tuple) else ()  # anything else is refused below
+        return {p.name: p.unit for p in ports if isinstance(p, Port) and p.unit}
 
     @property
     def _given(self) -> Mapping[str, Value]:

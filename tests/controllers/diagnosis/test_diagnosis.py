@@ -71,6 +71,40 @@ def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
     assert "process_covariance" in finding.sentence
 
 
+def test_offsets_of_all_gyros_are_named_and_measured():
+    """Two gyros with different offsets beside two compasses, which the default learner would blame."""
+    finding, suspect = told(next(c for c in cases() if c.name == "heading: unequally biased"), "fixed", 3)
+    assert suspect
+    assert finding.kind == "offset"
+    assert finding.values == pytest.approx((0.0, 0.02, 0.0, -0.012), abs=0.005)
+    assert "with_sensor_errors(std=0.2, time_constant=1e5, sensors=[1, 3])" in finding.sentence
+
+
+def test_an_offset_that_may_be_a_load_is_named_beside_it():
+    """Speed sensors that all read too much, and a plant under load, give the same samples."""
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    rng = np.random.default_rng(0)
+    u, x = np.repeat(rng.choice([-5.0, 5.0], (40, 1)), 5, axis=0), np.zeros((200, 1))
+    for k in range(199):
+        x[k + 1] = 0.9 * x[k] + 0.1 * (u[k] + 3.0)
+    finding = diagnose_recording(model, x + 0.1 * rng.standard_normal((200, 2)), u)
+    assert finding.kind == "load"
+    assert "offset" in finding.others
+    assert "sensors 0 and 1, all of one quantity, have a constant offset of about 3" in finding.sentence
+
+
+def test_an_offset_has_the_unit_of_its_sensors_and_each_quantity_its_own_remedy():
+    names = controllers.SignalNames(["torque"], ["angle", "rate", "rate"], ["angle", "rate"])
+    C = [[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]
+    model = controllers.LinearModel(np.eye(2), [[0.0], [0.0]], C, 1e-4, 0.01, dt=0.1, names=names)
+    rates = sentence("offset", (0.0, 0.005, 0.005), model, units=["rad", "rad/s", "rad/s"])
+    assert "all sensors of rate (1 and 2) have a constant offset of about 0.005 rad/s. Subtract" in rates
+    assert "std=0.05," in rates
+    both = sentence("offset", (0.1, 0.005, 0.003), model)
+    assert "the only sensor of angle has a constant offset of about 0.1 and all sensors of rate" in both
+    assert "std=[1.0, 0.05, 0.05], time_constant=1e5, sensors=[0, 1, 2]" in both
+
+
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("faults", "load", "kind", "values", "words"),
@@ -519,6 +553,10 @@ def test_the_remedy_for_a_model_without_control_needs_no_control():
     words = sentence("nonlinear", (), model)
     assert "monitor --fit --from --to" in words
     assert "linearis" not in words
+    either = sentence("offset", (0.5, 0.5), model, [("nonlinear", ()), ("dynamics", ())])
+    assert either.count("Or, nearly as likely by this run") == 1
+    assert "offset of about 0.5" in either
+    assert "linearis" not in either
     assert "monitor" not in sentence("nonlinear", (), replace(model, B=[[0.1]]))
 
 

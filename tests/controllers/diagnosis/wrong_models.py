@@ -9,6 +9,7 @@ from functools import cache
 from math import inf
 from typing import Any
 
+import control
 import numpy as np
 
 from bayesftc import controllers, cosim, fmus
@@ -86,7 +87,7 @@ def _faults(size: float, start: float, stop: float) -> dict[str, cosim.Fault]:
     }
 
 
-PLANTS: Mapping[str, float] = {"car": 1.0, "servo": 0.01, "pendulum": 0.005, "turbine": 0.01}
+PLANTS: Mapping[str, float] = {"car": 1.0, "servo": 0.01, "pendulum": 0.005, "turbine": 0.01, "heading": 0.02}
 """Standard deviation of the sensors of each plant."""
 
 MASS = frozenset({"gain", "dt", "dynamics"})
@@ -110,6 +111,7 @@ WRONG: Mapping[str, Mapping[str, frozenset[str]]] = {
     "servo": MOVED,
     "pendulum": {**MOVED, **FAR, "noisy": frozenset({"noise"})},
     "turbine": FAR,
+    "heading": {"biased": frozenset({"offset"}), "unequally biased": frozenset({"offset"})},
 }
 """What is wrong with each plant's model, and what it may be called."""
 
@@ -122,6 +124,12 @@ def cases() -> list[Case]:
         found += [Case(plant, f"right, {kind}", faults=(f,)) for kind, f in _faults(size, 6.0, 14.0).items()]
     return found
 
+
+BIASED: Mapping[str, tuple[float, ...]] = {
+    "heading: biased": (0.0, 0.02, 0.0, 0.02),
+    "heading: unequally biased": (0.0, 0.02, 0.0, -0.012),
+}
+"""Offsets of the sensors, of which the model has none."""
 
 LOADED: Mapping[str, float] = {"car": -0.02, "servo": 0.1, "pendulum": 0.05}
 """Load on each plant's noise input from 10 s on, in the input's unit."""
@@ -187,6 +195,20 @@ def _designed(
     return plant, controller, control, measured, stds * 2, sources, reference, limit
 
 
+def _heading(learner: controllers.PrecisionLearner) -> tuple[Any, ...]:
+    """A vehicle with compasses and gyros."""
+    A, B, stds = [[1.0, 0.1], [0.0, 0.88]], [[0.002], [0.047]], (0.02, 0.01)
+    Q, R = 25.0 * np.outer(B, B), np.diag(stds * 2) ** 2
+    controller = controllers.LQGController(
+        controllers.LinearModel(A, B, np.vstack([np.eye(2)] * 2), Q, R, dt=0.1), learner, [[1.0, 0.0]],
+        goal_covariance=0.05**2, control_covariance=100.0, u_min=-40.0, u_max=40.0,
+    )  # fmt: skip
+    plant = cosim.StateSpace(
+        control.ss(A, B, np.eye(2), 0, 0.1, outputs=["angle", "rate"], inputs=["torque"]), process_noise=Q
+    )
+    return plant, controller, "torque", ("angle", "rate"), stds * 2, {}, cosim.Sine(amplitude=0.5, period=8.0), 40.0
+
+
 def parts(case: Case, learner: controllers.PrecisionLearner) -> tuple[Any, ...]:
     """Return plant, controller, control, measured, standard deviations, noise, reference and the limit of a case."""
     if case.plant == "car":
@@ -202,6 +224,8 @@ def parts(case: Case, learner: controllers.PrecisionLearner) -> tuple[Any, ...]:
             case, learner, "CartPendulum", ("M_cart", 0.5), "force", ("position", "angle"), "position", 0.005,
             {"torque": 0.02}, (0.1, 5.0), cosim.Step(time=2.0, after=3.0 if far else 0.3), 3.0, (-15.0, 15.0),
         )  # fmt: skip
+    if case.plant == "heading":
+        return _heading(learner)
     far = case.wrong == "far"
     return _designed(
         case, learner, "HydroTurbine", ("Tw", 1.0), "command", ("power",), "power", 0.01, {"head": 0.01}, (0.05, 0.1),
@@ -216,7 +240,9 @@ def loop(case: Case, learner: controllers.PrecisionLearner) -> cosim.Diagram:
     diagram = cosim.Diagram(step)
     goal = diagram.add(reference, "reference")
     node = diagram.add(plant, "plant")
-    sensors = diagram.add(cosim.Sensors(count=len(std), signals=len(measured), std=std), "sensors")
+    sensors = diagram.add(
+        cosim.Sensors(len(std), std, signals=len(measured), bias=BIASED.get(case.name, 0.0)), "sensors"
+    )
     diagram.connect([node[name] for name in measured], sensors["u"])
     signal = sensors["y"]
     for fault in case.faults:

@@ -79,7 +79,7 @@ def test_from_file_to_report_and_replay(bayesftc_, file, tmp_path, same_bits):
     assert "Does &lt;it&gt; track?" in text
     assert not re.search(r'(src|href)="(?!#)', text)  # it needs no other file
     mean = first["metrics"]["rmse"]["mean"]
-    assert f"{mean:.4g} ±" in text
+    assert re.search(rf"{mean:.4g} (±|\(0 to)", text)  # of three runs the interval may reach zero
     for run in worst_runs(tmp_path / "tracking"):
         assert f"bayesftc replay {tmp_path / 'tracking'} {run}" in text
 

@@ -341,7 +341,7 @@ def test_a_result_says_from_when_on_the_model_is_suspect():
 def test_a_result_says_that_the_belief_began_elsewhere_than_the_plant(mean):
     model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, 1.0, dt=0.02)
     controller = controllers.BayesianController(
-        model, controllers.SwitchingPrecision(), initial_mean=mean, initial_covariance=0.01
+        model, controllers.SwitchingPrecision(start_doubt=0.0), initial_mean=mean, initial_covariance=0.01
     )
     loop = cosim.closed_loop(
         cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}), controller, control="force", measured="v",

@@ -145,7 +145,7 @@ def test_impossible_settings_are_refused(result, settings):
 def test_an_alarm_of_a_single_step_is_a_finding_with_any_hold():
     model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
     controller = controllers.LQGController(
-        model, controllers.SwitchingPrecision(), initial_mean=50.0, initial_covariance=1e-4
+        model, controllers.SwitchingPrecision(start_doubt=0.0), initial_mean=50.0, initial_covariance=1e-4
     )
     plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"]))
     loop = cosim.closed_loop(plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), reference=0.0)

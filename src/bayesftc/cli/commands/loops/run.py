@@ -264,8 +264,8 @@ def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block,
         return [f"{blamed} {found}"]
     return [
         f"{blamed} Look at the model first: gain, time constants and delay of the plant, an input that it "
-        "lacks, or process noise that is larger than process_covariance. A longer run without faults can show which of them is "
-        "wrong."
+        "lacks, a constant offset of other sensors (such as gyros), or process noise that is larger than process_covariance. A "
+        "longer run without faults can show which of them is wrong."
     ]
 
 
