@@ -129,7 +129,7 @@ def closed_loop(
     -----
     UserWarning
         If a sensor, a measured variable or a further block is not used, or if a `StateSpace` begins where the controller's
-        belief excludes it.
+        belief excludes it and its learner does not expect that (``start_doubt`` of `SwitchingPrecision`).
 
     Raises
     ------

@@ -23,10 +23,9 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.errors import ResultFileError
 
 OF_PILLOW = (".gif", ".png", ".apng", ".webp", ".tif", ".tiff")
+"""Files of several pictures that Pillow writes."""
 LONGEST = {".gif": 655.35, ".png": 65.535, ".apng": 65.535}
 """Most seconds of a picture, by the ending of the file: 16 bits of hundredths, or of thousandths."""
-
-"""Files of several pictures that Pillow writes."""
 DOTS_PER_INCH = 100
 OPAQUE = 255
 ALTERNATIVE = "Animation: the plant, what each sensor reads, and the signals up to the shown instant."
@@ -150,7 +149,7 @@ def _refuse_long(file: Path, seconds: float) -> None:
     if seconds > most:
         raise ResultFileError(
             f"{file} cannot be written: each picture would last {seconds:.4g} s, but it can last {most:g} s in such a file. Give "
-            f"animate() a speed= at least {seconds / most:.3g} times as large, or more frames=."
+            f"animate() a speed= at least {1.01 * seconds / most:.3g} times as large, or more frames=."
         )
 
 

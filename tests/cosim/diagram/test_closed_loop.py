@@ -336,25 +336,24 @@ def test_an_input_that_stays_away_from_the_operating_point_is_warned_of(noise, w
 
 
 @pytest.mark.parametrize(
-    ("designed_at", "spread", "doubt", "words"),
+    ("designed_at", "spread", "learner", "words"),
     [
-        (0.25, 10.0, 0.0, ""),
-        (0.75, 1e5, 0.0, ""),
-        (0.75, 10.0, 0.1, ""),
+        (0.25, 10.0, {"start_doubt": 0.0}, ""),
+        (0.75, 1e5, {"joint": False}, ""),
+        (0.75, 10.0, {}, ""),
+        (0.75, 10.0, {"process_modes": ()}, "give or take"),
         (
-            0.75,
-            10.0,
-            0.0,
+            0.75, 10.0, {"start_doubt": 0.0},
             r"level = 0\.75 m, give or take 0\.0\d+ m, but the plant begins at 0\.25 m.* initial=\[0\.25\]",
         ),
     ],
-)
-def test_a_plant_that_starts_where_the_belief_excludes_it_is_warned_of(designed_at, spread, doubt, words):
+)  # fmt: skip
+def test_a_plant_that_starts_where_the_belief_excludes_it_is_warned_of(designed_at, spread, learner, words):
     system = nlsys(tank, lambda t, x, u, params: x, inputs=["pump", "inflow"], outputs=["level"], states=["h"])
     plant, other = (cosim.StateSpace(system, initial=[level]) for level in (0.25, designed_at))
     controller = controllers.design(
         other, measured="level", actuated="pump", sensors=2, dt=0.5, noise={"pump": 0.05}, initial_spread=spread,
-        precision=controllers.SwitchingPrecision(start_doubt=doubt),
+        precision=controllers.SwitchingPrecision(**learner),
     )  # fmt: skip
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

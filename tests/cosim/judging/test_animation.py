@@ -209,7 +209,7 @@ def test_a_gif_and_a_page_need_no_ffmpeg_and_a_film_says_so(tmp_path, monkeypatc
 def test_pictures_that_last_too_long_are_refused_before_they_are_drawn(tmp_path, name, longest):
     run = car().simulate(0.2, seed=1, engine="interpreted")
     animation = keep(run.animate(frames=2, speed=0.1 / (longest + 0.01)))
-    with pytest.raises(ResultFileError, match=r"speed= at least 1 times as large, or more frames="):
+    with pytest.raises(ResultFileError, match=r"speed= at least 1.01 times as large, or more frames="):
         animation.save(tmp_path / name)
     assert not (tmp_path / name).exists()
     keep(run.animate(frames=2, speed=0.1 / (longest - 0.1))).save(tmp_path / name)

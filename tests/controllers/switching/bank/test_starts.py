@@ -57,6 +57,14 @@ def test_without_doubt_they_are():
     assert np.abs(estimate - x).max() > 1.0
 
 
+def test_the_only_sensor_of_a_quantity_is_believed_unless_the_start_is_certain():
+    """A place and an offset from the first sample on look the same."""
+    x, estimate, probability = drive(model("pv"), 0.0, offsets=(2.0, 0.0))
+    assert (np.abs(estimate - x)[-1] > 1.9, probability[-1, 0] < 0.2) == (True, True)
+    x, estimate, probability = drive(model("pv"), 0.0, offsets=(2.0, 0.0), start_doubt=0.0)
+    assert (np.abs(estimate - x)[-1] < 0.1, probability[-1, 0] > 0.9) == (True, True)
+
+
 @pytest.mark.parametrize("faulty", range(3))
 @pytest.mark.parametrize("position", [0.0, 2.0])
 def test_one_faulty_sensor_of_three_does_not_say_where(faulty, position):

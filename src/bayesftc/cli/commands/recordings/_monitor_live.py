@@ -74,7 +74,7 @@ def monitor_live(model: Path, bridges: Path, options: LiveOptions) -> None:
         **as_numbers(summary, events),
         "start_date": None if watcher.start is None else watcher.start.isoformat(timespec="milliseconds"),
         "began": stepper.began,
-        "gaps": watcher.gaps,
+        "gaps": watcher.all_gaps,
         "sensors": watcher.numbers(),
         "why_no_probability": precision.why_no_probability,
     }
@@ -146,6 +146,12 @@ class _Watcher:
             }
             for i, name in enumerate(self.monitor.sensors)
         }
+
+    @property
+    def all_gaps(self) -> list[dict[str, float]]:
+        """The gaps, and the one that lasts to the end."""
+        end = self.steps * float(self.stepper.step)
+        return self.gaps + ([] if self._gap_since is None else [{"start": self._gap_since, "end": end}])
 
     def _note_gap(self, time: float) -> None:
         """Note the begin or the end of a gap."""
