@@ -199,6 +199,7 @@ def same_as_downloaded(viewer, folder):
     return len(result.time)
 
 
+@pytest.mark.slow
 def test_some_actions_then_the_server_is_ended(tmp_path):
     perform(tmp_path, signal.SIGTERM, actions=5)
 

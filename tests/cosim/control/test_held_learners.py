@@ -65,6 +65,7 @@ def test_every_learner_is_linearized_to_finite_numbers(learner, make):
     check_finite(make(learner()))
 
 
+@pytest.mark.slow
 def test_a_nonlinear_controller_is_linearized_to_finite_numbers():
     check_finite(nonlinear(controllers.EFFDI()))
 

@@ -333,6 +333,7 @@ def test_the_verdict_names_the_control_first():
     assert "In the loop, in their place: 8 at most, of P at t = 0 s; at t = 0 s, size is NaN or infinite" in repr(found)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared_is_a_sentence(car, tmp_path):
     loop, paths = car
     limit = cosim.export_fmu(cosim.Saturation(-1.0, 1.0), tmp_path / "limit.fmu", dt="1/10")

@@ -300,6 +300,7 @@ def test_a_result_knows_its_loop_in_every_copy(tmp_path):
         assert [axis.get_ylabel() for axis in copy.plot().axes] == shown
 
 
+@pytest.mark.slow
 def test_a_loop_of_too_many_faults_is_pickled_all_the_same(signals):
     loop = cosim.closed_loop(
         plant=cosim.StateSpace(_integrator()),
