@@ -31,7 +31,7 @@ def offsets(judge: Judge) -> list[Explanation]:
         tried = [
             (_fitted(judge, responses, (*chosen, shape)), group, shape)
             for group in left
-            for shape in (rows[list(group)].sum(axis=0)[np.newaxis], rows[list(group)])[: len(group)]
+            for shape in _shapes(rows[list(group)])
         ]
         best, group, shape = max(tried, key=lambda each: each[0].total)
         if found and best.total < found[0].total + EVIDENCE:
@@ -39,6 +39,12 @@ def offsets(judge: Judge) -> list[Explanation]:
         found, chosen = [best], (*chosen, shape)
         left.remove(group)
     return found
+
+
+def _shapes(of_group: Floats) -> list[Floats]:
+    """Return the offsets that a quantity's sensors may have: a common one, or, of several sensors, one each."""
+    common = of_group.sum(axis=0)[np.newaxis]
+    return [common] if len(of_group) == 1 else [common, of_group]
 
 
 def _visible(judge: Judge, response: Floats) -> bool:

@@ -83,8 +83,8 @@ class Contents:
         return int(self.table[factor].nunique(dropna=False))
 
     def positive(self, metric: str | None) -> bool:
-        """Return whether a metric has no negative value, as an RMSE."""
-        return bool((self.table[metric].dropna() >= 0).all())
+        """Return whether a metric, as an RMSE, has no negative value in any run, so that its intervals are cut at zero."""
+        return metric is not None and bool((self.table[metric].dropna() >= 0).all())
 
     @cached_property
     def combinations(self) -> Any:

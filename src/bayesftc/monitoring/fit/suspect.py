@@ -156,6 +156,8 @@ def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | No
 def doubtful_alarms(monitor: Monitor, monitored: Monitored) -> tuple[FaultEvent, ...]:
     """Return the alarms that are due to the model rather than to their sensors, if the model is wrong.
 
+    Whether it is wrong is not checked here: see `suspect_model` and `Monitor.compare`.
+
     These are alarms during which the sensor agrees with another one that is blamed for at least half of the time. If no
     sensors agree, they are those of the sensors of `suspect_model`.
 
