@@ -333,11 +333,6 @@ class SwitchingPrecision(PrecisionLearner):
         return tuple(("noise" if mode.size_in_noise else "unit") if mode.is_fault else "" for mode in self.modes)
 
     @property
-    def expects_another_start(self) -> bool:
-        """Whether it takes the place of a plant that starts elsewhere from the first samples (`start_doubt`)."""
-        return self.start_doubt > 0 and self.joint and bool(self.process_modes)
-
-    @property
     def _usual_process(self) -> bool:
         """Whether the process modes are the default ones, with any times; these are left out where they have no effect."""
         return [(m.scale, m.fading) for m in self.process_modes] == [(m.scale, m.fading) for m in PROCESS_MODES]

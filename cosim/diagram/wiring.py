@@ -234,8 +234,9 @@ def warn_of_start(diagram: Diagram, plant: Node, controller: Node) -> None:
     mean, covariance = (getattr(block, f"initial_{name}", None) for name in ("mean", "covariance"))
     if outputs is None or rows is None or C is None or mean is None or covariance is None:
         return
-    if getattr(getattr(block, "precision", None), "expects_another_start", False):
-        return
+    modes = any(port.name == "process_mode_probability" for port in controller.outputs)
+    if modes and getattr(getattr(block, "precision", None), "start_doubt", 0.0) > 0:
+        return  # the learner takes the place from the first samples
     sources = [healthy_source(diagram, sensors, sensors.port("u"), j) for j in range(rows.shape[1])]
     names = [port.name for port in plant.outputs]
     if any(source is None or source[0] is not plant for source in sources):

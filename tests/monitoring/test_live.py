@@ -23,6 +23,7 @@ from bayesftc.monitoring import (
     align,
     default_precision,
 )
+from bayesftc.monitoring.gaps import GapWatch
 from bayesftc.monitoring.live import FINDING, LONGEST
 from bayesftc.monitoring.monitor import OPENING
 from bayesftc.monitoring.rest import LEAST, RestWatch, at_rest, held
@@ -269,3 +270,17 @@ def test_the_default_learner_is_that_of_recordings():
     expected = default_precision(learner.loss, (0.0, 0.0, 0.0), learner.modes[0].healthy_repeats)
     assert [type(mode) for mode in learner.modes] == [type(mode) for mode in expected.modes]
     assert learner.loss == pytest.approx((0.01, 0.01, 0.5))
+
+
+def test_a_gap_of_a_stream_needs_the_usual_interval():
+    """Two sensors send every tenth step; then nothing comes for 60 steps, and a third has never sent."""
+    watch, since = GapWatch(3), []
+    for k in range(160):
+        y = np.full(3, np.nan)
+        if k % 10 == 0 and not 60 <= k < 120:
+            y[:2] = 1.0
+        watch.feed(y, {"probability": np.zeros(3)})
+        since.append(watch.since)
+    gap = [k for k, begin in enumerate(since) if begin is not None]
+    assert gap == list(range(80, 120))
+    assert {since[k] for k in gap} == {50}

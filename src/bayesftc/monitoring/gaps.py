@@ -117,7 +117,9 @@ def in_gaps(y: Floats) -> Flags:
 class GapWatch:
     """Holds signals in a gap while samples arrive, as `in_gaps` does in a recording.
 
-    A gap is known when all sensors have missed some samples. The signals then go back to their values at the last sample.
+    A gap is known when two sensors or more, whose usual interval has been seen, have missed some samples and no other sends. The
+    signals then go back to their values at the last sample. Unlike a recording, a stream does not show how many samples are lost
+    one by one: some of them in a row are a gap here.
 
     Parameters
     ----------
@@ -133,7 +135,7 @@ class GapWatch:
     def __init__(self, sensors: int):
         self.since: int | None = None
         self._k, self._last, self._before = -1, np.full(sensors, -1), -1
-        self._intervals: list[deque[int]] = [deque([1], maxlen=USUAL) for _ in range(sensors)]
+        self._intervals: list[deque[int]] = [deque(maxlen=USUAL) for _ in range(sensors)]
         self._until = np.full(sensors, -1)
         self._count = np.full(sensors, SETTLES)
         self._kept: dict[str, Floats] = {}
@@ -150,10 +152,10 @@ class GapWatch:
         """
         self._k += 1
         there = np.isfinite(y)
-        usual = np.array([np.median(each) for each in self._intervals])
+        usual = np.array([np.median(each) if each else np.nan for each in self._intervals])
         if there.any() and self.since is not None:
             self.since, self._count = None, np.zeros_like(self._count)
-            self._until = self._k + np.rint((LEAST + SETTLES) * usual).astype(int)
+            self._until = self._k + np.rint(np.nan_to_num((LEAST + SETTLES) * usual)).astype(int)
         elif not there.any() and self._kept and self.since is None:
             silent = self._before - self._last <= LEAST * usual
             if silent.sum() > 1 and self._k - self._before >= LEAST * usual[silent].max():

@@ -342,6 +342,7 @@ def test_an_input_that_stays_away_from_the_operating_point_is_warned_of(noise, w
         (0.75, 1e5, {"joint": False}, ""),
         (0.75, 10.0, {}, ""),
         (0.75, 10.0, {"process_modes": ()}, "give or take"),
+        (0.75, 10.0, {"joint": False}, "give or take"),
         (
             0.75, 10.0, {"start_doubt": 0.0},
             r"level = 0\.75 m, give or take 0\.0\d+ m, but the plant begins at 0\.25 m.* initial=\[0\.25\]",
