@@ -70,7 +70,7 @@ def smooth(filtered, begins, ends, begun, lasts, counts):
             counts[HEALTHY, k] += 1.0
 
 
-def measure_offsets(begun, lasts, e, variance, nominal, k, jump, slope, walk, totals):
+def measure_offsets(begun, lasts, e, variance, units, k, jump, slope, walk, totals):
     """Add up the expected squares of the offsets and their slopes at the onsets of a mode.
 
     The information of the samples from an onset on comes from an information filter that runs backward. It forgets samples beyond
@@ -82,18 +82,18 @@ def measure_offsets(begun, lasts, e, variance, nominal, k, jump, slope, walk, to
         From `smooth`.
     e, variance : array, steps x sensors
         Innovations, NaN where there is no sample, and their variances with healthy sensors.
-    nominal : array
-        Variance of each sensor's noise.
+    units : array
+        Unit of the squares for each sensor, the `quantity_noise`.
     k : int
         The mode.
     jump, slope, walk : float
-        Variances of the mode's offset at its onset, of its slope, and of its walk, in units of the noise variance.
+        Variances of the mode's offset at its onset, of its slope, and of its walk, in these units.
     totals : array
-        Increased by the number of onsets, and by the squares of offsets and of slopes in units of the noise variance.
+        Increased by the number of onsets, and by the squares of offsets and of slopes in these units.
     """
     for i in range(e.shape[1]):
         cc, cb, bb, c, b = 0.0, 0.0, 0.0, 0.0, 0.0  # information: matrix and vector
-        J, B, q = jump * nominal[i], slope * nominal[i], walk * nominal[i]
+        J, B, q = jump * units[i], slope * units[i], walk * units[i]
         for back in range(e.shape[0]):
             t = e.shape[0] - 1 - back
             keep = lasts[t, i, k]
@@ -112,8 +112,8 @@ def measure_offsets(begun, lasts, e, variance, nominal, k, jump, slope, walk, to
                 over = 1.0 / ((1.0 + J * cc) * (1.0 + B * ss) - J * B * square(jb))
                 Vj, Vb, Vjb = J * (1.0 + B * ss) * over, B * (1.0 + J * cc) * over, -J * B * jb * over
                 totals[0] += weight
-                totals[1] += weight * (Vj + square(Vj * c + Vjb * s)) / nominal[i]
-                totals[2] += weight * (Vb + square(Vjb * c + Vb * s)) / nominal[i]
+                totals[1] += weight * (Vj + square(Vj * c + Vjb * s)) / units[i]
+                totals[2] += weight * (Vb + square(Vjb * c + Vb * s)) / units[i]
 
 
 def measure_scatter(begun, lasts, e, variance, k, shape, rate, forgetting, totals):

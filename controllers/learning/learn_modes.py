@@ -248,7 +248,7 @@ def _expect(
     estimates = estimate(estimator, y, u, ("mode_probability", "innovation", "P", "log_density"), compiled)
     filtered, e = estimates["mode_probability"], estimates["innovation"]
     variance = np.ascontiguousarray(np.diagonal(innovation_covariances(estimator, estimates["P"]), axis1=1, axis2=2))
-    nominal = np.ascontiguousarray(np.diag(model.matrix("sensor_covariance")))
+    units = model.quantity_noise.copy()  # compiled functions accept no read-only arrays
     modes, step = precision.modes, float(model.step)
     smooth, offsets, scatter = _passes(len(y) > SHORT if compiled is None else compiled)
     begun, lasts = np.empty((2, *y.shape, len(modes)))
@@ -260,7 +260,7 @@ def _expect(
     for k, mode in enumerate(modes):
         if isinstance(mode, Offset):
             squares = (float(size) * float(size) for size in (mode.jump, mode.slope, mode.walk))
-            offsets(begun, lasts, e, variance, nominal, k, *squares, sizes[k])
+            offsets(begun, lasts, e, variance, units, k, *squares, sizes[k])
         elif isinstance(mode, Noisier):
             gamma = float(mode.shape), float(mode.shape * square(mode.scale)), float(mode.forgetting)
             scatter(begun, lasts, e, variance, k, *gamma, sizes[k])

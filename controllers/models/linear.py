@@ -213,6 +213,12 @@ class LinearModel(NamedArguments):
         return tuple(next(q for q, group in enumerate(self.alike) if i in group) for i in range(self.sensors))
 
     @property
+    def quantity_noise(self) -> Floats:
+        """For each sensor, the geometric mean of the variances of noise of the sensors that measure the same quantity (m)."""
+        own, alike = np.diag(self.matrix("sensor_covariance")), [list(self.alike[q]) for q in self.quantity]
+        return frozen([own[i] * np.exp(np.log(own[alike[i]] / own[i]).mean()) for i in range(self.sensors)])
+
+    @property
     def plant_states(self) -> int:
         """Number of the plant's own states, without disturbances and past signals (`with_delays`); they are the first ones."""
         return self.states - self.disturbances if self.delays is None else self.delays.plant

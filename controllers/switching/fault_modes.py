@@ -201,16 +201,19 @@ class Offset(FaultMode):
 
     By default jumps are twice as frequent as other faults, because many of them are short (`SwitchingPrecision`).
 
+    The unit of ``jump``, ``slope`` and ``walk`` is the standard deviation of the sensor's noise, or the geometric mean of those
+    of all sensors that measure the same. With its own unit for each, a small offset would be attributed to the most accurate one.
+
     Parameters
     ----------
     time_to_fault, time_to_recovery
         See `FaultMode`.
     jump : float
-        Standard deviation of the offset at its onset, in units of the sensor's noise, or the first innovation if that is larger.
+        Standard deviation of the offset at its onset, or the first innovation if that is larger.
     slope : float
-        Standard deviation of its rate, in units of the sensor's noise per sample.
+        Standard deviation of its rate per sample.
     walk : float
-        Standard deviation of the offset's random walk, in units of the sensor's noise per sample.
+        Standard deviation of the offset's random walk per sample.
 
     Examples
     --------
@@ -245,7 +248,8 @@ class Offset(FaultMode):
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
-        return square(self.jump), square(self.slope), square(self.walk), float(self.jump > 0)
+        unit = float(model.quantity_noise[sensor] / model.matrix("sensor_covariance")[sensor, sensor])
+        return square(self.jump) * unit, square(self.slope) * unit, square(self.walk) * unit, float(self.jump > 0)
 
 
 @dataclass(frozen=True)

@@ -158,10 +158,15 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
         return stays
 
     def merge_pool(memory, stays, left):
-        """Merge the rest of the pool into the hypothesis without any fault."""
+        """Merge the rest of the pool into the hypothesis without any fault.
+
+        The state after a fault can be nearly unknown, as without the only sensor of a quantity. Merged by moments, even a small
+        part of it would spoil the belief without a fault, and so make the fault more probable from sample to sample. The shares
+        of the states are therefore the squared ones.
+        """
         part = left / (stays + left)
         memory[none] = stays + left
-        blend(memory, none, part, pool, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        blend(memory, none, left * left / (left * left + stays * stays), pool, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for j in range(m):
             of_pool = pool + kept + j * sensor
             remaining = 1.0 + 0.0 * left

@@ -26,6 +26,7 @@ from bayesftc.cosim.types import argument_names
 
 STEP = 0.02
 MODEL = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], STEP)
+MEAN_NOISE = 2.0  # geometric mean, the unit of offsets
 
 
 def test_the_half_step_of_the_gamma_function_is_scipys():
@@ -96,9 +97,9 @@ def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
         np.testing.assert_allclose(probability, expected, rtol=1e-9, atol=1e-12)
 
 
-def jumped(e, nominal, variance):
+def jumped(e, variance):
     """Return the density of an innovation at the onset of an offset of jump 3, or of as much as the innovation itself."""
-    return stats.norm.pdf(e, scale=np.sqrt(variance + max(9 * nominal, e * e)))
+    return stats.norm.pdf(e, scale=np.sqrt(variance + max(9 * MEAN_NOISE, e * e)))
 
 
 def test_a_missing_sample_tells_nothing_but_that_it_is_missing():
@@ -122,13 +123,13 @@ def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     out = estimator.online(compiled=False)(y=20.0 + e)
     R, enter = np.array([1.0, 4.0]), STEP / mode.time_to_fault
     alone = 0.9 * ((1 - enter) * stats.norm.pdf(e, scale=(P + R) ** 0.5))
-    alone += 0.9 * enter * np.array([jumped(*row) for row in zip(e, R, P + R, strict=True)])
+    alone += 0.9 * enter * np.array([jumped(*row) for row in zip(e, P + R, strict=True)])
     if not joint:
         assert out.log_density == pytest.approx(np.log(alone).sum(), rel=1e-9)
         return
     together = 0.0
-    for first, second in ((0.0, 0.0), (16.0, 0.0), (0.0, 9.0)):  # both at once do not begin with one sample
-        S = P + np.diag(R * (1.0 + np.array([first, second])))
+    for first, second in ((0.0, 0.0), (18.0, 0.0), (0.0, 18.0)):  # both at once do not begin with one sample
+        S = P + np.diag(R + np.array([first, second]))
         weight = enter if first or second else 1 - 2 * enter
         together += weight * stats.multivariate_normal.pdf(e, cov=S)
     assert out.log_density == pytest.approx(np.log(0.81 * together), rel=1e-9)
@@ -209,7 +210,7 @@ def test_the_first_sample_is_bayes_rule():
         told = np.array(
             [
                 stats.norm.pdf(e, scale=np.sqrt(S[i])),
-                stats.norm.pdf(e, scale=np.sqrt(S[i] + max(9 * nominal, e * e))),
+                stats.norm.pdf(e, scale=np.sqrt(S[i] + max(9 * MEAN_NOISE, e * e))),
                 noisy,
             ]
         )

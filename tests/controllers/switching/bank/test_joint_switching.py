@@ -12,6 +12,7 @@ from bayesftc.cosim.errors import ModelError
 
 STEP, A, Q = 0.02, 0.999, 0.001
 NOISE = (1.0, 4.0)
+MEAN_NOISE = 2.0  # geometric mean, the unit of offsets
 NEVER = 1e15
 
 
@@ -37,7 +38,7 @@ def imm(y, slope, time_to_fault):
     for drifting in (None, 0, 1):
         one = KalmanFilter(5, 2)
         one.x = np.array([20.0, 0, 0, 0, 0])[:, None]
-        one.P = np.diag([0.5, 0, slope**2 * NOISE[0], 0, slope**2 * NOISE[1]])
+        one.P = np.diag([0.5, 0, slope**2 * MEAN_NOISE, 0, slope**2 * MEAN_NOISE])
         one.F, one.Q, one.R = np.diag([A, 1.0, 1, 1, 1]), np.diag([Q, 0, 0, 0, 0]), np.diag(NOISE)
         one.H = np.array([[1.0, 0, 0, 0, 0], [1.0, 0, 0, 0, 0]])
         if drifting is not None:
@@ -74,6 +75,36 @@ def test_drifts_of_two_sensors_are_told_apart_as_by_filterpys_interacting_models
     assert out.mode_probability[1, 1] > 0.99
 
 
+@pytest.mark.parametrize("drifting", [0, 1])
+def test_a_drift_that_only_the_difference_of_two_sensors_shows_is_as_probable_of_the_noisy_one(drifting):
+    """The state wanders by far more than either sensor drifts, so nothing but their difference tells of the drift."""
+    rng, steps = np.random.default_rng(drifting), np.arange(200)
+    y = np.cumsum(3.0 * rng.normal(size=200))[:, np.newaxis] + rng.normal(size=(200, 2)) * [0.1, 1.0]
+    y[:, drifting] += 0.04 * np.clip(steps - 40, 0, None)
+    wanders = LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 9.0, [0.01, 1.0], STEP)
+    precision = SwitchingPrecision((Drifting(),), process_modes=())
+    step = controllers.StateEstimator(wanders, precision, initial_mean=0.0, initial_covariance=0.5).online(
+        compiled=False
+    )
+    out = [step(y=list(row)) for row in y][-1]
+    assert out.fault_probability.sum() > 0.95
+    np.testing.assert_allclose(out.fault_probability, 0.5, atol=0.2)
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_the_only_sensor_of_a_healthy_plant_is_not_blamed(seed):
+    """Drift and disturbance look alike without it; a hypothesis that knows the state no more must not spoil the others."""
+    A, noise = np.array([[0.985, 2.0], [0.0, 1.0]]), np.diag([4e-8, 1e-8])
+    rng, state, rows = np.random.default_rng(seed), np.zeros(2), []
+    for _ in range(3000):
+        rows.append(state[0] + 0.01 * rng.normal())
+        state = A @ state + np.sqrt(np.diag(noise)) * rng.normal(size=2)
+    single = LinearModel(A, [[2.0], [0.0]], [[1.0, 0.0]], noise, 1e-4, 1.0)
+    estimator = controllers.StateEstimator(single, SwitchingPrecision(), [0.0, 0.0], np.diag([1e-4, 1e-6]))
+    step = estimator.online()
+    assert np.mean([step(y=[y], u=[0.0]).fault_probability[0] > 0.5 for y in rows]) < 0.02
+
+
 def test_the_first_sample_is_bayes_rule_with_all_sensors_at_once():
     modes = (Offset(1.0, jump=3.0), Drifting(2.0, slope=0.5))
     (out,) = inferred(SwitchingPrecision(modes=modes, process_modes=(), noise_factor=1.0), [[24.0, 20.5]])
@@ -81,8 +112,8 @@ def test_the_first_sample_is_bayes_rule_with_all_sensors_at_once():
     weights = [1 - 2 * sum(begins)]
     told = [stats.multivariate_normal.pdf([4.0, 0.5], cov=shared + np.diag(NOISE))]
     for i in range(2):
-        for variance, begin in zip(((16.0, 9.0)[i], 0.25), begins, strict=True):  # as large as the first innovation, 4
-            more = np.diag([variance * NOISE[i] * (j == i) for j in range(2)])
+        for variance, begin in zip((9.0, 0.25), begins, strict=True):  # more than the squared innovations, 16 and 0.25
+            more = np.diag([variance * MEAN_NOISE * (j == i) for j in range(2)])
             weights.append(begin)
             told.append(stats.multivariate_normal.pdf([4.0, 0.5], cov=shared + np.diag(NOISE) + more))
     p = np.array(weights) * told
@@ -143,9 +174,9 @@ def test_an_offset_that_jumps_is_estimated_as_by_filterpy_from_its_first_sample_
         initial_covariance=0.5,
     ).online(compiled=False)
     one = KalmanFilter(2, 2, 1)
-    one.x, one.P = np.array([[20.0], [0.0]]), np.diag([0.5, 50.0**2])
+    one.x, one.P = np.array([[20.0], [0.0]]), np.diag([0.5, 50.0**2 * 2.0**0.5])  # the mean noise of both
     one.F, one.B, one.H = np.diag([a, 1.0]), np.array([[0.1], [0.0]]), np.array([[1.0, 1.0], [1.0, 0.0]])
-    one.Q, one.R = np.diag([q, 0.1**2]), noise
+    one.Q, one.R = np.diag([q, 0.1**2 * 2.0**0.5]), noise
     rng = np.random.default_rng(3)
     for _ in range(20):
         y, u = 20.0 + rng.normal(size=2) + [40.0, 0.0], rng.normal()
