@@ -248,7 +248,7 @@ def _expect(
     estimates = estimate(estimator, y, u, ("mode_probability", "innovation", "P", "log_density"), compiled)
     filtered, e = estimates["mode_probability"], estimates["innovation"]
     variance = np.ascontiguousarray(np.diagonal(innovation_covariances(estimator, estimates["P"]), axis1=1, axis2=2))
-    units = model.quantity_noise.copy()  # compiled functions accept no read-only arrays
+    units = np.array(precision.offset_units(model))  # a copy: compiled functions accept no read-only arrays
     modes, step = precision.modes, float(model.step)
     smooth, offsets, scatter = _passes(len(y) > SHORT if compiled is None else compiled)
     begun, lasts = np.empty((2, *y.shape, len(modes)))

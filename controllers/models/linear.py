@@ -216,7 +216,7 @@ class LinearModel(NamedArguments):
     def quantity_noise(self) -> Floats:
         """For each sensor, the geometric mean of the variances of noise of the sensors that measure the same quantity (m)."""
         own, alike = np.diag(self.matrix("sensor_covariance")), [list(self.alike[q]) for q in self.quantity]
-        return frozen([own[i] * np.exp(np.log(own[alike[i]] / own[i]).mean()) for i in range(self.sensors)])
+        return frozen(np.array([own[i] * np.exp(np.log(own[alike[i]] / own[i]).mean()) for i in range(self.sensors)]))
 
     @property
     def plant_states(self) -> int:

@@ -55,6 +55,9 @@ REPEATS_STRENGTH = 10.0
 MOST_REPEATS = 0.6
 """Largest share that is learned; a sensor with more repetitions is frozen, or has a resolution that should be given."""
 
+OFFSET_VARIANCES = 3
+"""Number of the settings of `Offset` that are variances, the first ones."""
+
 
 @dataclass(frozen=True)
 class FaultMode:
@@ -201,8 +204,9 @@ class Offset(FaultMode):
 
     By default jumps are twice as frequent as other faults, because many of them are short (`SwitchingPrecision`).
 
-    The unit of ``jump``, ``slope`` and ``walk`` is the standard deviation of the sensor's noise, or the geometric mean of those
-    of all sensors that measure the same. With its own unit for each, a small offset would be attributed to the most accurate one.
+    The unit of ``jump``, ``slope`` and ``walk`` is the standard deviation of the sensor's noise. In the joint form it is the
+    geometric mean of those of all sensors that measure the same; with a unit for each, a small offset would be attributed to
+    the most accurate one.
 
     Parameters
     ----------
@@ -248,8 +252,7 @@ class Offset(FaultMode):
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""
-        unit = float(model.quantity_noise[sensor] / model.matrix("sensor_covariance")[sensor, sensor])
-        return square(self.jump) * unit, square(self.slope) * unit, square(self.walk) * unit, float(self.jump > 0)
+        return square(self.jump), square(self.slope), square(self.walk), float(self.jump > 0)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from bayesftc.controllers.switching.bank.infer import make_infer
 from bayesftc.controllers.switching.bank.layout import Layout
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import (
+    OFFSET_VARIANCES,
     Drifting,
     DroppedOut,
     FaultMode,
@@ -43,6 +44,7 @@ from bayesftc.cosim.ops import square
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.cosim.types import Floats
 
 
 KNOWN = 1e12
@@ -105,6 +107,9 @@ class SwitchingPrecision(PrecisionLearner):
     joint : bool
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
         is faster, but detects slow drifts later.
+    outages : bool
+        Whether a step at which none of several sensors has a sample is an outage, as of a logger, and says nothing about the
+        sensors. Otherwise all of them have probably dropped out. It belongs to the per-sensor form.
     actuator_modes : sequence of ActuatorMode
         The fault modes of each actuator and of the process, see `ACTUATOR_MODES`; in the joint form only. With them there are,
         for each actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first),
@@ -154,6 +159,7 @@ class SwitchingPrecision(PrecisionLearner):
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Unmodelled(), Noisier(), DroppedOut())
     loss: float | Sequence[float] = 0.01
     joint: bool = True
+    outages: bool = False
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
     alike: float = 0.2
@@ -165,7 +171,7 @@ class SwitchingPrecision(PrecisionLearner):
     noise_forgetting: float = 0.9998
 
     def __post_init__(self) -> None:
-        check_flags(self, "joint")
+        check_flags(self, "joint", "outages")
         check_number(self, "alike", least=0, below=1)
         check_number(self, "start_doubt", least=0, below=1)
         check_number(self, "duration_shape", above=1, finite=False)
@@ -257,6 +263,7 @@ class SwitchingPrecision(PrecisionLearner):
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         mode_settings = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
         bank = self._has_bank(model)
+        units = self.offset_units(model) / np.diag(model.matrix("sensor_covariance"))
         first = [first_of(mode)[: 2 if bank and mode.own_hypothesis else None] for mode in self.modes]
         width = TRUST + max(map(len, first))
         settings_width = kernels.OWN_SETTINGS + max(len(values) for of_sensor in mode_settings for values in of_sensor)
@@ -268,6 +275,8 @@ class SwitchingPrecision(PrecisionLearner):
             settings += [1.0 / square(self.noise_factor), square(self.noise_factor), *self._repeats(model, i)]
             for mode, begin, end, values in zip(self.modes, begins, ends, mode_settings[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
+                if isinstance(mode, Offset):
+                    values = np.concatenate([values[:OFFSET_VARIANCES] * units[i], values[OFFSET_VARIANCES:]])
                 block = [begin, 1.0 - end, end, arrives, 1.0 - arrives, *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
@@ -280,7 +289,8 @@ class SwitchingPrecision(PrecisionLearner):
         single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)
         process_modes = self._acting(model)
         layout = self._layout(model, width, settings_width, process_modes)
-        learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout)
+        outages = self.outages and m > 1
+        learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout, outages)
         ports = [port("mode_probability", (m, 1 + len(self.modes)))]
         ports += [port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
         ports.append(port("log_density"))
@@ -331,6 +341,10 @@ class SwitchingPrecision(PrecisionLearner):
     def fault_sizes(self) -> tuple[str, ...]:
         """See `PrecisionLearner.fault_sizes`."""
         return tuple(("noise" if mode.size_in_noise else "unit") if mode.is_fault else "" for mode in self.modes)
+
+    def offset_units(self, model: LinearModel) -> Floats:
+        """Return the variance for each sensor of a model in which its offsets are expected, see `Offset` (m)."""
+        return model.quantity_noise if self._has_bank(model) else np.diag(model.matrix("sensor_covariance"))
 
     @property
     def _usual_process(self) -> bool:

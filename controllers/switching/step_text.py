@@ -24,12 +24,13 @@ memory[at + HEALTHY] = stays
 _PASS_MODE = "stays = stays + pass_mode(memory, at + {block}, healthy, settings, row + {settings})"
 
 _WEIGH = """
+{outage}
 sound = log_density(e * e, variance)
 logp = select(present > 0.5, sound + wider(e * e, variance, nominal, doubt), 0.0)
 {modes}
 most = {most}
 share = share_of(logp, most)
-healthy = memory[at + HEALTHY] * select(present > 0.5, settings[row + ARRIVES], settings[row + MISSING]) * share
+healthy = memory[at + HEALTHY] * select(present > 0.5, settings[row + ARRIVES], {missing}) * share
 {weights}
 total = {total}
 part = 1.0 / total
@@ -43,8 +44,7 @@ return most
 _WEIGH_MODE = """\
 block{k}, place = at + {block}, row + {settings}
 {tells}
-factor{k} = select(present > 0.5, settings[place + MODE_ARRIVES] * memory[block{k} + FACTOR]{times}, settings[place +
-MODE_MISSING])\
+factor{k} = select(present > 0.5, settings[place + MODE_ARRIVES] * memory[block{k} + FACTOR]{times}, {missing})\
 """
 
 _TELLS = """\
@@ -54,6 +54,7 @@ logp{k} = select(present > 0.5, logp{k}, 0.0)\
 
 _LEARN = """
 logp = 0.0 * sample.nominal[0, 0]
+{outage}
 for i in range(sample.y.shape[0]):
     at, row = i * LENGTH, i * SETTINGS
     noise = sample.nominal[i, i] * memory[at + NOISE]
@@ -63,7 +64,7 @@ for i in range(sample.y.shape[0]):
     error = held(sample.e[i], variance)
     repeats = repetition(change, sample.nominal[i, i], memory, at, settings, row)
     doubt = 0.5 / memory[at + NOISE_SHAPE]
-    logp = logp + weigh(error, sample.present[i], variance, noise, doubt, change, repeats, memory, at, settings, row)
+    logp = logp + weigh(error, {present}, variance, noise, doubt, change, repeats, memory, at, settings, row)
     logp = logp + log(memory[at + DENSITY] / repeats)
     part = noise / variance
     squared = part * (part * error * error + sample.spread[i, i])
@@ -76,6 +77,16 @@ for i in range(sample.y.shape[0]):
 memory[sample.y.shape[0] * LENGTH] = memory[sample.y.shape[0] * LENGTH] + 1.0
 memory[sample.y.shape[0] * LENGTH + 1] = logp
 """
+
+_OUTAGE = """\
+sampled = 0.0 * logp
+for i in range(sample.y.shape[0]):
+    sampled = maximum(sampled, sample.present[i])\
+"""
+
+_NOTE_OUTAGE = "outage, present = maximum(-present, 0.0), maximum(present, 0.0)"
+_IN_AN_OUTAGE = "select(outage > 0.5, 1.0, {})"
+"""Probability of a missing sample where outages are possible: the same for all modes in an outage."""
 
 _REPORT = """
 report_modes(memory, LENGTH, WIDTH, MODES, nominal.shape[0], settings[nominal.shape[0] * SETTINGS], first, outputs)
@@ -97,7 +108,7 @@ Evidence = tuple[Callable[..., float], ...]
 
 @cache
 def sensor_functions(
-    evidence: Evidence, chosen: tuple[int, ...], width: int, settings: int
+    evidence: Evidence, chosen: tuple[int, ...], width: int, settings: int, outages: bool = False
 ) -> tuple[Callable[..., None], Callable[..., float]]:
     """Return the functions for the transitions of a sensor's modes, and for their weights by a sample.
 
@@ -111,11 +122,14 @@ def sensor_functions(
         Numbers of the modes in use.
     width, settings : int
         Widths of the block of a mode in the memory and in the settings.
+    outages : bool
+        Whether ``present`` may be -1 for an outage, in which a missing sample says nothing.
     """
     # Without its own density a mode uses that of a healthy sample, whose noise is uncertain (`wider`): a dropped-out sensor, and
     # the first sample of a frozen or unmodelled one.
     telling = [k for k in chosen if evidence[k] is not mode_kernels.drops]
     waiting = (mode_kernels.freezes, mode_kernels.regresses)
+    missing = _IN_AN_OUTAGE if outages else "{}"
 
     def of_modes(text: str, of: Iterable[int] = chosen) -> list[str]:
         return [
@@ -126,6 +140,7 @@ def sensor_functions(
                 else "",
                 share=f"share_of(logp{k}, most)" if k in telling else "share",
                 times=" * repeats" if evidence[k] is mode_kernels.freezes else "",
+                missing=missing.format("settings[place + MODE_MISSING]"),
             )
             for k in of
         ]  # fmt: skip
@@ -137,6 +152,8 @@ def sensor_functions(
     passing = _PASS_TIME.format(modes=lines(_PASS_MODE))
     weighing = _WEIGH.format(
         modes=lines(_WEIGH_MODE),
+        outage=_NOTE_OUTAGE if outages else "",
+        missing=missing.format("settings[row + MISSING]"),
         most=_paired(["logp", *of_modes("logp{k}", telling)], "maximum({}, {})"),
         weights=lines("weight{k} = memory[block{k} + WEIGHT] * factor{k} * {share}"),
         total=_paired(["healthy", *of_modes("weight{k}")], "({} + {})"),
@@ -149,13 +166,13 @@ def sensor_functions(
 @cache
 def learner_functions(
     evidence: Evidence, chosen: tuple[int, ...], faults: tuple[int, ...], width: int, settings: int,
-    layout: Layout | None,
+    layout: Layout | None, outages: bool,
 ) -> tuple[Callable[..., None], Callable[..., None]]:  # fmt: skip
     """Return the learning and the reporting step function of the per-sensor form for these modes.
 
     Parameters
     ----------
-    evidence, chosen, width, settings
+    evidence, chosen, width, settings, outages
         See `sensor_functions`.
     faults : tuple of int
         Whether each mode is a fault (1 or 0).
@@ -163,12 +180,15 @@ def learner_functions(
         Layout of the joint form's bank, if there is one, for the reports of actuators and process.
     """
     modes = len(evidence)
-    pass_time, weigh = sensor_functions(evidence, chosen, width, settings)
+    pass_time, weigh = sensor_functions(evidence, chosen, width, settings, outages)
     names = _names(evidence) | {
         "MODES": modes, "FAULTS": faults, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
         "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
     }  # fmt: skip
-    learn = _function("learn_switching", argument_names(keep_nominal), _LEARN, names)
+    learning = _LEARN.format(
+        outage=_OUTAGE if outages else "", present="sample.present[i]" + (" + sampled - 1.0" if outages else "")
+    )
+    learn = _function("learn_switching", argument_names(keep_nominal), learning, names)
     report = _REPORT
     if layout is not None and layout.actuator_modes:
         report += _REPORT_ACTUATORS

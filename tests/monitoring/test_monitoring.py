@@ -329,6 +329,24 @@ def test_an_alarm_holds_over_short_gaps():
     assert alarms(0 * p, 0.5, 3) == []
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lasting_fault_is_known_after_a_gap(seed):
+    """The level swings on during the gap, so that only what was known before it tells which sensor has the offset."""
+    rng, t = np.random.default_rng(seed), np.arange(700)
+    level = 1.0 + 0.09 * np.sin(2 * np.pi * (t - 250) / 400)
+    y = level[:, np.newaxis] + rng.normal(size=(700, 3)) * [0.01, 0.01, 0.03]
+    y[200:, 0] += 0.06
+    y[400:460] = np.nan
+    signals = {name: Signal(t, column, resolution=1e-5) for name, column in zip("abc", y.T, strict=True)}
+    A, _, Q = ConstantRate(std=1.5e-4).matrices(1.0)
+    model = LinearModel(A, [[0.0], [0.0]], [[1.0, 0.0]] * 3, Q, [1e-4, 1e-4, 9e-4], 1.0)
+    recording = replace(align(signals, {}, 1.0), u=np.zeros((700, 1)))
+    found = monitor_recording(recording, model, initial_mean=(1.0, 0.0), initial_covariance=np.diag([0.04, 4e-6]))
+    blamed = found.fault_probability > 0.5
+    assert blamed[350:400].mean(axis=0).tolist() == [1.0, 0.0, 0.0]
+    np.testing.assert_allclose(blamed[470:].mean(axis=0), [1.0, 0.0, 0.0], atol=0.02)
+
+
 @pytest.mark.parametrize(
     ("dt", "alarm", "gap"),
     [("1/100", Alarm(), 100), ("1/10", Alarm(), 10), (30, Alarm(), 10), (30, Alarm(hold=1.0), 0)],

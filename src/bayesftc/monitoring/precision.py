@@ -56,4 +56,4 @@ def default_precision(
         DroppedOut(**rare),
         Burst(scale=5.0),
     )
-    return SwitchingPrecision(modes, loss=tuple(loss), joint=False)
+    return SwitchingPrecision(modes, loss=tuple(loss), joint=False, outages=True)

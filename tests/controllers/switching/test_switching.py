@@ -5,7 +5,7 @@ import pickle
 import re
 from ast import literal_eval
 from dataclasses import dataclass, fields, replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from bayesftc.cosim.types import argument_names
 
 STEP = 0.02
 MODEL = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], STEP)
-MEAN_NOISE = 2.0  # geometric mean, the unit of offsets
+MEAN_NOISE = 2.0  # geometric mean, the unit of offsets in the joint form
 
 
 def test_the_half_step_of_the_gamma_function_is_scipys():
@@ -97,9 +97,9 @@ def test_modes_without_moments_have_the_probabilities_of_all_their_sequences():
         np.testing.assert_allclose(probability, expected, rtol=1e-9, atol=1e-12)
 
 
-def jumped(e, variance):
+def jumped(e, nominal, variance):
     """Return the density of an innovation at the onset of an offset of jump 3, or of as much as the innovation itself."""
-    return stats.norm.pdf(e, scale=np.sqrt(variance + max(9 * MEAN_NOISE, e * e)))
+    return stats.norm.pdf(e, scale=np.sqrt(variance + max(9 * nominal, e * e)))
 
 
 def test_a_missing_sample_tells_nothing_but_that_it_is_missing():
@@ -114,6 +114,30 @@ def test_a_missing_sample_tells_nothing_but_that_it_is_missing():
         assert now == pytest.approx(before, rel=1e-9)
 
 
+def test_in_an_outage_of_all_sensors_only_time_passes():
+    """A lasting offset is still known after it, and no sensor has dropped out; a sensor that is silent alone has."""
+    modes = (Offset(10.0, 5.0), DroppedOut(10.0, 5.0))
+    precision = SwitchingPrecision(modes, joint=False, outages=True)
+    rows = np.full((60, 2), 20.0) + np.random.default_rng(0).normal(size=(60, 2)) * [1.0, 2.0]
+    rows[10:, 0] += 8.0
+    rows[40:45], rows[50:, 1] = np.nan, np.nan
+    step = controllers.StateEstimator(MODEL, precision, initial_mean=20.0, initial_covariance=0.1).online(
+        compiled=False
+    )
+    outs = [step(y=row) for row in rows]
+    fails, recovers = STEP / 10.0, STEP / 5.0
+    for before, now in pairwise(out.mode_probability for out in outs[39:45]):
+        healthy, *faulty = now.T
+        np.testing.assert_allclose(healthy, before[:, 0] * (1 - 2 * fails) + (1 - before[:, 0]) * recovers, rtol=1e-9)
+        np.testing.assert_allclose(
+            faulty, before[:, 1:].T * (1 - recovers) + before[:, 0] * fails, rtol=1e-9, atol=1e-9
+        )
+    assert outs[44].log_density == 0.0
+    assert outs[45].mode_probability[0, 1] > 0.99
+    assert outs[45].fault_size[0] == pytest.approx(8.0, abs=1.0)
+    assert outs[59].mode_probability[1, 2] > 0.99
+
+
 @pytest.mark.parametrize("joint", [True, False])
 def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     """At the first sample: each sensor's densities, weighted; in the joint form the second sensor's after the first one's."""
@@ -123,7 +147,7 @@ def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     out = estimator.online(compiled=False)(y=20.0 + e)
     R, enter = np.array([1.0, 4.0]), STEP / mode.time_to_fault
     alone = 0.9 * ((1 - enter) * stats.norm.pdf(e, scale=(P + R) ** 0.5))
-    alone += 0.9 * enter * np.array([jumped(*row) for row in zip(e, P + R, strict=True)])
+    alone += 0.9 * enter * np.array([jumped(*row) for row in zip(e, R, P + R, strict=True)])
     if not joint:
         assert out.log_density == pytest.approx(np.log(alone).sum(), rel=1e-9)
         return
