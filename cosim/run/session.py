@@ -12,7 +12,7 @@ from contextlib import ExitStack, closing, nullcontext
 from copy import copy
 from dataclasses import dataclass, field
 from fractions import Fraction
-from math import prod
+from math import isfinite, prod
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
@@ -295,18 +295,20 @@ class Session:
         try:
             if np.asarray(value).dtype.kind in "USV":  # NumPy would convert text with digits
                 raise TypeError
-            values = np.broadcast_to(np.asarray(value, dtype=np.float64), shape or (1,)).ravel()
+            values = np.asarray(value, dtype=np.float64)
+            if values.shape != shape:  # else most of the time of a single number
+                values = np.broadcast_to(values, shape or (1,))
         except (ValueError, TypeError, OverflowError):
             size = place.stop - place.start
             raise ModelError(
                 f"{signal} cannot be set to {brief(value)}; give {'one number' if size == 1 else f'{size} numbers'}."
             ) from None
-        if is_plant and not np.isfinite(values).all():
+        if is_plant and not all(map(isfinite, values.flat)):
             raise ModelError(
                 f"{signal} cannot be set to {value!r}, because inputs of an FMU must be finite; check the computation of the "
                 "value."
             )
-        run.memory[place] = values
+        run.memory[place] = values.ravel()
 
     @property
     def k(self) -> int:
