@@ -41,6 +41,7 @@ SCENARIOS = ("cruise_control", "position_servo")
 def functions() -> dict[str, FunctionType]:
     """Return the functions by the names under which the engine asks for them."""
     from bayesftc.cosim import drawing
+    from bayesftc.cosim.fmi.binaries import surroundings_kernels
     from bayesftc.cosim.fmi.running import kernels, typed_kernels
     from bayesftc.cosim.isolation import kernels as isolated
     from bayesftc.cosim.run.general import loop
@@ -48,6 +49,7 @@ def functions() -> dict[str, FunctionType]:
     found: dict[str, FunctionType] = {"draw": drawing.draw}
     found |= {f"loop_{name}": getattr(loop, name) for name in ("advance", "phase", "run_many", "run_lanes")}
     found |= {f"isolated_{name}": getattr(isolated, name) for name in ("output", "update", "serve")}
+    found |= {f"surroundings_{name}": f for name, f in surroundings_kernels.FUNCTIONS.items()}
     for kind, module in (("plain", kernels), ("typed", typed_kernels)):
         found |= {f"fmi{version}_{role}_{kind}": f for (version, role), f in module.FUNCTIONS.items()}
     return {f"service_{name}": function for name, function in found.items()}

@@ -20,10 +20,16 @@ class Guard:
         Whether an FMU has changed this thread's arithmetic, which was restored.
     interrupted : bool
         Whether Ctrl-C arrived in an FMU's Python code.
+    inside : int
+        See `Surroundings`; 0 if only the ``with`` does all.
     """
 
     changed = False
     interrupted = False
+    inside: int = 0
+
+    def settle(self) -> None:
+        """See `Surroundings`."""
 
     def __enter__(self) -> Self:
         return self
@@ -41,6 +47,7 @@ class _OfPython(_OfFMUs):
 
     def __init__(self) -> None:
         super().__init__()
+        self.inside = 0
         self._stack = ExitStack()
         self._interrupts: list[int] = []
 

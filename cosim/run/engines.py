@@ -109,7 +109,7 @@ class Engine(Protocol):
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """Run from t_begin to t_end; return the last complete step and, if the run had to stop, the failure.
 
-        If `first`, compute the outputs at t_begin before; else they are already in memory.
+        If `first`, compute the outputs at t_begin before; else they are already in memory. The run's guard is around it.
         """
 
     def prepare(self, steps: float) -> None:
@@ -173,7 +173,7 @@ class CompiledEngine:
         self._drawn = run.drawn()
         self._program = Program(
             self._calls, len(schedule.evaluate), self._gathers, self._drawn, run.recorded, run.decimation, self._clock,
-            run.memory, run.streams(),
+            run.memory, run.streams(), run.guard.inside,
         )  # fmt: skip
 
     def prepare(self, steps: float) -> None:
@@ -198,9 +198,17 @@ class CompiledEngine:
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """See `Engine.advance`."""
         run, program = self._run, self._program
-        row, status, last = program.advance(run.recording, run.seed, run.before, first, begin, end)
-        if row < 0:
-            return last, None
+        if run.guard.inside:
+            try:
+                failed = program.advance(run.recording, run.seed, run.before, first, begin, end)
+            finally:  # also after Ctrl-C
+                run.guard.settle()
+        else:
+            with run.guard:
+                failed = program.advance(run.recording, run.seed, run.before, first, begin, end)
+        if not failed:
+            return end, None
+        (row, status), last = program.failure, program.last
         return last, self._failure(row, status, last + int(row < len(run.schedule.evaluate)))
 
     def advance_many(
@@ -319,7 +327,8 @@ class InterpretedEngine:
             self.prepare(CALLED_COMPILED)
         begun = time.perf_counter()
         try:
-            return self._steps(begin, end, first=first)
+            with self._run.guard:
+                return self._steps(begin, end, first=first)
         finally:
             self._spent += time.perf_counter() - begun
 

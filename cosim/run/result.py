@@ -51,6 +51,41 @@ _DAMAGE = (
 )  # fmt: skip
 
 
+class _Signals:
+    """What results know of their signals besides the numbers; the pieces of a live run have one together."""
+
+    def __init__(
+        self,
+        columns: dict[str, tuple[int, tuple[int, ...]]],
+        units: dict[str, str],
+        unrecorded: frozenset[str],
+        parts: LoopRoles | Diagram | None,
+    ):
+        self.columns, self.unrecorded = columns, unrecorded
+        self._units, self._parts = units, parts
+
+    @property
+    def roles(self) -> LoopRoles | None:
+        self._read_diagram()
+        return self._parts  # type: ignore[return-value]
+
+    @property
+    def units(self) -> dict[str, str]:
+        self._read_diagram()
+        return self._units
+
+    def _read_diagram(self) -> None:
+        parts = self._parts  # another thread may read another piece
+        if parts is not None and not isinstance(parts, LoopRoles):
+            known = {f"{block}.{port}": unit for (block, port), unit in units_of(parts).items()}
+            self._units = {name: known[name] for name in self.columns if name in known}
+            self._parts = known_roles(parts)
+
+    def __getstate__(self) -> dict[str, Any]:
+        self._read_diagram()
+        return self.__dict__.copy()  # roles, because a copy in another process needs no blocks
+
+
 class Result(Mapping[str, Floats]):
     """Named signals over time.
 
@@ -117,32 +152,24 @@ class Result(Mapping[str, Floats]):
         metadata: Mapping[str, Any] | None = None,
         stopped: str | None = None,
     ):
-        self._recording, self._columns = recording, dict(columns)
+        self._recording = recording
+        self._signals = _Signals(dict(columns), dict(units or {}), frozenset(unrecorded), parts)
         self.step, self.decimation, self.before = step, decimation, before
         self.metadata, self.stopped = dict(metadata or {}), stopped
-        self._parts, self._units, self._unrecorded = parts, dict(units or {}), frozenset(unrecorded)
+
+    @property
+    def _columns(self) -> dict[str, tuple[int, tuple[int, ...]]]:
+        return self._signals.columns
 
     @property
     def roles(self) -> LoopRoles | None:
         """The roles of the signals in a closed loop; None if the diagram is no closed loop, or is not known."""
-        self._read_diagram()
-        return self._parts  # type: ignore[return-value]
+        return self._signals.roles
 
-    @property
+    @cached_property
     def units(self) -> dict[str, str]:
         """The unit of each signal that has one, or is connected to signals of one unit, as a control to an input of an FMU."""
-        self._read_diagram()
-        return self._units
-
-    def _read_diagram(self) -> None:
-        if self._parts is not None and not isinstance(self._parts, LoopRoles):
-            known = {f"{block}.{port}": unit for (block, port), unit in units_of(self._parts).items()}
-            self._units = {name: known[name] for name in self if name in known}
-            self._parts = known_roles(self._parts)
-
-    def __getstate__(self) -> dict[str, Any]:
-        self._read_diagram()
-        return self.__dict__.copy()  # roles, because a copy in another process needs no blocks
+        return dict(self._signals.units)
 
     @property
     def time(self) -> Floats:
@@ -161,6 +188,8 @@ class Result(Mapping[str, Floats]):
         if place is None:
             raise UnknownNameError(self._without(name))
         start, shape = place
+        if not shape:
+            return self._recording[:, start]
         values = self._recording[:, start : start + prod(shape)]
         return values.reshape(len(values), *shape) if len(shape) != 1 else values
 
@@ -183,10 +212,10 @@ class Result(Mapping[str, Floats]):
         if isinstance(name, list | tuple):
             return f"A result gives one signal at a time, not {name!r}; use result.to_pandas()[{list(name)!r}] for several."
         block, _, port = str(name).rpartition(".")
-        signals = [*self._columns, *self._unrecorded]
+        signals = [*self._columns, *self._signals.unrecorded]
         known = any(signal.startswith(f"{block}.") for signal in signals)
         elsewhere = not known and any(signal.endswith(f".{port}") for signal in signals)  # under another block's name
-        if name in self._unrecorded:
+        if name in self._signals.unrecorded:
             return (
                 f"The signal {name!r} was not recorded. To record it, name it: simulate(..., record=['*', {name!r}])."
             )
@@ -457,7 +486,7 @@ class Result(Mapping[str, Floats]):
             "before": self.before,
             "columns": {name: [start, list(shape)] for name, (start, shape) in self._columns.items()},
             "units": self.units,
-            "unrecorded": sorted(self._unrecorded),
+            "unrecorded": sorted(self._signals.unrecorded),
             "metadata": self.metadata,
             "stopped": self.stopped,
             "roles": self.roles and self.roles.to_dict(),
@@ -515,3 +544,15 @@ class Result(Mapping[str, Floats]):
             raise ResultFileError(
                 f"{path} is not a result file of bayesftc, or it is damaged; run the simulation again."
             ) from None
+
+
+def with_rows(result: Result, recording: Floats, before: int, stopped: str | None) -> Result:
+    """Return a result of the same signals with other rows: the next piece of a live run.
+
+    It has metadata that can be changed, and all else together with the first one, because a live run may make one a step.
+    """
+    piece = Result.__new__(Result)
+    piece._recording, piece._signals = recording, result._signals
+    piece.step, piece.decimation, piece.before = result.step, result.decimation, before
+    piece.metadata, piece.stopped = result.metadata.copy(), stopped
+    return piece

@@ -187,31 +187,33 @@ def advance(
     """
     # The first piece is one step: with a slow FMU, Ctrl-C must not wait for many steps.
     begin, piece, started = max(run.k, 0), 1, time.perf_counter()
-    origin, due = begin, inf
+    origin, due, before = begin, inf, started
     counted, since = begin, started  # the rate counts from there, without the time of the compiler
     while True:
-        before = time.perf_counter()
         until = min(begin + (pacer.pack if pacer else piece), end)
         if pacer and run.k < 0:
             until = 0  # compute t_0 without waiting for t_1
         if pacer:
             pacer.wait(until)
         run.sound, run.ended = False, False
-        with run.guard as guard:
-            run.k, failure = engine.advance(begin, until, first=run.k < 0)
-        if guard.changed:
+        run.k, failure = engine.advance(begin, until, first=run.k < 0)
+        if run.guard.changed:
             warn_of_arithmetic(run)
-        now = time.perf_counter()
         if failure:
             reason = explain(
                 failure, run
             )  # also after Ctrl-C: the failed FMU notes which functions it must not call any more
-            if guard.interrupted:
+            if run.guard.interrupted:
                 raise KeyboardInterrupt
             return reason
         run.sound = True
         if pacer:
             pacer.done(until)
+        if until == end:
+            if progress:
+                progress(until - origin, end - origin)
+            return None
+        now = time.perf_counter()
         # The first step may wait for the compiler. An interpreted run compiles later, in a piece that is the longest by far.
         if due == inf or (until - begin > 1 and now - before > max(1.0, before - since)):
             due, counted, since = now + SILENCE, until, now
@@ -224,14 +226,12 @@ def advance(
                 f"Simulating: {(until - origin) / (end - origin):.0%} ({share_of_time(t, last)}) after "
                 f"{spoken(now - started)}, about {spoken((now - since) * (end - until) / (until - counted))} left."
             )
-        if until == end:
-            return None
         if time_limit is not None and now - started > time_limit:
             t = float(until * run.schedule.step)
             return f"The run reached its time limit of {time_limit:g} s of computing at t = {t:g} s (step {until} of {end})."
         if not pacer:
             piece = max(1, int(piece * min(4.0, BREATH / max(now - before, 1e-9))))
-        begin = until
+        begin, before = until, time.perf_counter()
 
 
 def warn_of_arithmetic(run: Run) -> None:

@@ -12,7 +12,7 @@ from contextlib import ExitStack, closing, nullcontext
 from copy import copy
 from dataclasses import dataclass, field
 from fractions import Fraction
-from math import prod
+from math import isfinite, prod
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
@@ -31,7 +31,7 @@ from bayesftc.cosim.random import check_seed
 from bayesftc.cosim.run.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.run.pacing import Pacer
 from bayesftc.cosim.run.recording import select_signals
-from bayesftc.cosim.run.result import Result
+from bayesftc.cosim.run.result import Result, with_rows
 from bayesftc.cosim.run.running import advance, choose_engine, failed, make_room, open_run, place_tables
 from bayesftc.cosim.types import Floats
 
@@ -130,7 +130,6 @@ class Session:
             record = list(record)
             diagram = diagram.watching(record)
         self._schedule: Schedule = diagram.schedule
-        self._parts = copy(diagram)  # a copy has no live run, so that a kept result keeps no FMU open
         self._decimation = whole_number(decimation, "decimation is ")
         self._selection = select_signals(self._schedule, record)
         self._free = _settable(self._schedule)
@@ -141,13 +140,25 @@ class Session:
             if (source := diagram.source_of(node, port, 0))
         }
         self._engine_name = engine
-        self._metadata: dict[str, Any] = {}  # what all pieces have in common
+        self._metadata: dict[str, Any] = {}  # what that of all pieces has in common
+        # What all results have in common. A copy of the diagram has no live run, so that a kept result keeps no FMU open.
+        self._common = Result(
+            np.empty((0, len(self._selection.places))),
+            self._selection.columns,
+            self._schedule.step,
+            decimation=self._decimation,
+            parts=copy(diagram),
+            units=self._selection.units,
+            unrecorded=self._selection.others,
+        )
+        self._last_end = EXACT // self._schedule.step.numerator
         self._engine: Engine
         self._run: Run | None = None
         self._is_running = False
         self._pacer: Pacer | None = None
         self._room: Callable[[int, int], Floats] | None = None
-        self._last_duration: tuple[Any, int] = (None, 0)
+        self._last_duration: Any = None  # None also after a change of the seed
+        self._last_steps = 0
         self._stack = ExitStack()
         # This also frees the FMUs of a session that is dropped without close().
         self._finalizer = weakref.finalize(self, self._stack.close)
@@ -191,14 +202,16 @@ class Session:
         UserWarning
             If an FMU has requested the end of the simulation: the result ends there, and its ``stopped`` has the reason.
         """
-        run = self._sound_run()
-        step = self._schedule.step
-        # The number of steps is kept, because many calls with the same short duration are usual.
-        if not (type(duration) in (float, Fraction) and duration == self._last_duration[0]):
-            self._last_duration = duration, whole_steps(duration, step, "The duration")
-        steps = self._last_duration[1]
+        run, step = self._sound_run(), self._schedule.step
+        # What follows from the duration is kept, because many calls with the same short duration are usual.
+        if not (type(duration) in (float, Fraction) and duration == self._last_duration):
+            self._last_steps = whole_steps(duration, step, "The duration")
+            seconds = self._last_steps * step.numerator / step.denominator
+            self._common.metadata = {"seed": run.seed, "duration": seconds, **self._metadata}
+            self._last_duration = duration
+        steps = self._last_steps
         end = max(run.k, 0) + steps
-        if end * step.numerator > EXACT:
+        if end > self._last_end:
             whole_steps(end * step, step, "The run's length")  # raises
         if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0):
             raise ModelError(f"time_limit is {time_limit!r}; it must be a number of seconds, or None.")
@@ -222,21 +235,10 @@ class Session:
             raise
         finally:
             self._is_running = False
-        metadata = {"seed": run.seed, "duration": steps * step.numerator / step.denominator, **self._metadata}
+        rows = run.recording if stopped is None else run.recording[: max(run.k // run.decimation + 1 - run.before, 0)]
+        result = with_rows(self._common, rows, run.before, stopped)
         if self._pacer:
-            metadata["pace"] = self._pacer.report()
-        result = Result(
-            run.recording[: max(run.k // run.decimation + 1 - run.before, 0)],
-            self._selection.columns,
-            self._schedule.step,
-            decimation=run.decimation,
-            before=run.before,
-            parts=self._parts,
-            units=self._selection.units,
-            unrecorded=self._selection.others,
-            metadata=metadata,
-            stopped=stopped,
-        )
+            result.metadata["pace"] = self._pacer.report()
         if run.ended:
             warn_user(str(stopped))
         elif stopped:
@@ -293,18 +295,20 @@ class Session:
         try:
             if np.asarray(value).dtype.kind in "USV":  # NumPy would convert text with digits
                 raise TypeError
-            values = np.broadcast_to(np.asarray(value, dtype=np.float64), shape or (1,)).ravel()
+            values = np.asarray(value, dtype=np.float64)
+            if values.shape != shape:  # else most of the time of a single number
+                values = np.broadcast_to(values, shape or (1,))
         except (ValueError, TypeError, OverflowError):
             size = place.stop - place.start
             raise ModelError(
                 f"{signal} cannot be set to {brief(value)}; give {'one number' if size == 1 else f'{size} numbers'}."
             ) from None
-        if is_plant and not np.isfinite(values).all():
+        if is_plant and not all(map(isfinite, values.flat)):
             raise ModelError(
                 f"{signal} cannot be set to {value!r}, because inputs of an FMU must be finite; check the computation of the "
                 "value."
             )
-        run.memory[place] = values
+        run.memory[place] = values.ravel()
 
     @property
     def k(self) -> int:
@@ -378,7 +382,7 @@ class Session:
         place_tables(run)
         self._pacer = None
         if state.seed != run.seed:
-            run.seed = state.seed
+            run.seed, self._last_duration = state.seed, None
             self._engine = choose_engine(self._engine_name, run)  # the old engine holds random numbers of the old seed
         run.k, run.sound = state.k, True
 
@@ -436,7 +440,7 @@ class Session:
         except BaseException:
             self._stack.close()
             raise
-        self._run = run
+        self._run, self._last_duration = run, None
         self._metadata = {
             "step": str(self._schedule.step),
             "engine": self.engine,

@@ -13,14 +13,35 @@ import os
 import signal
 import threading
 from contextlib import suppress
+from functools import cache
 from typing import Any, Self
 
-_ROOM = 512
-"""Bytes for the C library's ``fenv_t`` and ``struct sigaction``, which are smaller everywhere."""
+import numpy as np
+
+# Words for the compiled functions in `surroundings_kernels`: addresses of functions of the C library, 0 for one that it lacks.
+FEGETENV, FESETENV, GETCWD, STRCMP, SIGACTION = range(5)
+
+USUAL, SIGINT, HANDLER, CHANGED = range(5, 9)
+"""Whether arithmetic is as usual, the number of the signal, the first word of its action with Python's handler; what changed."""
+
+ONE, SMALL, LEAST, TINY = range(9, 13)
+"""Numbers that show how arithmetic rounds. They are read from memory, because LLVM computes with constants as usual."""
+
+ENVIRONMENT, ACTION, BEFORE, AFTER, WORDS = 16, 80, 144, 656, 1168
+"""Places for the C library's ``fenv_t`` and ``struct sigaction``, which are smaller everywhere, and for two paths."""
+
+PATH = 4096
+"""Bytes for a path. A longer working directory is not restored."""
+
+ARITHMETIC, FOLDER, INTERRUPTS = 1, 2, 4
+"""What has changed, or may have where the C library lacks a function; CHANGED is the sum."""
 
 _SIGINT = int(signal.SIGINT)
 
-_ONE, _SMALL, _LEAST, _TINY = 1.0, 1e-20, 2.0**-1022, 2.0**-1074
+_NUMBERS = (1.0, 1e-20, 2.0**-1022, 2.0**-1074)
+
+_FUNCTION = ctypes.PYFUNCTYPE(ctypes.c_int32, ctypes.c_void_p)
+"""The first argument of the engine's signature. The GIL is kept, which is faster."""
 
 
 class Surroundings:
@@ -33,51 +54,68 @@ class Surroundings:
     ----------
     changed : bool
         Whether the arithmetic was restored at the last end.
+    inside : int
+        The address at which compiled code calls `surroundings_kernels.noted` and `restored` by itself, and `settle` follows; 0
+        where it cannot, because the C library has no function for the working directory.
     """
 
     def __init__(self) -> None:
         self.changed = False
+        self._words = np.zeros(WORDS, dtype=np.int64)
+        self._words[FEGETENV : SIGACTION + 1] = _C.addresses()
+        self._words[SIGINT], self._words[HANDLER] = _SIGINT, _C.pythons_handler
+        self._words[ONE : TINY + 1].view(np.float64)[:] = _NUMBERS
+        self._view = memoryview(self._words)  # type: ignore[arg-type]
+        self._place = ctypes.c_void_p(self._words.ctypes.data)
+        self.inside: int = 0 if _C.getcwd is None else self._words.ctypes.data
         self._folder: str | None = None
-        self._arithmetic, self._handler = ctypes.create_string_buffer(_ROOM), (ctypes.c_uint64 * (_ROOM // 8))()
-        self._place, self._place_of_handler = ctypes.addressof(self._arithmetic), ctypes.addressof(self._handler)
+        self._note, self._restore = _compiled("note"), _compiled("restore")
 
     def __enter__(self) -> Self:
-        self._folder = _folder()
-        if _C.fegetenv is not None:
-            _C.fegetenv(self._place)
+        if _C.getcwd is None:
+            self._folder = _folder()
+        self._note(self._place)
         return self
 
     def __exit__(self, *error: object) -> None:
-        usual = computes_as_usual()
-        if _C.fesetenv is not None:
-            _C.fesetenv(self._place)
-        self.changed = not usual and computes_as_usual()
-        if self._folder != _folder() and self._folder is not None and threading.active_count() == 1:
+        self._restore(self._place)
+        self.settle()
+
+    def settle(self) -> None:
+        """Do what compiled code leaves to Python, after it has called `surroundings_kernels.restored`."""
+        changed = self._view[CHANGED]
+        self.changed = changed & ARITHMETIC != 0
+        if changed & FOLDER:
+            self._go_back()
+        if changed & INTERRUPTS:
+            self._give_back_interrupts()
+
+    def _go_back(self) -> None:
+        """Return to the working directory, if that is known and no other thread can have changed it."""
+        folder = self._folder
+        if _C.getcwd is not None:
+            folder = os.fsdecode(self._words[BEFORE:AFTER].tobytes().partition(b"\0")[0])
+        if folder and folder != _folder() and threading.active_count() == 1:
             with suppress(OSError):  # it was deleted meanwhile
-                os.chdir(self._folder)
-        self._give_back_interrupts()
+                os.chdir(folder)
 
     def _give_back_interrupts(self) -> None:
         """Set the system's handler of SIGINT to Python's, unless it certainly is."""
-        action = _C.sigaction
-        if action is not None:
-            action(_SIGINT, None, self._place_of_handler)
-            if self._handler[0] == _C.pythons_handler:
-                return
         if threading.current_thread() is not threading.main_thread():
             return
         handler = signal.getsignal(signal.SIGINT)
         if handler is not None:
             signal.signal(signal.SIGINT, handler)
-            if action is not None and callable(handler):
-                action(_SIGINT, None, self._place_of_handler)
-                _C.pythons_handler = self._handler[0]
+            if _C.sigaction is not None and callable(handler):
+                _C.sigaction(_SIGINT, None, self._words[ACTION:].ctypes.data)
+                self._words[HANDLER] = _C.pythons_handler = self._words[ACTION]
 
 
 def computes_as_usual() -> bool:
     """Return whether this thread rounds to the nearest number and supports numbers below 2.2e-308."""
-    nearest = _ONE + _SMALL == _ONE == _ONE - _SMALL
-    return nearest and _LEAST * 0.5 != 0.0 and _TINY * _ONE != 0.0
+    one, small, least, tiny = _NUMBERS
+    nearest = one + small == one == one - small
+    return nearest and least * 0.5 != 0.0 and tiny * one != 0.0
 
 
 def _folder() -> str | None:
@@ -85,6 +123,19 @@ def _folder() -> str | None:
         return os.getcwd()
     except OSError:  # it was deleted
         return None
+
+
+@cache
+def _compiled(name: str) -> Any:
+    """Return one of the compiled functions."""
+    from bayesftc.cosim.stepping.machine.services import service_address
+
+    def find() -> Any:
+        from bayesftc.cosim.fmi.binaries import surroundings_kernels
+
+        return surroundings_kernels.FUNCTIONS[name]
+
+    return _FUNCTION(service_address(f"surroundings_{name}", find))
 
 
 class _Functions:
@@ -95,14 +146,19 @@ class _Functions:
         pointer = ctypes.c_void_p
         self.fegetenv = self._function("fegetenv", pointer)
         self.fesetenv = self._function("fesetenv", pointer)
+        self.getcwd = self._function("getcwd", pointer, ctypes.c_size_t)
+        self.strcmp = self._function("strcmp", pointer, pointer)
         self.sigaction = self._function("sigaction", ctypes.c_int, pointer, pointer)
+
+    def addresses(self) -> list[int]:
+        """Return the address of each function, 0 for none, in the order of the words."""
+        functions = self.fegetenv, self.fesetenv, self.getcwd, self.strcmp, self.sigaction
+        return [0 if f is None else ctypes.cast(f, ctypes.c_void_p).value or 0 for f in functions]
 
     @staticmethod
     def _function(name: str, *arguments: Any) -> Any:
         with suppress(OSError, TypeError, AttributeError):
-            function = ctypes.PyDLL(None)[
-                name
-            ]  # a new object, which nobody else changes; it keeps the GIL, which is faster
+            function = ctypes.PyDLL(None)[name]  # a new object, which nobody else changes
             function.argtypes = arguments
             return function
         return None

@@ -43,7 +43,7 @@ class SideBySide:
             ],
             dtype=np.int64,
         )  # fmt: skip
-        function("run_lanes")(0, many.ctypes.data, 0, 0, 0.0, 0)
+        function("run_lanes")(many.ctypes.data, 0, 0, 0, 0.0, 0)
         return int(many[DONE])
 
 

@@ -1,6 +1,6 @@
 """The compiled co-simulation loop: one function for all diagrams, which reads tables and calls blocks by address.
 
-The functions without underscore have the engine's signature; the words named in `program` are at the address ``parameters``.
+The functions without underscore have the engine's signature; the words named in `program` are at the address ``state``.
 """
 
 import numpy as np
@@ -8,6 +8,7 @@ from numba import carray
 
 from bayesftc.cosim.diagram.schedule import NOT_FINITE
 from bayesftc.cosim.drawing import fill
+from bayesftc.cosim.fmi.binaries.surroundings_kernels import noted, restored
 from bayesftc.cosim.random import CHUNK, SPARE
 from bayesftc.cosim.run.general.program import (
     ALL_CALLS,
@@ -60,6 +61,7 @@ from bayesftc.cosim.run.general.program import (
     STATUS,
     STREAMS,
     STRIDE,
+    SURROUNDINGS,
     TABLES,
     WIDE,
 )
@@ -159,19 +161,23 @@ def _advance_fused(address, words):
 
 
 def advance(state, parameters, inputs, outputs, t, k):
-    """Run a piece of a run; LAST becomes its last complete step, FAILED and STATUS a failure."""
-    words = carray(as_integers(parameters), (TABLES,))
+    """Run a piece of a run; return 1 if it fails. LAST becomes its last complete step, FAILED and STATUS a failure."""
+    words = carray(as_integers(state), (TABLES,))
     words[FAILED] = -1
-    words[LAST] = _advance(parameters, words)
-    return 0
+    if words[SURROUNDINGS] != 0:
+        noted(words[SURROUNDINGS])
+    words[LAST] = _advance(state, words)
+    if words[SURROUNDINGS] != 0:
+        restored(words[SURROUNDINGS])
+    return words[FAILED] >= 0
 
 
 def phase(state, parameters, inputs, outputs, t, k):
     """Make the calls from row `inputs` to `outputs` at step `k`; FAILED and STATUS become a failure."""
-    words = carray(as_integers(parameters), (TABLES,))
+    words = carray(as_integers(state), (TABLES,))
     words[FAILED] = -1
-    calls = carray(as_integers(parameters + 8 * TABLES), (words[CALLS], COLUMNS))
-    gathers = carray(as_integers(parameters + 8 * (TABLES + words[CALLS] * COLUMNS)), (words[GATHERS], 2))
+    calls = carray(as_integers(state + 8 * TABLES), (words[CALLS], COLUMNS))
+    gathers = carray(as_integers(state + 8 * (TABLES + words[CALLS] * COLUMNS)), (words[GATHERS], 2))
     memory = carray(as_floats(words[MEMORY]), (words[SIZE],))
     _calls(calls, inputs, outputs, gathers, memory, words[MEMORY], t, k, words)
     return 0
@@ -194,7 +200,7 @@ def run_many(state, parameters, inputs, outputs, t, k):
     starts without restoring. REACHED gets the last complete step of each run. The function stops at the first run that fails,
     with a failure as in `advance`. If an FMU cannot be restored, it is -2 minus its row, and the status.
     """
-    many = carray(as_integers(parameters), (DONE + 1,))
+    many = carray(as_integers(state), (DONE + 1,))
     program = many[PROGRAM]
     words = carray(as_integers(program), (TABLES,))
     memory = carray(as_floats(words[MEMORY]), (words[SIZE],))
@@ -229,7 +235,7 @@ def run_lanes(state, parameters, inputs, outputs, t, k):
     content of each run's memory, and STATES for each its table as in `run_many`. The function stops at the first group of runs
     of which one fails.
     """
-    many = carray(as_integers(parameters), (LANES + 1,))
+    many = carray(as_integers(state), (LANES + 1,))
     words, lanes = carray(as_integers(many[PROGRAM]), (TABLES,)), many[LANES]
     size, drawn = words[SIZE], words[DRAWN]
     own = carray(as_floats(many[OWN]), (lanes, size))

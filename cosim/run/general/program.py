@@ -26,21 +26,22 @@ COLUMNS = 10
 # Words of a program; its tables of integers follow, one after the other.
 (
     CALLS, EVALUATIONS, GATHERS, FUSED, DRAWN, RECORDED, DECIMATION, NUMERATOR, DENOMINATOR, MEMORY, SIZE, STREAMS, BUFFER,
-    FAILED, STATUS, LAST, RECORDING, SEED, BEFORE, FIRST, BEGIN, END, TABLES,
-) = range(23)  # fmt: skip
+    SURROUNDINGS, FAILED, STATUS, LAST, RECORDING, SEED, BEFORE, FIRST, BEGIN, END, TABLES,
+) = range(24)  # fmt: skip
 
 # Words for many runs, after the program's address: one by one, and in lock step.
 PROGRAM, RECORDINGS, STRIDE, SEEDS, RUNS, INITIAL, STATES, STATE_COUNT, FRESH, LENGTH, REACHED, DONE = range(12)
 LOOP, ALL_CALLS, BUFFERS, OWN, WIDE, LANES = range(12, 18)
 
-_PIECE = Struct("qQqqqq")
-"""From RECORDING to END."""
+_write_piece = Struct("qQqqqq").pack_into
+"""Writes the words from RECORDING to END."""
 
-_FAILURE = Struct("qqq")
-"""From FAILED to LAST."""
+_AT = 8 * RECORDING
 
-_BRIEF = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int64, ctypes.c_int64)
-"""The first arguments of `ENTRY`, for a function that reads no others: to convert all six takes longer than most steps."""
+_BRIEF = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p)
+"""The first argument of `ENTRY`, for a function that reads no others: to convert all six takes longer than most steps."""
+
+_byte_of, _address_of = ctypes.c_char.from_buffer, ctypes.addressof
 
 
 class Program:
@@ -64,6 +65,8 @@ class Program:
         The run's memory, which stays the same array.
     streams : ndarray of uint64, numbers x 4
         The random streams.
+    surroundings : int
+        The address of what `advance` restores, or 0; see `bayesftc.cosim.fmi.binaries.surroundings.Surroundings`.
 
     Attributes
     ----------
@@ -86,25 +89,24 @@ class Program:
         clock: tuple[int, int],
         memory: Floats,
         streams: Seeds,
+        surroundings: int,
     ):
         self.calls = calls
         self._kept = memory, streams, np.empty((len(drawn) + SPARE, CHUNK))
         counts = len(calls), evaluations, len(gathers), 0, len(drawn), len(recorded), decimation, *clock
         places = memory.ctypes.data, memory.size, *(array.ctypes.data for array in self._kept[1:])
-        head = np.array([*counts, *places, -1, *[0] * (TABLES - FAILED - 1)], dtype=np.int64)
+        head = np.array([*counts, *places, surroundings, -1, *[0] * (TABLES - FAILED - 1)], dtype=np.int64)
         self.words = np.concatenate([head, calls.ravel(), gathers.ravel(), drawn, recorded])
         self.address = self.words.ctypes.data
         self._bytes = memoryview(self.words).cast("B")  # type: ignore[arg-type]
-        self._advance = function("advance", _BRIEF)
+        self._advance, self._place = function("advance", _BRIEF), ctypes.c_void_p(self.address)
 
-    def advance(
-        self, recording: Floats, seed: int, before: int, first: bool, begin: int, end: int
-    ) -> tuple[int, int, int]:
-        """Run from t_begin to t_end; return the failure, see `failure`, and the last complete step."""
-        place = ctypes.addressof(ctypes.c_char.from_buffer(recording)) if recording.size else 0  # type: ignore[arg-type]
-        _PIECE.pack_into(self._bytes, 8 * RECORDING, place, seed, before, first, begin, end)
-        self._advance(0, self.address)
-        return _FAILURE.unpack_from(self._bytes, 8 * FAILED)
+    def advance(self, recording: Floats, seed: int, before: int, first: bool, begin: int, end: int) -> bool:
+        """Run from t_begin to t_end; return whether that failed, see `failure` and `last`."""
+        place = _address_of(_byte_of(recording)) if recording.size else 0  # type: ignore[arg-type]
+        _write_piece(self._bytes, _AT, place, seed, before, first, begin, end)
+        failed: int = self._advance(self._place)
+        return failed != 0
 
     def make_many(
         self,
@@ -124,19 +126,23 @@ class Program:
              len(states), int(fresh), end, places[3], 0],
             dtype=np.int64,
         )  # fmt: skip
-        function("run_many")(0, many.ctypes.data, 0, 0, 0.0, 0)
+        function("run_many")(many.ctypes.data, 0, 0, 0, 0.0, 0)
         return int(many[DONE])
 
     def make_calls(self, begin: int, end: int, t: float, k: int) -> tuple[int, int]:
         """Make the calls from row `begin` to `end` at step `k`; return the failure."""
-        function("phase")(0, self.address, begin, end, t, k)
+        function("phase")(self.address, 0, begin, end, t, k)
         return self.failure
 
     @property
     def failure(self) -> tuple[int, int]:
         """The row of the call that failed, or -1, and its status."""
-        row, status, _ = _FAILURE.unpack_from(self._bytes, 8 * FAILED)
-        return row, status
+        return int(self.words[FAILED]), int(self.words[STATUS])
+
+    @property
+    def last(self) -> int:
+        """The last complete step."""
+        return int(self.words[LAST])
 
 
 @cache

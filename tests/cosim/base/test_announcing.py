@@ -4,7 +4,6 @@ import logging
 import re
 import sys
 import time
-from contextlib import nullcontext
 from fractions import Fraction
 from types import SimpleNamespace
 
@@ -109,8 +108,7 @@ def test_the_time_left_does_not_count_the_compiler(caplog, monkeypatch):
         clock[0] += 0.01 * (end - begin) + 20.0 * first + (late.pop() if clock[0] > 21.5 and late else 0.0)
         return end, None
 
-    whole = nullcontext(SimpleNamespace(changed=False))
-    run = SimpleNamespace(k=-1, guard=whole, schedule=SimpleNamespace(step=Fraction(1, 10)))
+    run = SimpleNamespace(k=-1, guard=SimpleNamespace(changed=False), schedule=SimpleNamespace(step=Fraction(1, 10)))
     assert running.advance(SimpleNamespace(advance=steps), 2000, run) is None
     assert run.k == 2000
     text = r"Simulating: (\d+)% \([\d.]+ of 200 s\) after (\d+) s, about (\d+) s left\."

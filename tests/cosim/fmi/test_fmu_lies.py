@@ -18,6 +18,7 @@ from bayesftc.cosim.fmi.reading import messages as _fmi_messages
 
 FMI = ("2.0", "3.0")
 ISOLATED = pytest.param(True, marks=pytest.mark.slow, id="isolated")
+ENGINES = pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 WHERE = pytest.mark.parametrize("isolate", [pytest.param(False, id="in process"), ISOLATED])
 EVERYWHERE = pytest.mark.parametrize(
     ("fmi", "isolate"),
@@ -187,31 +188,54 @@ def test_ten_megabytes_of_log_in_a_million_messages(lying, isolate, caplog):
 # --- what is none of their business -------------------------------------------------------------------------------------------
 
 
-def test_arithmetic_that_is_changed_is_put_back_and_told(lying):
+@ENGINES
+def test_arithmetic_that_is_changed_is_put_back_and_told(lying, engine):
     path, ways = lying("2.0")
     with pytest.warns(RuntimeWarning, match="The FMU of 'car' has changed how this process rounds") as caught:
-        run(path, ways["ROUNDS_UP"], False, steps=8)
+        run(path, ways["ROUNDS_UP"], False, engine, steps=8)
     assert len(caught) < 5
     one, small = np.ones(2), np.full(2, 1e-20)
     assert (one + small == one).all()
     assert surroundings.computes_as_usual()
-    run(path, ways["ROUNDS_UP"], True, steps=8)  # in another process it harms nobody: no warning
+    run(path, ways["ROUNDS_UP"], True, engine, steps=8)  # in another process it harms nobody: no warning
 
 
-def test_the_working_directory_is_gone_back_to(lying, tmp_path, monkeypatch):
+@ENGINES
+def test_the_working_directory_is_gone_back_to(lying, engine, tmp_path, monkeypatch):
     path, ways = lying("3.0")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(threading, "active_count", lambda: 1)
-    run(path, ways["GOES_AWAY"], False, steps=8)
+    run(path, ways["GOES_AWAY"], False, engine, steps=8)
     assert Path.cwd() == tmp_path
 
 
-def test_ctrl_c_is_given_back(lying):
+@ENGINES
+def test_the_working_directory_stays_where_other_threads_may_have_changed_it(lying, engine, tmp_path, monkeypatch):
+    path, ways = lying("3.0")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(threading, "active_count", lambda: 2)
+    run(path, ways["GOES_AWAY"], False, engine, steps=8)
+    assert Path.cwd() != tmp_path
+
+
+@ENGINES
+def test_a_deleted_working_directory_stops_no_run(lying, engine, tmp_path, monkeypatch):
+    path, ways = lying("3.0")
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
+    run(path, ways["GOES_AWAY"], False, engine, steps=8)
+
+
+@ENGINES
+def test_ctrl_c_is_given_back(lying, engine):
     path, ways = lying("2.0")
     before = signal.getsignal(signal.SIGINT)
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        run(path, ways["TAKES_CTRL_C"], False, steps=8)
+        run(path, ways["TAKES_CTRL_C"], False, engine, steps=8)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     finally:

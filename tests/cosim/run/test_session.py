@@ -423,3 +423,38 @@ def test_a_wrong_array_for_the_recording_is_refused(wrong):
         session.record_into(lambda rows, columns: wrong)
         with pytest.raises(ModelError, match="The array for the recording has the shape"):
             session.advance(1.0)
+
+
+def ramp():
+    diagram = cosim.Diagram(dt=0.1)
+    diagram.add(cosim.Ramp(1.0, unit="m"), "ramp")
+    return diagram
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_pieces_have_metadata_and_units_of_their_own(engine):
+    """They share what does not change; what a user writes into one is not in the next."""
+    with ramp().start(seed=3, engine=engine) as session:
+        first = session.advance(0.1)
+        first.metadata["driver"], first.units["ramp.y"] = "me", "km"
+        second = session.advance(0.1)
+        assert first.metadata == second.metadata | {"driver": "me"}
+        assert "driver" not in second.metadata
+        assert (first.units, second.units) == ({"ramp.y": "km"}, {"ramp.y": "m"})
+        assert list(second.metadata)[:4] == ["seed", "duration", "step", "engine"]
+        again = pickle.loads(pickle.dumps(second))
+        assert (again.metadata, again.units, again["ramp.y"].tolist()) == (second.metadata, {"ramp.y": "m"}, [0.2])
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_metadata_of_a_piece_follow_its_duration_and_seed(engine):
+    with ramp().start(seed=3, engine=engine) as session:
+        state = session.save_state()
+        durations = [session.advance(duration).metadata["duration"] for duration in (0.1, 0.1, 0.3, "1/10", 0.3, 0)]
+        assert durations == [0.1, 0.1, 0.3, 0.1, 0.3, 0.0]
+        session.reset(seed=4)
+        assert session.advance(0.3).metadata["seed"] == 4
+        session.restore(state)
+        assert session.advance(0.3).metadata["seed"] == 3
+        assert "pace" in session.advance(0.1, pace=1e6).metadata
+        assert "pace" not in session.advance(0.1).metadata
