@@ -205,8 +205,8 @@ class Offset(FaultMode):
     By default jumps are twice as frequent as other faults, because many of them are short (`SwitchingPrecision`).
 
     The unit of ``jump``, ``slope`` and ``walk`` is the standard deviation of the sensor's noise. In the joint form it is the
-    geometric mean of those of all sensors that measure the same; with a unit for each, a small offset would be attributed to
-    the most accurate one.
+    geometric mean of those of all sensors that measure the same (equal rows of C); with a unit for each, a small offset would
+    be attributed to the most accurate one.
 
     Parameters
     ----------

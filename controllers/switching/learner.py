@@ -108,8 +108,9 @@ class SwitchingPrecision(PrecisionLearner):
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
         is faster, but detects slow drifts later.
     outages : bool
-        Whether a step at which none of several sensors has a sample is an outage, as of a logger, and says nothing about the
-        sensors. Otherwise all of them have probably dropped out. It belongs to the per-sensor form.
+        Whether a step without any sample is an outage, as of a logger, and says nothing about the sensors. At least two of them
+        must be silent by surprise: they send at most steps (a `loss` below .5) and have not dropped out before. Otherwise
+        all sensors have probably dropped out. It belongs to the per-sensor form; otherwise it has no effect.
     actuator_modes : sequence of ActuatorMode
         The fault modes of each actuator and of the process, see `ACTUATOR_MODES`; in the joint form only. With them there are,
         for each actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first),

@@ -79,10 +79,14 @@ memory[sample.y.shape[0] * LENGTH + 1] = logp
 """
 
 _OUTAGE = """\
-sampled = 0.0 * logp
+sampled, silent = 0.0 * logp, 0.0 * logp
 for i in range(sample.y.shape[0]):
-    sampled = maximum(sampled, sample.present[i])\
+    at = i * LENGTH
+    sampled = maximum(sampled, sample.present[i])
+    silent = silent + select(both(settings[i * SETTINGS + MISSING] < 0.5, {dropped} < 0.5), 1.0, 0.0)
+outage = select(both(sampled < 0.5, silent > 1.5), 1.0, 0.0)\
 """
+"""No sensor has a sample, also not those, two or more, which send most of the time and have not dropped out before."""
 
 _NOTE_OUTAGE = "outage, present = maximum(-present, 0.0), maximum(present, 0.0)"
 _IN_AN_OUTAGE = "select(outage > 0.5, 1.0, {})"
@@ -185,9 +189,11 @@ def learner_functions(
         "MODES": modes, "FAULTS": faults, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
         "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
     }  # fmt: skip
-    learning = _LEARN.format(
-        outage=_OUTAGE if outages else "", present="sample.present[i]" + (" + sampled - 1.0" if outages else "")
-    )
+    weights = [
+        f"memory[at + {kernels.FIRST + k * width} + WEIGHT]" for k in chosen if evidence[k] is mode_kernels.drops
+    ]
+    outage = _OUTAGE.format(dropped=f"({' + '.join(weights or ['0.0'])})") if outages else ""
+    learning = _LEARN.format(outage=outage, present="sample.present[i] - outage" if outages else "sample.present[i]")
     learn = _function("learn_switching", argument_names(keep_nominal), learning, names)
     report = _REPORT
     if layout is not None and layout.actuator_modes:

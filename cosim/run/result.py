@@ -52,7 +52,7 @@ _DAMAGE = (
 
 
 class _Signals:
-    """What results know of their signals besides the numbers; the pieces of a live run have one together."""
+    """Names, places, units and roles of the signals of a run; the pieces of a live run share one object."""
 
     def __init__(
         self,
@@ -546,13 +546,13 @@ class Result(Mapping[str, Floats]):
             ) from None
 
 
-def with_rows(result: Result, recording: Floats, before: int, stopped: str | None) -> Result:
-    """Return a result of the same signals with other rows: the next piece of a live run.
+def with_rows(result: Result, metadata: dict[str, Any], recording: Floats, before: int, stopped: str | None) -> Result:
+    """Return a result of the same signals with other rows and metadata: the next piece of a live run.
 
-    It has metadata that can be changed, and all else together with the first one, because a live run may make one a step.
+    It shares all else with ``result``, because a live run may make a piece at each step. The metadata are copied.
     """
     piece = Result.__new__(Result)
     piece._recording, piece._signals = recording, result._signals
     piece.step, piece.decimation, piece.before = result.step, result.decimation, before
-    piece.metadata, piece.stopped = result.metadata.copy(), stopped
+    piece.metadata, piece.stopped = metadata.copy(), stopped
     return piece

@@ -85,6 +85,10 @@ class RunState:
     parameters: Mapping[str, Mapping[str, Any]] = field(repr=False)
 
 
+NO_CALL: tuple[Any, int, dict[str, Any]] = (None, 0, {})
+"""What a session keeps of its last `Session.advance`: duration, steps and metadata. Before the first call there are none."""
+
+
 class Session:
     """A live run of a diagram; `Diagram.start` makes it, ``with`` or `close` ends it.
 
@@ -140,7 +144,7 @@ class Session:
             if (source := diagram.source_of(node, port, 0))
         }
         self._engine_name = engine
-        self._metadata: dict[str, Any] = {}  # what that of all pieces has in common
+        self._metadata: dict[str, Any] = {}  # the part that all pieces share
         # What all results have in common. A copy of the diagram has no live run, so that a kept result keeps no FMU open.
         self._common = Result(
             np.empty((0, len(self._selection.places))),
@@ -157,8 +161,8 @@ class Session:
         self._is_running = False
         self._pacer: Pacer | None = None
         self._room: Callable[[int, int], Floats] | None = None
-        self._last_duration: Any = None  # None also after a change of the seed
-        self._last_steps = 0
+        # Duration, steps and metadata of the last call, assigned together: Ctrl-C may come at any moment.
+        self._last = NO_CALL
         self._stack = ExitStack()
         # This also frees the FMUs of a session that is dropped without close().
         self._finalizer = weakref.finalize(self, self._stack.close)
@@ -204,12 +208,12 @@ class Session:
         """
         run, step = self._sound_run(), self._schedule.step
         # What follows from the duration is kept, because many calls with the same short duration are usual.
-        if not (type(duration) in (float, Fraction) and duration == self._last_duration):
-            self._last_steps = whole_steps(duration, step, "The duration")
-            seconds = self._last_steps * step.numerator / step.denominator
-            self._common.metadata = {"seed": run.seed, "duration": seconds, **self._metadata}
-            self._last_duration = duration
-        steps = self._last_steps
+        usual, steps, metadata = self._last
+        if not (type(duration) in (float, Fraction) and duration == usual):
+            steps = whole_steps(duration, step, "The duration")
+            seconds = steps * step.numerator / step.denominator
+            metadata = {"seed": run.seed, "duration": seconds, **self._metadata}
+            self._last = duration, steps, metadata
         end = max(run.k, 0) + steps
         if end > self._last_end:
             whole_steps(end * step, step, "The run's length")  # raises
@@ -236,7 +240,7 @@ class Session:
         finally:
             self._is_running = False
         rows = run.recording if stopped is None else run.recording[: max(run.k // run.decimation + 1 - run.before, 0)]
-        result = with_rows(self._common, rows, run.before, stopped)
+        result = with_rows(self._common, metadata, rows, run.before, stopped)
         if self._pacer:
             result.metadata["pace"] = self._pacer.report()
         if run.ended:
@@ -382,7 +386,7 @@ class Session:
         place_tables(run)
         self._pacer = None
         if state.seed != run.seed:
-            run.seed, self._last_duration = state.seed, None
+            run.seed, self._last = state.seed, NO_CALL
             self._engine = choose_engine(self._engine_name, run)  # the old engine holds random numbers of the old seed
         run.k, run.sound = state.k, True
 
@@ -440,7 +444,7 @@ class Session:
         except BaseException:
             self._stack.close()
             raise
-        self._run, self._last_duration = run, None
+        self._run, self._last = run, NO_CALL
         self._metadata = {
             "step": str(self._schedule.step),
             "engine": self.engine,

@@ -22,16 +22,24 @@ import numpy as np
 FEGETENV, FESETENV, GETCWD, STRCMP, SIGACTION = range(5)
 
 USUAL, SIGINT, HANDLER, CHANGED = range(5, 9)
-"""Whether arithmetic is as usual, the number of the signal, the first word of its action with Python's handler; what changed."""
+"""USUAL: whether arithmetic is as usual. SIGINT: the number of the signal. HANDLER: the first word of the signal's action while
+Python handles it. CHANGED: what has changed."""
 
 ONE, SMALL, LEAST, TINY = range(9, 13)
 """Numbers that show how arithmetic rounds. They are read from memory, because LLVM computes with constants as usual."""
 
-ENVIRONMENT, ACTION, BEFORE, AFTER, WORDS = 16, 80, 144, 656, 1168
-"""Places for the C library's ``fenv_t`` and ``struct sigaction``, which are smaller everywhere, and for two paths."""
+_ROOM = 64
+"""Words for the C library's ``fenv_t`` or ``struct sigaction``, which are smaller everywhere."""
 
 PATH = 4096
 """Bytes for a path. A longer working directory is not restored."""
+
+ENVIRONMENT = 16
+ACTION = ENVIRONMENT + _ROOM
+BEFORE = ACTION + _ROOM
+AFTER = BEFORE + PATH // 8
+WORDS = AFTER + PATH // 8
+"""Places of the arithmetic, of the signal's action and of the working directory before and after, and the number of words."""
 
 ARITHMETIC, FOLDER, INTERRUPTS = 1, 2, 4
 """What has changed, or may have where the C library lacks a function; CHANGED is the sum."""
@@ -48,15 +56,15 @@ class Surroundings:
     """Restore this thread's arithmetic, the handler of Ctrl-C and the working directory at the end of a ``with``.
 
     The object can be used repeatedly, but not nested. The working directory is not restored if other threads run, as they may
-    have changed it on purpose. A step of a live run is in between, so that each call here counts.
+    have changed it on purpose. These calls surround every step of a live run, so their time matters.
 
     Attributes
     ----------
     changed : bool
         Whether the arithmetic was restored at the last end.
     inside : int
-        The address at which compiled code calls `surroundings_kernels.noted` and `restored` by itself, and `settle` follows; 0
-        where it cannot, because the C library has no function for the working directory.
+        The address with which compiled code itself calls `surroundings_kernels.noted` and `restored`; then call `settle`. It is 0
+        where the C library has no function for the working directory; then use the ``with``.
     """
 
     def __init__(self) -> None:
@@ -84,6 +92,7 @@ class Surroundings:
     def settle(self) -> None:
         """Do what compiled code leaves to Python, after it has called `surroundings_kernels.restored`."""
         changed = self._view[CHANGED]
+        self._view[CHANGED] = 0  # after Ctrl-C before the compiled code, this would be that of the piece before
         self.changed = changed & ARITHMETIC != 0
         if changed & FOLDER:
             self._go_back()
@@ -109,13 +118,6 @@ class Surroundings:
             if _C.sigaction is not None and callable(handler):
                 _C.sigaction(_SIGINT, None, self._words[ACTION:].ctypes.data)
                 self._words[HANDLER] = _C.pythons_handler = self._words[ACTION]
-
-
-def computes_as_usual() -> bool:
-    """Return whether this thread rounds to the nearest number and supports numbers below 2.2e-308."""
-    one, small, least, tiny = _NUMBERS
-    nearest = one + small == one == one - small
-    return nearest and least * 0.5 != 0.0 and tiny * one != 0.0
 
 
 def _folder() -> str | None:
@@ -149,6 +151,10 @@ class _Functions:
         self.getcwd = self._function("getcwd", pointer, ctypes.c_size_t)
         self.strcmp = self._function("strcmp", pointer, pointer)
         self.sigaction = self._function("sigaction", ctypes.c_int, pointer, pointer)
+        if self.fegetenv is None:
+            self.fesetenv = None
+        if self.strcmp is None:
+            self.getcwd = None
 
     def addresses(self) -> list[int]:
         """Return the address of each function, 0 for none, in the order of the words."""

@@ -1,4 +1,4 @@
-"""Note and restore what surrounds calls of an FMU, compiled: a step of a live run is in between.
+"""Note and restore what surrounds calls of an FMU, compiled, because these calls surround every step of a live run.
 
 The words named below are at the address `place`. The functions with the engine's signature have it in ``state``.
 """
@@ -110,7 +110,7 @@ def noted(place):
 
 @callee
 def restored(place):
-    """Restore this thread's arithmetic; CHANGED becomes what Python must see to: ARITHMETIC, FOLDER, INTERRUPTS."""
+    """Restore this thread's arithmetic; CHANGED becomes what is left to Python: ARITHMETIC, FOLDER, INTERRUPTS."""
     words = carray(as_integers(place), (WORDS,))
     _find_whether_usual(words, place)
     was_usual = words[USUAL]

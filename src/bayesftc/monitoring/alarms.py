@@ -183,7 +183,7 @@ def sensor_events(
 
 
 def _goes_on(event: FaultEvent, later: FaultEvent, gaps: Sequence[Gap], hold: float) -> bool:
-    """Return whether the later alarm is of the same fault, which the learner has forgotten in a gap of the recording.
+    """Return whether the later alarm is of the same fault, which the learner may have forgotten in a gap of the recording.
 
     In a long gap the fault may have ended. So the learner infers it again, from the first samples after the gap on.
     """

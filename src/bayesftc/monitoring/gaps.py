@@ -87,7 +87,7 @@ def find_gaps(y: Floats) -> list[tuple[int, int, int]]:
 def in_gaps(y: Floats) -> Flags:
     """Return the steps of all gaps for each sensor, and those of missing samples soon after them.
 
-    The learner takes the next missing sample after a gap for a dropout that goes on.
+    A learner without `outages` takes the next missing sample after a gap for a dropout that goes on.
 
     Parameters
     ----------

@@ -138,6 +138,26 @@ def test_in_an_outage_of_all_sensors_only_time_passes():
     assert outs[59].mode_probability[1, 2] > 0.99
 
 
+@pytest.mark.parametrize(("loss", "silent"), [(0.01, [0]), (0.01, [0, 1]), ((0.01, 0.9, 0.9), [])])
+def test_the_last_sensor_that_is_silent_has_dropped_out(loss, silent):
+    """The others have dropped out before, or send seldom: that all are silent now is no sign of an outage."""
+    count = len(silent) + 1 if silent else 3
+    precision = SwitchingPrecision((Offset(), DroppedOut()), joint=False, outages=True, loss=loss)
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0]] * count, 0.001, 1.0, STEP)
+    step = controllers.StateEstimator(model, precision, initial_mean=20.0, initial_covariance=0.1).online(
+        compiled=False
+    )
+    rows = 20.0 + np.random.default_rng(0).normal(size=(60, count))
+    rows[10:, silent] = np.nan
+    if not silent:
+        rows[np.arange(60) % 10 > 0, 1:] = np.nan
+    rows[31:39, -1 if silent else 0] = np.nan
+    probability = np.array([step(y=row).fault_probability for row in rows])
+    assert probability[30, -1 if silent else 0] < 0.5
+    assert probability[38, -1 if silent else 0] > 0.99
+    assert (probability[38, silent] > 0.99).all()
+
+
 @pytest.mark.parametrize("joint", [True, False])
 def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     """At the first sample: each sensor's densities, weighted; in the joint form the second sensor's after the first one's."""

@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from bayesftc import cosim, fmus
 from bayesftc.cosim import Port
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.run.session import Session
 
 ENGINES = ("compiled", "interpreted")
 STEPS = 300  # more than a chunk of random numbers
@@ -458,3 +459,37 @@ def test_the_metadata_of_a_piece_follow_its_duration_and_seed(engine):
         assert session.advance(0.3).metadata["seed"] == 3
         assert "pace" in session.advance(0.1, pace=1e6).metadata
         assert "pace" not in session.advance(0.1).metadata
+
+
+def test_an_interrupt_at_any_line_leaves_the_number_of_steps_alone():
+    """The steps of the last duration are kept; those of another duration must never stand under it."""
+    diagram = cosim.Diagram(dt=0.1)
+    diagram.add(cosim.Ramp(1.0), "ramp")
+    with diagram.start(engine="interpreted") as session:
+        for line in range(60):
+            session.reset()
+            session.advance(0.1)
+            count = 0
+
+            def interrupt(frame, event, argument, line=line):
+                nonlocal count
+                if frame.f_code is not Session.advance.__code__:
+                    return None
+                count += event == "line"
+                if event == "line" and count == line:
+                    raise KeyboardInterrupt
+                return interrupt
+
+            before = sys.gettrace()
+            sys.settrace(interrupt)
+            try:
+                session.advance(0.5)
+            except KeyboardInterrupt:
+                pass
+            finally:
+                sys.settrace(before)
+            session._is_running = False  # an interrupt in the line that says so leaves it
+            session.reset()
+            piece = session.advance(0.1)
+            assert (len(piece.time), piece.metadata["duration"]) == (2, 0.1)
+        assert line > count > 15  # each line was interrupted
