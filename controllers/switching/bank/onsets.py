@@ -162,7 +162,8 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
 
         The state after a fault can be nearly unknown, as without the only sensor of a quantity. Merged by moments, even a small
         part of it would spoil the belief without a fault, and so make the fault more probable from sample to sample. The shares
-        of the states are therefore the squared ones.
+        of the states are therefore the squared ones, and the less probable belief hardly counts. The price: after a fault of
+        middling probability the belief without it returns later to the state, and this depends on the sample time.
         """
         part = left / (stays + left)
         memory[none] = stays + left
