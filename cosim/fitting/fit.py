@@ -211,7 +211,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
         *sentences.correlated(columns, correlated, white, std),
         *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, present, samples.time),
-        *sentences.left_out(samples.sensors, found.weights, present & ~found.late, samples.time),
+        *sentences.left_out(samples.sensors, found.weights, found.late, present, samples.time),
         *sentences.held_out_worse(rms, rest),
     ]
     if not found.settled:
