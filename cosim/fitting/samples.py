@@ -95,6 +95,7 @@ def sample(
         raise ModelError("fit() has no outputs; name at least one output of the FMU, with its columns.")
     into = {name: named_columns(table, columns, "input") for name, columns in read.items()}
     out = {name: tuple(named_columns(table, columns, "output")) for name, columns in sensed.items()}
+    _refuse_twice([column for columns in out.values() for column in columns])
     named = {column for columns in (*into.values(), *out.values()) for column in columns}
     time = time or find_times(table, named)
     rows, start = np.arange(len(table)), 0.0
@@ -125,11 +126,16 @@ def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
         )
         if not all(isinstance(text, str) for text in (name, *found[name])):
             raise ModelError(f"fit() has {what}={brief(given)}; give names of variables with names of columns.")
-    every = [column for columns in found.values() for column in columns] if what == "outputs" else []
-    for column in every:
-        if every.count(column) > 1:
-            raise ModelError(f"The column {column!r} is given for the outputs twice; give each column once.")
+    if what == "outputs":
+        _refuse_twice([column for columns in found.values() for column in columns])
     return found
+
+
+def _refuse_twice(columns: Sequence[str]) -> None:
+    """Refuse a column that is given for the outputs twice."""
+    for column in columns:
+        if columns.count(column) > 1:
+            raise ModelError(f"The column {column!r} is given for the outputs twice; give each column once.")
 
 
 def _has_other_dates(table: Any, column: str) -> bool:
