@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.dates import ISO, other_date
+from bayesftc.cosim.base.recordings.dates import other_date
+from bayesftc.cosim.base.recordings.day_first import iso_of
 from bayesftc.cosim.base.recordings.table_files import find_times
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.base.warnings_shown import warn_user
@@ -145,10 +146,10 @@ def _has_other_dates(table: Any, column: str) -> bool:
 def _warn_of_dates(table: Any, named: set[str]) -> None:
     """Warn of a column of dates that cannot be read, and so does not count."""
     for column in table.columns:
-        if column not in named and _has_other_dates(table, column):
+        if column not in named and _has_other_dates(table, column) and (date := other_date(table[column])) is not None:
             warn_user(
-                f"The dates in {column!r}, such as {other_date(table[column])!r}, are not in the form of ISO 8601 and do not "
-                f"count: each row is one step of dt, and gaps are lost. Write the dates as {ISO}."
+                f"The dates in {column!r}, such as {date!r}, are not in the form of ISO 8601 and do not "
+                f"count: each row is one step of dt, and gaps are lost. Write the dates as {iso_of(date)}."
             )
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from bayesftc.cosim.base.recordings.columns import column_called, column_unit
-from bayesftc.cosim.base.recordings.dates import ISO, seconds_of, span_text
+from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
+from bayesftc.cosim.base.recordings.day_first import iso_of
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
@@ -128,7 +129,7 @@ def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
     if (date := tables.other_date(file, first)) is not None:
         raise RecordingError(
             f"{os.fspath(file)}: the dates in the column {every[first]!r}, such as {date!r}, are not in the form of ISO 8601. "
-            f"Write them as {ISO}."
+            f"Write them as {iso_of(date)}."
         )
     if (name := time_column(every)) is not None:
         return name
