@@ -19,6 +19,7 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.judging.metrics import NAN
 from bayesftc.cosim.judging.probabilities import Reliability, reliability
 
 if TYPE_CHECKING:
@@ -32,6 +33,10 @@ TRAINING_SHARE = 0.8
 
 SKIPPED = 200
 """Steps at the start that are left out, until the belief has settled."""
+
+PARTS = 20
+"""Parts of the test, one after the other. Their scatter shows the noise of the calibration error, since samples of a fault depend
+on each other."""
 
 
 class Hazards(NamedTuple):
@@ -88,6 +93,10 @@ class CalibrationReport:
         Number of samples in the test.
     reliability : Reliability or None
         The probability's reliability in ten bins of equal width; ``report.reliability.plot()`` draws its diagram.
+    calibration_error_interval : tuple of float
+        The 95 % interval of the calibration error, by the scatter of twenty parts of the test.
+    sensors : tuple of Reliability
+        The reliability of each sensor's probability.
 
     Examples
     --------
@@ -106,6 +115,8 @@ class CalibrationReport:
     fault_share: float
     samples: int
     reliability: Reliability | None = field(default=None, repr=False, compare=False)
+    calibration_error_interval: tuple[float, float] = field(default=(NAN, NAN), repr=False, compare=False)
+    sensors: tuple[Reliability, ...] = field(default=(), repr=False, compare=False)
 
     def __repr__(self) -> str:
         return short(self)
@@ -193,14 +204,14 @@ def calibrate(
     ratio = beta / learner.prior_rates(model)
     x = np.log(ratio) if feature == "log" else ratio
     cut = int(TRAINING_SHARE * len(x))
-    train, test = (x[:cut].ravel(), faulty[:cut].ravel()), (x[cut:].ravel(), faulty[cut:].ravel())
-    _check_labels(train[1], test[1])
-    classifier = FaultClassifier(LogisticRegression(C=np.inf, max_iter=1000)).fit(train[0].reshape(-1, 1), train[1])
-    return judge(replace(classifier.calibration(), feature=feature), *test)
+    _check_labels(faulty[:cut], faulty[cut:])
+    classifier = FaultClassifier(LogisticRegression(C=np.inf, max_iter=1000))
+    classifier.fit(x[:cut].reshape(-1, 1), faulty[:cut].ravel())
+    return judge(replace(classifier.calibration(), feature=feature), x[cut:], faulty[cut:])
 
 
 def judge(calibration: Calibration, x: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]]) -> CalibrationReport:
-    """Return the quality of a map on features `x` (log or linear, as for the map) with known labels."""
+    """Return the quality of a map on features `x` (log or linear, as for the map; steps x sensors) with known labels."""
     return _judged(calibration, x, 1.0 / (1.0 + np.exp(-(calibration.slope * x + calibration.intercept))), faulty)
 
 
@@ -238,7 +249,7 @@ def judge_own_probability(
         "fault_probability", model, hazards, magnitudes or {}, precision, reference, steps, seed, controller
     )
     cut = int(TRAINING_SHARE * len(output_values))
-    probability, faulty = output_values[cut:].ravel(), faulty[cut:].ravel()
+    probability, faulty = output_values[cut:], faulty[cut:]
     _check_labels(faulty)
     return _judged(None, probability, probability, faulty)
 
@@ -255,16 +266,22 @@ def _judged(
 ) -> CalibrationReport:
     from sklearn.metrics import roc_auc_score
 
+    from bayesftc.cosim import statistics
+
+    probability, faulty = probability.reshape(len(probability), -1), faulty.reshape(len(faulty), -1)
     quality = reliability(probability, faulty, equal="widths")
+    parts = [np.array_split(values, PARTS) for values in (probability, faulty)]
     return CalibrationReport(
         calibration=calibration,
-        auc=float(roc_auc_score(faulty, score)),
+        auc=float(roc_auc_score(faulty.ravel(), score.ravel())),
         brier=quality.brier,
         brier_of_constant=quality.brier_of_constant,
         calibration_error=quality.calibration_error,
         fault_share=float(faulty.mean()),
-        samples=len(probability),
+        samples=probability.size,
         reliability=quality,
+        calibration_error_interval=statistics.calibration(*parts, equal="widths").calibration_error_interval,
+        sensors=tuple(reliability(*sensor, equal="widths") for sensor in zip(probability.T, faulty.T, strict=True)),
     )
 
 
@@ -289,8 +306,7 @@ def _simulated(
         raise ModelError(f"calibrate has the unknown magnitude {sorted(unknown)[0]!r}; give 'injection' and 'drift'.")
     hazards = Hazards.usual(model.step) if hazards is None else hazards
     _check_hazards(hazards, model)
-    deviation = float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
-    sizes = {"injection": 3 * deviation, "drift": 5 * deviation / _longer(model.step), **magnitudes}
+    deviation, sizes = _deviation(model), simulated_sizes(model, magnitudes)
     record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
     # The plant's outputs are all its states, of which the sensors may leave some out.
     with reported(f"Simulating {steps} steps with random faults."), noted_elsewhere():
@@ -298,6 +314,16 @@ def _simulated(
         result = loop.simulate(steps * model.step, seed=seed, record=record)
     faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
     return result[record[0]][SKIPPED:], faulty
+
+
+def simulated_sizes(model: LinearModel, magnitudes: Mapping[str, float]) -> dict[str, float]:
+    """Return the sizes of the simulated faults: the given ones, else the defaults of `calibrate`."""
+    deviation = _deviation(model)
+    return {"injection": 3 * deviation, "drift": 5 * deviation / _longer(model.step), **magnitudes}
+
+
+def _deviation(model: LinearModel) -> float:
+    return float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
 
 
 def _check_hazards(hazards: tuple[float, float], model: LinearModel) -> None:

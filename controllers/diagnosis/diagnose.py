@@ -194,7 +194,7 @@ def diagnose(
     samples = samples_of(signals, y, name, reader)
     inferred = _inferred(signals, controller, name)
     roles = getattr(signals, "roles", None)
-    units = [sensor.unit for sensor in roles.sensors] if roles is not None else []
+    units = ([x.unit for x in roles.sensors], [x.unit for x in roles.controls]) if roles is not None else ((), ())
     result = _finding(
         model, samples, signals[f"{name}.u"], controller.initial_mean, alone=raised, inferred=inferred, units=units
     )
@@ -271,9 +271,12 @@ def _finding(
     *,
     alone: bool,
     inferred: Sequence[float] | None = None,
-    units: Sequence[str | None] = (),
+    units: tuple[Sequence[str | None], Sequence[str | None]] = ((), ()),
 ) -> ModelFinding | None:
-    """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`."""
+    """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`.
+
+    `units` are those of the sensors and of the controls.
+    """
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
         if (recorded := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:
             raise ModelError(
@@ -284,7 +287,7 @@ def _finding(
     if not result:
         return None
     best = result[0]
-    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]], inferred, units)
+    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]], inferred, *units)
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 

@@ -18,7 +18,7 @@ ALIKE = "All sensors disagree with the model in the same way"
 
 APART = "By the model, sensors of different quantities disagree"
 
-_ESTIMATED = "LinearModel.with_disturbance; disturbance in design and in a scenario"
+_DISTURBANCE = "disturbance in design and in a scenario; LinearModel.with_disturbance"
 
 NO_EFFECT = 0.05
 """Effect of a control, relative to the model's, below which it counts as none."""
@@ -41,16 +41,19 @@ def sentence(
     others: Sequence[tuple[str, Sequence[float]]] = (),
     inferred: Sequence[float] | None = None,
     units: Sequence[str | None] = (),
+    control_units: Sequence[str | None] = (),
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
 
     `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
-    each sensor, if known.
+    each sensor, `control_units` of each control, if known.
     """
     found, moved = [(kind, values), *others], bool(np.any(model.B))
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
         **_WORDS,
         "offset": partial(_offset, units=units),
+        "load": partial(_load, units=control_units),
+        "onset": partial(_onset, units=control_units),
     }
     said = dict.fromkeys(words[each](its, model) if moved or each == "offset" else UNMOVED for each, its in found)
     which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
@@ -145,11 +148,28 @@ def _limit(values: Sequence[float], model: LinearModel) -> str:
     )
 
 
-def _load(values: Sequence[float], model: LinearModel) -> str:
-    pushed = ", ".join(f"{value:.3g}" for value in values)
+def _load(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     return (
-        f"a constant load acts, as large as a control of {pushed}. Estimate it ({_ESTIMATED}), or add it to the model."
+        f"a constant load acts. It has the effect of a change of {_change(values, model, units)}. You can "
+        f"{_estimate('it', model)}, or add it to the model."
     )
+
+
+def _change(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    """Return by how much each control would have to change: ``the control q1 by 0.02 m3/s``."""
+    known = units if len(units) == len(values) else [None] * len(values)
+    return " and of ".join(
+        f"{_named(j, model)} by {value:.3g}" + (f" {unit}" if unit else "")
+        for j, (value, unit) in enumerate(zip(values, known, strict=True))
+    )
+
+
+def _estimate(load: str, model: LinearModel) -> str:
+    """Return how the controller is to estimate a load, which depends on whether its model already has a disturbance."""
+    first = model.states - model.disturbances
+    if np.any(model.matrix("A")[:first, first : model.states - model.constant]):  # errors of sensors move no state
+        return f"make the disturbance of the model larger ({_DISTURBANCE}), so that its estimate follows {load} sooner"
+    return f"estimate {load} ({_DISTURBANCE})"
 
 
 def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
@@ -202,11 +222,11 @@ def _seconds(time: float) -> str:
     return f"{time:.0f} s" if 1e3 <= time < 1e8 else f"{time:.4g} s"
 
 
-def _onset(values: Sequence[float], model: LinearModel) -> str:
-    pushed = ", ".join(f"{value:.3g}" for value in values[2:])
+def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     return (
-        f"a load, or an offset of the actuator, acts {_since(values)}, about as large as a control of {pushed}. If such loads "
-        f"belong to normal operation, measure them, or estimate them ({_ESTIMATED}, larger if it is already there)."
+        f"a load, or an offset of the actuator, acts {_since(values)}. It has about the effect of a change of "
+        f"{_change(values[2:], model, units)}. If such loads belong to normal operation, measure them, or "
+        f"{_estimate('them', model)}."
     )
 
 
@@ -252,8 +272,6 @@ _WORDS = {
     "late": _late,
     "early": _early,
     "limit": _limit,
-    "load": _load,
-    "onset": _onset,
     "loss": _loss,
     "noise": _noise,
     "nonlinear": _nonlinear,

@@ -32,8 +32,20 @@ def names_of(given: Names, kind: str) -> list[str]:
     """
     names = [given] if isinstance(given, str) else list(given) if isinstance(given, Iterable) else []
     if not names or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-        raise ModelError(f"{kind}={given!r}; give the name of at least one variable of the plant, each once.")
+        raise ModelError(f"{kind}={given!r}; {_remedy(names, kind)}")
     return names
+
+
+def _remedy(names: Sequence[Any], kind: str) -> str:
+    """Return what to give instead of wrong names; an output that is measured several times has several sensors."""
+    if kind == "measured" and names and all(isinstance(name, str) for name in names):
+        once = list(dict.fromkeys(names))
+        counts = [names.count(name) for name in once]
+        return (
+            f"name the outputs each once, and give the number of sensors of each: measured={once}, sensors={counts} (in a "
+            f"scenario: count = {counts} in [sensors])."
+        )
+    return "give the name of at least one variable of the plant, each once."
 
 
 def elements_of(name: str, available: Sequence[str]) -> list[str]:

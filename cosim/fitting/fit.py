@@ -12,6 +12,7 @@ import numpy as np
 
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import MAD, real
+from bayesftc.cosim.base.recordings.columns import bare_name
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fitting import sentences
@@ -211,7 +212,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
         *sentences.correlated(columns, correlated, white, std),
         *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, present, samples.time),
-        *sentences.left_out(samples.sensors, found.weights, present & ~found.late, samples.time),
+        *sentences.left_out(samples.sensors, found.weights, found.late, present, samples.time),
         *sentences.held_out_worse(rms, rest),
     ]
     if not found.settled:
@@ -261,8 +262,9 @@ def _with_parameters(fmu: FMU, box: Box) -> FMU:
 
 def _warn_of_columns(fmu: FMU, samples: Samples) -> None:
     """Warn of each input that keeps its start value although the recording has a column of its name."""
+    unused = {*samples.unused, *map(bare_name, samples.unused)}
     for port in fmu._sides[0]:
-        if port.name in samples.unused and port.name not in {*samples.inputs, *(fmu.parameters or {})}:
+        if port.name in unused and port.name not in {*samples.inputs, *(fmu.parameters or {})}:
             warn_user(
                 f"The input {port.name} is not given and stays at its start value; the recording has a column of that name. "
                 f'Add inputs=["{port.name}"], or --input {port.name} on the command line.'

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.dates import ISO, other_date
+from bayesftc.cosim.base.recordings.dates import other_date
+from bayesftc.cosim.base.recordings.day_first import iso_of
 from bayesftc.cosim.base.recordings.table_files import find_times
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.base.warnings_shown import warn_user
@@ -95,6 +96,7 @@ def sample(
         raise ModelError("fit() has no outputs; name at least one output of the FMU, with its columns.")
     into = {name: named_columns(table, columns, "input") for name, columns in read.items()}
     out = {name: tuple(named_columns(table, columns, "output")) for name, columns in sensed.items()}
+    _refuse_twice([column for columns in out.values() for column in columns])
     named = {column for columns in (*into.values(), *out.values()) for column in columns}
     time = time or find_times(table, named)
     rows, start = np.arange(len(table)), 0.0
@@ -125,11 +127,16 @@ def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
         )
         if not all(isinstance(text, str) for text in (name, *found[name])):
             raise ModelError(f"fit() has {what}={brief(given)}; give names of variables with names of columns.")
-    every = [column for columns in found.values() for column in columns] if what == "outputs" else []
-    for column in every:
-        if every.count(column) > 1:
-            raise ModelError(f"The column {column!r} is given for the outputs twice; give each column once.")
+    if what == "outputs":
+        _refuse_twice([column for columns in found.values() for column in columns])
     return found
+
+
+def _refuse_twice(columns: Sequence[str]) -> None:
+    """Refuse a column that is given for the outputs twice."""
+    for column in columns:
+        if columns.count(column) > 1:
+            raise ModelError(f"The column {column!r} is given for the outputs twice; give each column once.")
 
 
 def _has_other_dates(table: Any, column: str) -> bool:
@@ -139,10 +146,10 @@ def _has_other_dates(table: Any, column: str) -> bool:
 def _warn_of_dates(table: Any, named: set[str]) -> None:
     """Warn of a column of dates that cannot be read, and so does not count."""
     for column in table.columns:
-        if column not in named and _has_other_dates(table, column):
+        if column not in named and _has_other_dates(table, column) and (date := other_date(table[column])) is not None:
             warn_user(
-                f"The dates in {column!r}, such as {other_date(table[column])!r}, are not in the form of ISO 8601 and do not "
-                f"count: each row is one step of dt, and gaps are lost. Write the dates as {ISO}."
+                f"The dates in {column!r}, such as {date!r}, are not in the form of ISO 8601 and do not "
+                f"count: each row is one step of dt, and gaps are lost. Write the dates as {iso_of(date)}."
             )
 
 

@@ -117,16 +117,24 @@ def _open(never: Sequence[str]) -> str:
     )
 
 
-def left_out(sensors: Mapping[str, Sequence[str]], weights: Floats, present: Flags, time: Floats) -> Iterator[str]:
-    """Give a sentence for each sensor of which samples do not count; `sensors` are those of each output."""
+def left_out(
+    sensors: Mapping[str, Sequence[str]], weights: Floats, late: Flags, present: Flags, time: Floats
+) -> Iterator[str]:
+    """Give a sentence for each sensor of which samples do not count because it is probably faulty.
+
+    `sensors` are those of each output. Samples that are `late`, before the FMU has recovered from a gap, are no faults. So they
+    end a stretch, and missing samples do not.
+    """
     alone = [len(columns) == 1 for columns in sensors.values() for _ in columns]
     for i, column in enumerate(column for columns in sensors.values() for column in columns):
-        out = (weights[:, i] < 0.5) & present[:, i]
+        out = (weights[:, i] < 0.5) & present[:, i] & ~late[:, i]
         if out.sum() > LEFT_OUT * present[:, i].sum():
-            begin, end = max(periods(out | ~present[:, i]), key=lambda span: int(out[slice(*span)].sum()))
+            spans = periods(out | ~present[:, i])
+            begin, end = max(spans, key=lambda span: int(out[slice(*span)].sum()))
+            stretch = begin + np.flatnonzero(out[begin:end])
             yield (
                 f"{column}: {out.sum() / present[:, i].sum():.0%} of its samples are probably faulty and do not count; the "
-                f"longest stretch is from {time[begin]:g} to {time[end - 1]:g} s."
+                f"longest stretch is from {time[stretch[0]]:g} to {time[stretch[-1]]:g} s."
                 + " A single sensor does not show whether it or the FMU is wrong: see the figure."
                 * alone[i]
             )

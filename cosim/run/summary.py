@@ -20,6 +20,10 @@ FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5). Size: at its end."
 )
+PROCESS_REMARK = (
+    " Process: for that time the plant moved more than its model expects, as after a kick or a sudden load. It is no fault of a "
+    "sensor."
+)
 NOTHING_FOUND = "The controller infers no fault."
 MOST_FINDINGS = 20
 """Most rows of the table of inferred faults; there are more of them only with many false alarms."""
@@ -166,7 +170,8 @@ def findings_table(inferred: Sequence[Mapping[str, Any]]) -> FiguresTable:
     columns = ("kind", "onset (s)", "from (s)", "until (s)", "size", "probability")
     left_out = len(inferred) - len(rows)
     only = f" The table has the {len(rows)} longest of {len(inferred)} alarms." if left_out else ""
-    return FiguresTable("findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK + only)
+    process = PROCESS_REMARK if any(where == "process" for where, *_ in rows) else ""
+    return FiguresTable("findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK + process + only)
 
 
 def _of_sensors(sensors: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, tuple[Any, ...], str]]:

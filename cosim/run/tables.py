@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.dates import ISO, are_dates, other_date
+from bayesftc.cosim.base.recordings.columns import column_called
+from bayesftc.cosim.base.recordings.dates import are_dates, other_date
+from bayesftc.cosim.base.recordings.day_first import iso_of
 from bayesftc.cosim.base.recordings.table_files import TIMES, read_table_file, times_in
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
@@ -59,7 +61,7 @@ def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: s
     table : pandas.DataFrame
         The recording.
     names_given : str or sequence of str
-        Names of columns or of vector signals, each once.
+        Names of columns or of vector signals, each once. The unit in brackets at the end of a column's name may be left out.
     kind : str
         What they are, for errors: ``"input"``.
 
@@ -67,6 +69,8 @@ def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: s
     ------
     UnknownNameError
         If there is no such column.
+    RecordingError
+        If several columns have such a name before their units.
     ModelError
         If a column has text or infinite values, a name is given twice, or there are no rows.
     """
@@ -80,6 +84,8 @@ def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: s
             columns.append(name)
         elif several:  # a vector signal
             columns += several
+        elif (column := column_called(name, list(map(str, table.columns)))) is not None:
+            columns.append(column)
         else:
             raise UnknownNameError(
                 f"The recording has no column {name!r} for an {kind}; {did_you_mean(name, list(map(str, table.columns)))}"
@@ -93,6 +99,8 @@ def named_columns(table: pd.DataFrame, names_given: str | Sequence[str], kind: s
             raise ModelError(f"The column {name!r} contains text; give numbers, and empty cells for missing samples.")
         if np.isinf(table[name].to_numpy(dtype=np.float64)).any():
             raise ModelError(f"The column {name!r} contains infinite values; give empty cells for missing samples.")
+    if len(set(columns)) < len(columns):
+        raise ModelError(f"{kind}s={names_given!r} name a column twice; give each column once.")
     return columns
 
 
@@ -138,8 +146,8 @@ def times_of(table: pd.DataFrame, time: str | None) -> Floats:
     single = list(table.columns).count(time) == 1
     if single and (date := other_date(table[time])) is not None:
         raise StepSizeError(
-            f"The dates in {time!r}, such as {date!r}, are not in the form of ISO 8601. Write them as {ISO}, or give only dt= in "
-            "seconds."
+            f"The dates in {time!r}, such as {date!r}, are not in the form of ISO 8601. Write them as {iso_of(date)}, or give "
+            "only dt= in seconds."
         )
     if not single or (table[time].dtype.kind not in "fiu" and not are_dates(table[time])):
         raise StepSizeError(

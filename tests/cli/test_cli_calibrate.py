@@ -75,6 +75,40 @@ def test_of_a_learner_that_gives_a_probability_it_is_said_how_good_it_is():
     said = " ".join(RUNNER.invoke(app, options).output.split())
     assert f"AUC {report['auc']:.3f}, Brier score {report['brier']:.4f}" in said
     assert "SwitchingPrecision gives a fault probability itself, so there is no map to fit" in said
+    assert "it freezes, jumps by 3 or drifts by 5 a second. A fault lasts 0.4 s on average, and the next" in said
+    assert "begins 2.8 s after it on average." in said
+    assert "Do not rely" not in said
+
+
+def test_probabilities_that_are_not_to_be_trusted_are_named_with_the_worst_sensor(tmp_path):
+    """Small faults are frequent, and the only mode of the learner expects one in thousands of years."""
+    rare = "{ kind = 'Offset', time_to_fault = 1e12, time_to_recovery = 1e6 }"
+    lines = f'kind = "SwitchingPrecision"\nmodes = [{rare}]'
+    file = tmp_path / "car.toml"
+    file.write_text(re.sub(r"^kind = \"SwitchingPrecision\".*$", lines, SHIPPED, flags=re.M), encoding="utf-8")
+    options = [
+        "calibrate",
+        str(file),
+        "--steps",
+        "6000",
+        "--injection",
+        "0.5",
+        "--drift",
+        "0.1",
+        "--time-to-recovery",
+        "2",
+    ]
+    done = RUNNER.invoke(app, options)
+    assert done.exit_code == 0, done.output
+    said = " ".join(done.output.split())
+    assert "jumps by 0.5 or drifts by 0.1 a second. A fault lasts 2 s" in said
+    assert re.search(r"Do not rely on these probabilities: .* The worst are those of sensor \d: their mean is 0", said)
+    assert "compare with joint = false in [controller.precision]" in said
+    report = json.loads(RUNNER.invoke(app, [*options, "--json"]).output)
+    assert report["simulated"] == {
+        "mean_time_to_fault": 2.8, "mean_time_to_recovery": 2.0, "injection": 0.5, "drift": 0.1
+    }  # fmt: skip
+    assert len(report["sensors"]) == 2
 
 
 def test_the_controller_of_the_scenario_is_that_of_the_simulation():

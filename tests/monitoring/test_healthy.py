@@ -69,3 +69,14 @@ def test_missing_samples_have_no_weight_and_few_samples_all_of_it():
 def test_recordings_without_noise_keep_their_weights():
     assert healthy(np.column_stack([MOVING, MOVING]), MOVING, DT).mean() > 0.9
     assert healthy(np.zeros((ROWS, 1)), np.zeros(ROWS), DT).shape == (ROWS, 1)
+
+
+def test_a_lasting_fault_has_no_weight_after_a_gap_either():
+    rng, rows, gap = np.random.default_rng(1), 1500, slice(300, 600)
+    predicted = 10.0 * np.sin(0.05 * np.arange(rows))
+    y = predicted[:, None] + 0.5 * rng.standard_normal((rows, 3)) + 0.02 * np.cumsum(rng.standard_normal(rows))[:, None]
+    y[FAULT.start :, 0] += 3.0
+    y[gap] = np.nan
+    weights = healthy(y, predicted, DT)
+    assert weights[gap.stop :, 0].mean() < 0.1
+    assert weights[gap.stop :, 1:].mean() > 0.9

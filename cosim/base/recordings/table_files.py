@@ -13,6 +13,7 @@ import numpy as np
 
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, form_of, lines_above
 from bayesftc.cosim.base.recordings.dates import ISO, are_dates, as_seconds
+from bayesftc.cosim.base.recordings.day_first import with_iso_dates
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 
@@ -151,6 +152,14 @@ def _read_csv(path: str | PathLike[str]) -> pd.DataFrame:
     return table
 
 
+def _with_iso_dates(table: pd.DataFrame, path: str | PathLike[str]) -> pd.DataFrame:
+    """Return the table with dates that have the day first in the form of ISO 8601."""
+    for i, (name, cells) in enumerate(list(table.items())):
+        if (written := with_iso_dates(cells, f"column {str(name)!r} of {path}")) is not cells:
+            table.isetitem(i, written.array)
+    return table
+
+
 def _with_seconds(table: pd.DataFrame, path: str | PathLike[str]) -> pd.DataFrame:
     """Return the table with the dates in columns of times as numbers in the unit of the column's name."""
     seconds = {}
@@ -165,8 +174,8 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
     """Return the table in a file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
 
     Columns of a CSV file may be separated by semicolons, tabs or bars; then numbers may have decimal commas. Lines that
-    begin with ``#`` may stand above the names. Dates (ISO 8601) in a column of times become the unit of its name, by default
-    seconds, from the first one on.
+    begin with ``#`` may stand above the names. Dates (ISO 8601, or with the day first) in a column of times become
+    the unit of its name, by default seconds, from the first one on.
 
     Raises
     ------
@@ -177,7 +186,7 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
 
     try:
         table = pd.read_parquet(path) if Path(path).suffix == ".parquet" else _read_csv(path)
-        return _with_seconds(table, path)
+        return _with_seconds(_with_iso_dates(table, path), path)
     except (OSError, ValueError, ImportError) as error:  # pandas without a package for Parquet raises the last
         message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")
         raise RecordingError(

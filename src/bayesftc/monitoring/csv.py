@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, CsvForm, cells_of, form_of
-from bayesftc.cosim.base.recordings.dates import ISO, are_dates, as_seconds, other_date
+from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, other_date
+from bayesftc.cosim.base.recordings.day_first import iso_of, with_iso_dates
 from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
@@ -159,8 +160,8 @@ class Tables:
         sign, form = ("point", "12.5") if self._forms[file].decimal == "." else ("comma", "12,5")
         if not signal.startswith("the times"):
             remedy = f"An empty cell is a missing sample. Numbers have a decimal {sign} here, such as {form}."
-        elif other_date(cells) is not None:
-            remedy = f"Write dates in the form of ISO 8601, such as {ISO}."
+        elif (date := other_date(cells)) is not None:
+            remedy = f"Write dates in the form of ISO 8601, such as {iso_of(date)}."
         else:
             remedy = f"Write times as seconds, such as {form}, or as dates, such as 2026-05-01T10:00:12.5."
         raise RecordingError(
@@ -204,6 +205,9 @@ class Tables:
                         self._points[file, column] = np.array(
                             [isinstance(cell, str) and form.has_other_sign(cell) for cell in cells]
                         )
+            for i, name in enumerate(header):
+                if (written := with_iso_dates(table[i], f"column {name!r} of {fspath(file)}")) is not table[i]:
+                    table[i] = written
             self._read[file] = header, table
         return self._read[file]
 

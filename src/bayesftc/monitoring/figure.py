@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.recordings.columns import bare_name
 from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.judging.panels import (
     ROW,
@@ -19,7 +20,6 @@ from bayesftc.cosim.judging.panels import (
     write_names,
 )
 from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, colour_of
-from bayesftc.monitoring.fit.units import bare_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -590,6 +590,25 @@ def test_times_of_a_slow_plant_have_no_exponent():
     assert "from 14410 s after the first sample on" in words
 
 
+@pytest.mark.parametrize(("kind", "times"), [("load", ()), ("onset", (300.0, float("inf")))])
+def test_the_controls_of_a_load_are_named_with_their_units(kind, times):
+    names = controllers.SignalNames(("q1", "q3"), ("h", "h"), ("h",))
+    model = controllers.LinearModel([[0.9]], [[0.1, 0.2]], [[1.0], [1.0]], 1e-4, 0.01, dt=1.0, names=names)
+    words = sentence(kind, (*times, 1.2e-5, -5e-4), model, control_units=("m3/s", None))
+    assert "the effect of a change of the control q1 by 1.2e-05 m3/s and of the control q3 by -0.0005. " in words
+    nameless = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=1.0)
+    assert "a change of the control by 0.02. " in sentence(kind, (*times, 0.02), nameless)
+
+
+@pytest.mark.parametrize(("kind", "values"), [("load", (0.5,)), ("onset", (1.0, 2.0, 0.5))])
+def test_the_remedy_for_a_load_depends_on_whether_the_model_already_has_a_disturbance(kind, values):
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    assert re.search("(can|or) estimate (it|them) .disturbance in design", sentence(kind, values, model))
+    larger = "make the disturbance of the model larger"
+    assert larger in sentence(kind, values, model.with_disturbance(0.01))
+    assert larger not in sentence(kind, values, model.with_sensor_errors(0.1, 60.0))
+
+
 def test_a_lost_effect_looks_at_the_actuator_modes():
     model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
     loss = (5.0, float("inf"), 0.6, 0.0)

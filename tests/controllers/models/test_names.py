@@ -169,3 +169,15 @@ def test_states_without_names_are_numbered():
         "x[0]",
         "x[1]",
     )
+
+
+def test_an_output_with_several_sensors_is_named_once():
+    twice = {"measured": ["current", "v", "current", "current"], "actuated": "force"}
+    with pytest.raises(
+        ModelError, match=r"each once, .*: measured=\['current', 'v'\], sensors=\[3, 1\] \(in a scenario: co"
+    ):
+        controllers.design(SYSTEM, **twice)
+    with pytest.raises(
+        ModelError, match=r"actuated=\['force', 'force'\]; give the name of at least one .* each once\.$"
+    ):
+        controllers.design(SYSTEM, measured="v", actuated=["force", "force"])

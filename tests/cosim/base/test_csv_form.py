@@ -174,12 +174,12 @@ def test_a_date_that_is_none_is_named(tmp_path):
 
 @pytest.mark.parametrize("name", ["Zeit", "t"])
 def test_dates_in_another_form_are_refused_with_the_right_one(name, tmp_path):
-    dates = ["28.03.2026 08:00:00", "28.03.2026 08:01:00", "28.03.2026 08:02:00", "28.03.2026 08:03:00"]
+    dates = ["03/29/2026 08:00:00", "03/29/2026 08:01:00", "03/29/2026 08:02:00", "03/29/2026 08:03:00"]
     file = tmp_path / "drive.csv"
     rows = [f"{date};{left};{left}" for date, left in zip(dates, LEFT, strict=True)]
     file.write_text("\n".join([f"{name};left;right", *rows]))
     with pytest.raises(
-        RecordingError, match=rf"column '{name}', such as '28.* ISO 8601. Write them as 2026-03-28 08:00:00"
+        RecordingError, match=rf"column '{name}', such as '03/29.* ISO 8601. Write them as 2026-03-29 08:00:00"
     ):
         monitoring.redundant_signals([file])
 

@@ -154,6 +154,8 @@ def test_an_input_that_is_not_given_is_named_if_the_recording_has_it():
     names = {"outputs": {"v": ["v0", "v1"]}, "weigh": None}
     with pytest.warns(UserWarning, match=r"force is not given .* a column of that name. Add inputs=\[\"force\"\]"):
         cosim.fit(CAR, table, {"m": (50, 200)}, **names)
+    with pytest.warns(UserWarning, match=r"force is not given .* a column of that name."):
+        cosim.fit(CAR, table.rename(columns={"force": "force [N]"}), {"m": (50, 200)}, **names)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         cosim.fit(CAR, table, {"m": (50, 200)}, **names, inputs="force")

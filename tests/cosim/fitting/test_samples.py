@@ -9,6 +9,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim.base.recordings.dates import other_date
+from bayesftc.cosim.errors import ModelError, RecordingError
 from bayesftc.cosim.fitting.samples import sample
 
 NAN = np.nan
@@ -30,6 +31,20 @@ def test_without_times_there_is_a_row_for_each_step():
     assert samples.step == Fraction(1, 30)
     assert samples.start == 0.0
     np.testing.assert_array_equal(samples.y, [[1], [2]])
+
+
+def test_names_of_columns_need_no_unit():
+    table = pd.DataFrame({"t": [0.0, 1.0], "q1 [m3/s]": [1.0, 2.0], "LT201 [m]": [3.0, 4.0], "LT202 [m]": [5.0, 6.0]})
+    samples = sample(table, {"q": "q1"}, {"h": ["LT202", "LT201 [m]"]}, None, None)
+    assert samples.inputs["q"].tolist() == [[1.0], [2.0]]
+    assert samples.columns == ("LT202 [m]", "LT201 [m]")
+    assert samples.unused == ()
+    with pytest.raises(ModelError, match="twice"):
+        sample(table, {"q": "q1"}, {"h": ["LT202", "LT202 [m]"]}, None, None)
+    with pytest.raises(ModelError, match=r"'LT202 \[m\]' is given for the outputs twice"):
+        sample(table, {"q": "q1"}, {"h": "LT202", "x": "LT202 [m]"}, None, None)
+    with pytest.raises(RecordingError, match=r"'LT202' can be 'LT202 \[cm\]' or 'LT202 \[m\]'. Give the whole name"):
+        sample(table.rename(columns={"LT201 [m]": "LT202 [cm]"}), {"q": "q1"}, {"h": "LT202"}, None, None)
 
 
 def test_sensors_belong_to_their_outputs():

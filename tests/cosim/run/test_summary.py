@@ -11,6 +11,7 @@ from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.cosim.run.summary import findings_table
 from bayesftc.scenario import load_scenario
 
 
@@ -94,6 +95,24 @@ def test_inferred_faults_are_listed_with_kind_time_size_and_unit():
     assert f"{jump['size']:.3g} m/s" in repr(result.summary())
     assert "Faults that the controller infers" in result._repr_html_()
     assert len(result.findings(threshold=0.999999, hold=0.0)) >= 1
+
+
+def test_an_alarm_of_the_process_is_explained_below_the_table():
+    alarm = {
+        "where": "process",
+        "kind": "NoisierProcess",
+        "onset": None,
+        "start": 1.0,
+        "end": 2.0,
+        "size": None,
+        "unit": "",
+    }
+    of_process = findings_table([alarm | {"probability": 0.7}]).remark
+    assert (
+        "the plant moved more than its model expects, as after a kick or a sudden load. It is no fault of a sensor."
+        in of_process
+    )
+    assert "kick" not in findings_table([alarm | {"probability": 0.7, "where": "sensor 0"}]).remark
 
 
 def test_a_saved_run_has_the_same_findings(result, tmp_path):

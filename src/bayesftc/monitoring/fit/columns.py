@@ -11,13 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.dates import ISO, seconds_of, span_text
+from bayesftc.cosim.base.recordings.columns import column_called, column_unit
+from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
+from bayesftc.cosim.base.recordings.day_first import iso_of
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.settings import FIT
-from bayesftc.monitoring.fit.units import bare_name, check_one_unit, column_unit, in_unit
+from bayesftc.monitoring.fit.units import check_one_unit, in_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
 
 
@@ -112,15 +114,11 @@ def redundant_signals(
 
 
 def _column(name: str, columns: Sequence[str]) -> str:
-    """Return the column of this name, or the only one with this name before a unit in brackets."""
-    if name in columns:
-        return name
-    found = sorted({column for column in columns if bare_name(column) == name})
-    if not found:
+    """Return the column of this name, with or without its unit."""
+    found = column_called(name, columns)
+    if found is None:
         raise RecordingError(f"There is no column {name!r} with numbers; {did_you_mean(name, columns)}")
-    if len(found) > 1:
-        raise RecordingError(f"{name!r} can be {' or '.join(map(repr, found))}. Give the whole name of the column.")
-    return found[0]
+    return found
 
 
 def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
@@ -131,7 +129,7 @@ def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
     if (date := tables.other_date(file, first)) is not None:
         raise RecordingError(
             f"{os.fspath(file)}: the dates in the column {every[first]!r}, such as {date!r}, are not in the form of ISO 8601. "
-            f"Write them as {ISO}."
+            f"Write them as {iso_of(date)}."
         )
     if (name := time_column(every)) is not None:
         return name

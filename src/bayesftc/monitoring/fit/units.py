@@ -9,24 +9,13 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim.base.recordings.columns import column_unit
 from bayesftc.cosim.base.units import gain, parse
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 
-_BRACKET = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*\Z")
 _LAST_WORD = re.compile(r"_([A-Za-z]{2,})\Z")
 """Two letters or more: names like ``T_a`` and ``T_b`` count sensors."""
-
-
-def column_unit(name: str) -> str:
-    """Return the unit in brackets at the end of a column's name; empty if there is none that is known."""
-    bracket = _BRACKET.search(name)
-    return bracket[1] if bracket and parse(bracket[1]) is not None else ""
-
-
-def bare_name(name: str) -> str:
-    """Return a column's name without the unit in brackets at its end."""
-    return _BRACKET.sub("", name).rstrip() if column_unit(name) else name
 
 
 def in_unit(values: ArrayLike, column: str, unit: str) -> Floats:

@@ -13,7 +13,8 @@ import typer
 from bayesftc import controllers
 from bayesftc.cli import output
 from bayesftc.cli.options import AScenario, Json, by_options
-from bayesftc.controllers.detection.calibration import judge_own_probability
+from bayesftc.controllers.detection.calibration import judge_own_probability, simulated_sizes
+from bayesftc.controllers.detection.doubt import doubt
 from bayesftc.controllers.precision.rate import RateLearner
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.probabilities import Reliability
@@ -81,18 +82,27 @@ def calibrate(
             **settings,
         )
     assert report.reliability is not None
-    numbers = asdict(replace(report, reliability=None)) | {"reliability": report.reliability.to_dict()}
+    sizes = simulated_sizes(controller.model, magnitudes)
+    numbers = asdict(replace(report, reliability=None, sensors=())) | {
+        "reliability": report.reliability.to_dict(),
+        "sensors": [sensor.to_dict() for sensor in report.sensors],
+        "simulated": {**hazards._asdict(), **sizes},
+    }
     if out is not None:
         _write(out, scenario, report.reliability, numbers)
     if json:
         typer.echo(output.as_json(numbers))
         return
     c = report.calibration
+    typer.echo(_simulated(hazards, sizes))
     typer.echo(
         f"On {report.samples} samples{'' if c is None else ' not used for the fit'}, {report.fault_share:.1%} of them in fault: "
         f"AUC {report.auc:.3f}, Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), "
         f"calibration error {report.calibration_error:.3f}."
     )
+    names = controller.model.names
+    if doubts := doubt(report, None if names is None else names.sensors):
+        typer.echo(doubts + _remedy(learner))
     if out is not None:
         typer.echo(f"Written to {out}: {DIAGRAM}, {NUMBERS}.")
     if c is None:
@@ -103,6 +113,24 @@ def calibrate(
         return
     typer.echo("For [controller.precision]:\n")
     typer.echo(f'calibration = {{ slope = {c.slope:.4g}, intercept = {c.intercept:.4g}, feature = "{c.feature}" }}')
+
+
+def _simulated(hazards: controllers.Hazards, sizes: Mapping[str, float]) -> str:
+    """Return which faults were simulated."""
+    return (
+        f"Simulated faults of each sensor: it freezes, jumps by {sizes['injection']:.3g} or drifts by {sizes['drift']:.3g} a "
+        f"second. A fault lasts {hazards.mean_time_to_recovery:.4g} s on average, and the next one begins "
+        f"{hazards.mean_time_to_fault:.4g} s after it on average. For faults as in your plant, give --injection, --drift, "
+        "--time-to-recovery and --time-to-fault."
+    )
+
+
+def _remedy(learner: object) -> str:
+    """Return what may help a learner with wrong probabilities."""
+    if not isinstance(learner, controllers.SwitchingPrecision):
+        return ""
+    joint = "compare with joint = false in [controller.precision], or " * learner.joint
+    return f" If your faults are like these, {joint}give its modes their times: time_to_fault and time_to_recovery."
 
 
 def _write(folder: Path, scenario: str, reliability: Reliability, numbers: Mapping[str, Any]) -> None:

@@ -1,0 +1,32 @@
+"""Sentences about a fit."""
+
+import numpy as np
+
+from bayesftc.cosim.fitting import sentences
+
+STEPS = 1000
+
+
+def left_out(faulty, late=(), missing=()):
+    """Return the sentence about the first of two sensors, with stretches of steps."""
+    weights, after_gap, present = np.ones((STEPS, 2)), np.zeros((STEPS, 2), dtype=bool), np.ones((STEPS, 2), dtype=bool)
+    for flags, stretches, value in (
+        (weights, (*faulty, *late), 0.0),
+        (after_gap, late, True),
+        (present, missing, False),
+    ):
+        for begin, end in stretches:
+            flags[begin:end, 0] = value
+    (sentence,) = sentences.left_out({"x": ("a", "b")}, weights, after_gap & present, present, np.arange(float(STEPS)))
+    return sentence
+
+
+def test_the_longest_stretch_has_no_samples_from_which_the_fmu_has_not_recovered():
+    sentence = left_out([(300, 400)], late=[(420, 700)], missing=[(400, 420)])
+    assert "10% of its samples are probably faulty" in sentence
+    assert "the longest stretch is from 300 to 399 s." in sentence
+    assert "the longest stretch is from 700 to 999 s." in left_out([(300, 400), (700, 1000)], late=[(420, 700)])
+
+
+def test_a_stretch_begins_and_ends_with_a_faulty_sample_and_may_lack_some():
+    assert "from 300 to 499 s." in left_out([(300, 400), (420, 500)], missing=[(280, 300), (400, 420), (500, 600)])
