@@ -189,7 +189,8 @@ class Session:
             Simulated seconds for each second of the clock, 1.0 for real time. The clock runs on between calls with the same
             pace, so that computing time outside counts, too. A call without pace, `restore` and `reset` stop the clock.
             ``result.metadata["pace"]`` has the pace, the number of late steps (``overruns``) and the largest delay in seconds
-            (``worst_overrun``) since the clock has started.
+            (``worst_overrun``) since the clock has started. After Ctrl-C the ``KeyboardInterrupt`` has the signals up to then as
+            its ``result``.
         progress : callable, optional
             Called as ``progress(step, steps)`` about twenty times a second, with the steps of this piece.
         time_limit : float, optional
@@ -231,23 +232,39 @@ class Session:
             if self._pacer is None:  # compiling would make paced steps late
                 self._engine.prepare(steps)
             stopped = advance(self._engine, end, run, progress, time_limit, self._pacer)
-        except KeyboardInterrupt as stop:
-            stop.add_note(
-                f"Stopped by Ctrl-C at t = {max(run.k, 0) * float(step):g} s of {end * float(step):g} s; the signals of this "
-                "call are lost. To keep them, give time_limit= in seconds, or call start() and then advance() in pieces."
-            )
+        except BaseException as stop:
+            if not isinstance(stop, Exception):
+                self._note_interrupt(stop, run, metadata, end)
             raise
         finally:
             self._is_running = False
-        rows = run.recording if stopped is None else run.recording[: max(run.k // run.decimation + 1 - run.before, 0)]
-        result = with_rows(self._common, metadata, rows, run.before, stopped)
-        if self._pacer:
-            result.metadata["pace"] = self._pacer.report()
+        result = self._piece(run, metadata, stopped)
         if run.ended:
             warn_user(str(stopped))
         elif stopped:
             raise failed(stopped, result, run)
         return result
+
+    def _piece(self, run: Run, metadata: dict[str, Any], stopped: str | None) -> Result:
+        """Return the rows of a piece, those up to the last complete step if it was ``stopped``."""
+        rows = run.recording if stopped is None else run.recording[: max(run.k // run.decimation + 1 - run.before, 0)]
+        result = with_rows(self._common, metadata, rows, run.before, stopped)
+        if self._pacer:
+            result.metadata["pace"] = self._pacer.report()
+        return result
+
+    def _note_interrupt(self, stop: BaseException, run: Run, metadata: dict[str, Any], end: int) -> None:
+        """Say when Ctrl-C came; a paced piece, which may have taken hours, is kept as its ``result``."""
+        step = float(self._schedule.step)
+        sentence = f"Stopped by Ctrl-C at t = {max(run.k, 0) * step:g} s of {end * step:g} s"
+        if self._pacer:
+            stop.result = self._piece(run, metadata, f"{sentence}.")  # type: ignore[attr-defined]
+            stop.add_note(f"{sentence}; the exception's result has the signals of this call.")
+        else:
+            stop.add_note(
+                f"{sentence}; the signals of this call are lost. To keep them, give time_limit= in seconds, or call start() and "
+                "then advance() in pieces."
+            )
 
     def record_into(self, room: Callable[[int, int], Floats] | None) -> None:
         """Choose where the signals of the next pieces are written, so that whoever collects them need not copy them.

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
+from bayesftc._interrupt import Interrupted
 from bayesftc.cli import completion, output
 from bayesftc.cli.commands.loops._compare import compare_scenarios
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed, check_numbers
@@ -112,11 +113,12 @@ def run(
     try:
         with _progress(shown=sys.stderr.isatty() and not quiet and not json) as progress, noted_elsewhere():
             result = loaded.simulate(loop, progress=progress, **options)
-    except SimulationError as error:
-        if out is not None and error.result is not None:
-            report = _report(scenario, loaded, loop, error.result)
-            output.write_files(out, error.result, *report)
-            error.args = (f"{error} They are in {out / output.RESULT}.",)
+    except (SimulationError, Interrupted, KeyboardInterrupt) as error:
+        kept = getattr(error, "result", None)  # after Ctrl-C only of a paced run
+        if out is not None and kept is not None and len(kept.time):
+            output.write_files(out, kept, *_report(scenario, loaded, loop, kept))
+            said = error if isinstance(error, SimulationError) else f"{kept.stopped} The signals up to then are kept."
+            error.args = (f"{said} They are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
     numbers["model"] = _diagnosed(loaded, loop, result)
