@@ -255,6 +255,15 @@ def test_a_loop_without_a_crossover_has_its_phase_near_the_line_as_well():
     assert axis.get_ylim()[0] < -180.0 < axis.get_ylim()[1]
 
 
+def test_a_notebook_shows_a_linear_loop_as_a_table():
+    shown = loop_of(lqg()).linear()._repr_html_()
+    assert "<td" in shown
+    for text in ("LinearLoop", f"{DT:g} s", ">yes<", f"{loop_of(lqg()).poles()[0]:.4g}", "bode()"):
+        assert text in shown
+    strong = control.ss(MODEL.matrix("A"), 40.0 * MODEL.matrix("B"), MODEL.matrix("C")[:1], 0.0, DT)
+    assert ">no<" in loop_of(lqg()).linear(plant=strong)._repr_html_()
+
+
 def test_figures_show_loop_and_margins():
     loop = loop_of(lqg())
     bode, locus, margins = loop.bode(), loop.root_locus(), loop.margins()

@@ -235,6 +235,11 @@ def test_pictures_that_last_too_long_are_refused_before_they_are_drawn(tmp_path,
     keep(run.animate(frames=2, speed=0.1 / (longest - 0.1))).save(tmp_path / name)
 
 
+def test_the_text_of_an_animation_says_how_to_keep_it():
+    animation = keep(car().simulate(0.2, seed=1, engine="interpreted").animate(frames=3, speed=0.1))
+    assert repr(animation) == "<NotebookAnimation of 3 pictures in 2 s; animation.save('run.gif') writes it to a file>"
+
+
 def test_a_missing_sample_is_not_drawn():
     run = car(faults=[cosim.Dropout(sensor=0, start=0.1)]).simulate(0.2, seed=1, engine="interpreted")
     animation = keep(run.animate(frames=3))
