@@ -122,7 +122,7 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
 
     def __repr__(self) -> str:
         seconds: float = self.pictures * self._interval / 1000.0  # type: ignore[attr-defined]
-        size = f"{self.pictures} pictures in {seconds:.3g} s"
+        size = f"{self.pictures} pictures in {seconds:.4g} s"
         return f"<NotebookAnimation of {size}; animation.save('run.gif') writes it to a file>"
 
     def _repr_html_(self) -> str:
