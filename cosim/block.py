@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bayesftc.cosim.base.arguments import NamedArguments
-from bayesftc.cosim.base.html import settings
+from bayesftc.cosim.base.html import Printed, settings
 from bayesftc.cosim.errors import BayesFTCError, KernelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, listed
 from bayesftc.cosim.stepping.records import as_written, with_arrays
@@ -83,7 +83,7 @@ class Definition:
         return type(self), tuple(values.values())
 
 
-class Block(NamedArguments):
+class Block(Printed, NamedArguments):
     """Base of everything that a diagram consists of.
 
     To write a block you must:

@@ -13,7 +13,7 @@ needed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
 from bayesftc.controllers.diagnosis.candidates import explanations, noisier, ranked
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, Explanation, Judge
+from bayesftc.controllers.diagnosis.operating_point import far_goal
 from bayesftc.controllers.diagnosis.words import sentence
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
@@ -33,6 +34,7 @@ from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.wiring import find_controller
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM
 
 if TYPE_CHECKING:
@@ -199,8 +201,11 @@ def diagnose(
         model, samples, signals[f"{name}.u"], controller.initial_mean, alone=raised, inferred=inferred, units=units
     )
     if result is None and raised:
-        return ModelFinding("unknown", sentence("unknown", (), model))
-    return result
+        result = ModelFinding("unknown", sentence("unknown", (), model))
+    if result is None or result.kind == "nonlinear" or roles is None or roles.controller != name:
+        return result
+    far = far_goal(model, signals_of(roles, signals, drawn=False))  # type: ignore[arg-type]
+    return replace(result, sentence=f"{far}{result.sentence}")
 
 
 def _inferred(signals: Mapping[str, Any], controller: Any, name: str) -> list[float] | None:

@@ -14,7 +14,7 @@ from bayesftc.controllers.models.checks import ROWS, Matrix, as_covariance, as_m
 from bayesftc.controllers.models.delays import Delays, with_delays
 from bayesftc.controllers.models.sensor_errors import with_sensor_errors
 from bayesftc.cosim.base.arguments import NamedArguments
-from bayesftc.cosim.base.html import settings
+from bayesftc.cosim.base.html import Printed, settings
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
@@ -60,7 +60,7 @@ class SignalNames:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearModel(NamedArguments):
+class LinearModel(Printed, NamedArguments):
     """``x_t+1 = A x_t + B u_t + q``, ``y_t = C x_t + eta`` with Gaussian ``q`` and ``eta`` (paper, section 2.1).
 
     Parameters

@@ -14,7 +14,7 @@ from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number,
 from bayesftc.controllers.models.linear import LinearModel, SignalNames, sizes_of
 from bayesftc.controllers.models.trial import try_out
 from bayesftc.cosim.base.arguments import NamedArguments
-from bayesftc.cosim.base.html import settings
+from bayesftc.cosim.base.html import Printed, settings
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import KernelError, ModelError
 from bayesftc.cosim.stepping.differentiation import jacobian
@@ -22,7 +22,7 @@ from bayesftc.cosim.types import Floats, Kernel, argument_names
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearModel(NamedArguments):
+class NonlinearModel(Printed, NamedArguments):
     """``x_t+1 = f(x_t, u_t) + q``, ``y_t = g(x_t) + eta`` with Gaussian ``q`` and ``eta``.
 
     The functions are step functions by the rules of `bayesftc.cosim.Block`: plain Python, scalar loops, all mathematics from

@@ -21,13 +21,25 @@ LENGTH = 400
 _CELL = "text-align: left; vertical-align: top; white-space: pre-wrap"
 
 
-class Lines(str):
-    """A text that IPython and notebooks show line by line, not as a string in quotes."""
+class Printed:
+    """What IPython and notebooks show as text is what ``print`` shows, and not the ``repr``, which has all settings."""
 
     __slots__ = ()
 
+    def __init_subclass__(cls, **settings: Any):
+        """Give each class the method itself: IPython prefers the ``__repr__`` of a dataclass to a method of its bases."""
+        super().__init_subclass__(**settings)
+        if "_repr_pretty_" not in vars(cls):
+            cls._repr_pretty_ = Printed._repr_pretty_  # type: ignore[method-assign]
+
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         printer.text(str(self))
+
+
+class Lines(Printed, str):
+    """A text that IPython and notebooks show line by line, not as a string in quotes."""
+
+    __slots__ = ()
 
 
 def table(title: str, rows: Iterable[Sequence[object]], header: Sequence[str] = ()) -> str:
@@ -94,4 +106,4 @@ def _row(tag: str, cells: Sequence[object]) -> str:
     return "<tr>" + "".join(f'<{tag} style="{_CELL}">{escape(text_of(cell))}</{tag}>' for cell in cells) + "</tr>"
 
 
-__all__ = ["settings", "table", "text_of"]
+__all__ = ["Lines", "Printed", "settings", "table", "text_of"]

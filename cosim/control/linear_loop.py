@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import schur, solve_sylvester
 
+from bayesftc.cosim.base.html import table
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.control.control_system import allowed
 from bayesftc.cosim.control.loop_parts import Matrices, Parts, loop_parts
 from bayesftc.cosim.control.margins import Margins, margins_of
@@ -24,6 +26,8 @@ LASTING = 1e-9
 """A mode does not decay if its pole is nearer to the unit circle than this. A mode with less weight than this is invisible."""
 
 
+SHOWN = 4
+"""Number of poles in the table of a loop."""
 MOST_STEPS = 200_000
 """A step response is simulated over at most so many steps."""
 
@@ -214,6 +218,20 @@ class LinearLoop:
             f"<LinearLoop of {states} states at {self.dt:g} s: goals for {', '.join(self.parts.tracked) or 'none measured'}; "
             f"controls {', '.join(self.parts.controls)}>"
         )
+
+    def _repr_html_(self) -> str:
+        """Return the loop's signals, its slowest poles and its figures as a table, for notebooks."""
+        poles = self.poles()
+        shown = ", ".join(f"{pole:.4g}" for pole in poles[:SHOWN])
+        rows = [
+            ("sample time", f"{self.dt:g} s"),
+            ("goals for", ", ".join(self.parts.tracked) or "none measured"),
+            ("controls", ", ".join(self.parts.controls)),
+            ("stable", "yes" if self._is_stable else "no"),
+            (f"largest of {counted(len(poles), 'pole')}", shown),
+            ("figures and numbers", "bode(), root_locus(), margins(), step_info(), poles(), zeros()"),
+        ]
+        return table("LinearLoop", rows)
 
     @property
     def _is_stable(self) -> bool:

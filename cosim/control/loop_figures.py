@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
+from matplotlib.ticker import FixedLocator, NullLocator
 from scipy.optimize import brentq
 
 from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels, plain
@@ -24,6 +25,12 @@ NEAR, LEAST = 0.5, 2
 """Largest distance of a pole or zero from 1 in the enlarged part of the root locus, and least number of poles for such a part."""
 FAR = 2.0
 """A zero at this distance from the origin, or a larger one, may be outside the figure."""
+STEPS, MOST_TICKS = (45.0, 90.0, 180.0, 360.0), 7
+"""Distances of the ticks of a phase in degrees, and how many times such a distance the axis may have."""
+MOST_LIMITS = 3
+"""Largest number of lines at -180 degrees plus whole turns; if there would be more, as with a large delay, one is drawn."""
+TINY = 1e-6
+"""Turns by which a phase of 0 degrees may be too large by rounding."""
 DOTS, HALVINGS = 400, 12
 """Number of dots across the figure, and most halvings of a distance between two gains for it."""
 
@@ -49,7 +56,7 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         axis.grid(visible=True, which="minor", axis="x", color="0.93", lw=0.4)
         axis.set_axisbelow(True)
     axes[0].axhline(0.0, color="0.5", lw=0.8)
-    axes[1].axhline(-180.0, color="0.5", lw=0.8)
+    _shift_phase(axes[0].lines[0], axes[1], margins)
     if margins is None:
         texts = ["the closed loop is not stable"]
     else:
@@ -73,6 +80,44 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
     axes[1].set_xlabel("frequency (rad/s); dashed: half of the sampling frequency")
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
+
+
+def _shift_phase(gain: Any, axis: Any, margins: Margins | None) -> None:
+    """Shift the phase by whole turns so that it lies above -360 and up to 0 degrees at the gain crossover, and label -180.
+
+    The phase margin is then the distance from the line at -180 degrees. Without a crossover the place counts where the gain is
+    nearest to 1.
+    """
+    (line,) = (each for each in axis.lines if len(each.get_xdata()) == len(gain.get_xdata()))
+    frequency, phase = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+    known = np.isfinite(phase)
+    at = margins.gain_crossover if margins is not None else np.nan
+    if not np.isfinite(at):
+        at = frequency[known][np.argmin(np.abs(np.asarray(gain.get_ydata())[known]))]
+    turns = np.ceil(np.interp(np.log(at), np.log(frequency[known]), phase[known]) / 360.0 - TINY)
+    phase = phase - 360.0 * turns
+    line.set_ydata(phase)
+    low, high = min(float(phase[known].min()), -180.0), max(float(phase[known].max()), -180.0)
+    axis.set_ylim(low - 15.0, high + 15.0)
+    step = next(
+        (step for step in STEPS if high - low <= MOST_TICKS * step),
+        360.0 * np.ceil((high - low) / (360.0 * MOST_TICKS)),
+    )
+    axis.yaxis.set_major_locator(FixedLocator(_at_180(step, low - 15.0, high + 15.0)))
+    axis.yaxis.set_minor_locator(NullLocator())
+    limits = _at_180(360.0, low, high)
+    for limit in limits if len(limits) <= MOST_LIMITS else [-180.0]:
+        axis.axhline(limit, color="0.5", lw=0.8)
+        axis.annotate(
+            f"{limit:.0f}\ndegrees", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(4, 0),
+            textcoords="offset points", ha="left", va="center", fontsize=8, color="0.3",
+        )  # fmt: skip
+
+
+def _at_180(step: float, low: float, high: float) -> list[float]:
+    """Return all phases in a range that are so many steps from -180 degrees."""
+    first, last = np.ceil((low + 180.0) / step), np.floor((high + 180.0) / step)
+    return [float(-180.0 + step * k) for k in np.arange(first, last + 1.0)]
 
 
 def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figure:

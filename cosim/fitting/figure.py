@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
-from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels, thin
+from bayesftc.cosim.judging.panels import PANEL, broken, finish, legend, make_panels, thin
 from bayesftc.cosim.judging.plotting import BLACK, MARKERS, SENSOR_COLOURS
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def plot_fit(fitted: FittedFMU, figure: Figure | None = None) -> Figure:
         below.axhline(0.0, color=BLACK, lw=0.8)
         if limit > 0:
             below.set_ylim(-limit, limit)
-        above.set_ylabel(with_unit(output, units[output]))
+        above.set_ylabel(broken(with_unit(output, units[output]), PANEL))
         below.set_ylabel("samples - fit")
         legend(above)
         first += len(columns)

@@ -1,18 +1,20 @@
 """The animation of a run: a picture of the plant with scales of its quantities, above the signals up to the shown instant.
 
-What is true, what the controller believes and what each sensor reads are drawn together. A reading with an alarm is pale.
+What is true, what the controller believes and what each sensor reads are drawn together. A reading with an alarm is pale; one
+beyond its scale is an arrow at the end, with its value.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.fault_panels import draw_detection, draw_shades, name_faults
+from bayesftc.cosim.judging.limits import limits_with_samples, mark_cut
 from bayesftc.cosim.judging.loop_figure import draw_quantity
 from bayesftc.cosim.judging.panels import finish, legend, player_figure, thin
 from bayesftc.cosim.judging.pictures import PICTURES, Picture
@@ -139,14 +141,14 @@ def _alarmed(sensor: SensorSignals, row: int) -> bool:
     return sensor.alarm is not None and bool(sensor.alarm[row])
 
 
-def _limits(quantity: QuantitySignals) -> tuple[float, float]:
-    """Return the ends of a quantity's scale: its true value, its belief and its reference with a margin."""
+def _limits(signals: LoopSignals, quantity: QuantitySignals) -> tuple[float, float]:
+    """Return the ends of a quantity's scale, which has its true value, its belief, its reference, and its samples."""
     lines = [v for v in (quantity.truth, quantity.belief, quantity.reference) if v is not None]
-    values = np.concatenate(lines) if lines else np.zeros(1)
-    values = values[np.isfinite(values)] if np.isfinite(values).any() else np.zeros(1)
-    low, high = float(values.min()), float(values.max())
-    margin = 0.3 * (high - low) or 0.1 * abs(high) or 1.0
-    return low - margin, high + margin
+    return limits_with_samples(lines, _samples(signals, quantity))
+
+
+def _samples(signals: LoopSignals, quantity: QuantitySignals) -> list[Floats]:
+    return [v for i in quantity.sensors if (v := signals.sensors[i].samples) is not None]
 
 
 def _draw_signals(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) -> None:
@@ -157,7 +159,10 @@ def _draw_signals(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) -
             label = f"sensor {sensor.index}"
             mark = MARKERS[sensor.index % len(MARKERS)]
             axis.plot(*thin(signals.time, sensor.samples), mark, color=colour_of(sensor.index), label=label, **style)
-    axis.set_ylim(*_limits(quantity))
+    limits = _limits(signals, quantity)
+    axis.set_ylim(*limits)
+    if samples := _samples(signals, quantity):
+        mark_cut(axis, signals.time, samples, limits)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
 
@@ -223,24 +228,40 @@ class _Scene:
         self.axis.set_title(f"t = {self.signals.time[row]:.2f} s", fontsize=10)
 
 
+class _Mark(NamedTuple):
+    """A mark on a scale: the number of its quantity, its name, its sensor if it is one, its values, and how it is drawn."""
+
+    number: int
+    label: str
+    sensor: SensorSignals | None
+    values: Floats
+    line: Any
+    marker: str
+
+
 class _Scales:
     """A horizontal scale for each quantity with its true value, its reference, the belief, and the readings of its sensors."""
 
     def __init__(self, axis: Axes, signals: LoopSignals):
         self.axis, self.signals = axis, signals
         self.quantities = signals.quantities[:MOST_SCALES]
-        self.marks: list[tuple[int, str, SensorSignals | None, Floats, Any]] = []
+        self.limits = [_limits(signals, quantity) for quantity in self.quantities]
+        self.marks: list[_Mark] = []
+        self.beyond: list[tuple[Any, Any]] = []
         used: set[int] = set()
         axis.set(xlim=(-0.04, 1.04), ylim=(-0.75, len(self.quantities) - 0.25))
         axis.axis("off")
         for n, quantity in enumerate(self.quantities):
-            y, (low, high) = len(self.quantities) - 1 - n, _limits(quantity)
+            y, (low, high) = len(self.quantities) - 1 - n, self.limits[n]
             axis.plot([0, 1], [y, y], color="0.6", lw=1.0, zorder=1)
             for share in (0.0, 0.5, 1.0):
                 axis.plot([share, share], [y - 0.03, y + 0.03], color="0.6", lw=1.0, zorder=1)
                 value = round(low + share * (high - low), 2 - int(np.floor(np.log10(high - low))))
                 axis.text(share, y - 0.2, f"{value:g}", fontsize=7, ha="center", va="top")
             axis.text(0.0, y + 0.3, with_unit(quantity.name, quantity.unit), fontsize=9)
+            small: dict[str, Any] = {"fontsize": 7, "va": "bottom"}
+            ends = axis.text(0.0, y + 0.1, "", ha="left", **small), axis.text(1.0, y + 0.1, "", ha="right", **small)
+            self.beyond.append(ends)
             big = {"ms": 15.0, "mew": 2.2}
             self._mark(
                 n, "reference", None, quantity.reference, y, {"marker": "|", "color": "0.75", "ms": 18.0, "mew": 5.0}
@@ -252,13 +273,13 @@ class _Scales:
                 used.add(sensor.index)
                 mark = {"marker": MARKERS[sensor.index % len(MARKERS)], "color": colour_of(sensor.index), "ms": 5.0}
                 self._mark(n, f"sensor {sensor.index}", sensor, sensor.samples, y, mark)
-        handles = {label: mark for _, label, _, _, mark in sorted(self.marks, key=lambda each: each[2] is not None)}
+        handles = {each.label: each.line for each in sorted(self.marks, key=lambda each: each.sensor is not None)}
         self.axis.legend(
             list(handles.values()), list(handles), loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=3,
             frameon=False, fontsize=8, markerscale=0.7,
         )  # fmt: skip
         self.note = axis.text(1.0, len(self.quantities) - 0.7, "", fontsize=8, ha="right", va="bottom")
-        self.moving = [*(mark for *_, mark in self.marks), self.note]
+        self.moving = [*(each.line for each in self.marks), *(text for pair in self.beyond for text in pair), self.note]
 
     def _mark(
         self,
@@ -270,19 +291,27 @@ class _Scales:
         look: dict[str, Any],
     ) -> None:
         if values is not None:
-            mark = self.axis.plot([0.5], [y], ls="none", label=label, zorder=3, **look)[0]
-            self.marks.append((number, label, sensor, values, mark))
+            line = self.axis.plot([0.5], [y], ls="none", label=label, zorder=3, **look)[0]
+            self.marks.append(_Mark(number, label, sensor, values, line, look["marker"]))
 
     def show(self, row: int) -> None:
         ignored = []
-        for number, label, sensor, values, mark in self.marks:
-            low, high = _limits(self.quantities[number])
-            share = (float(values[row]) - low) / (high - low)
-            mark.set_xdata([min(max(share, 0.0), 1.0)])  # a reading beyond the scale stays at its end
-            if sensor is not None:
-                alarm = _alarmed(sensor, row)
-                mark.set_alpha(0.35 if alarm else 1.0)
-                ignored += [label] * alarm
+        beyond: list[tuple[list[str], list[str]]] = [([], []) for _ in self.quantities]
+        for mark in self.marks:
+            low, high = self.limits[mark.number]
+            value = float(mark.values[row])
+            share = (value - low) / (high - low)
+            mark.line.set_xdata([min(max(share, 0.0), 1.0)])
+            mark.line.set_marker("<" if share < 0.0 else ">" if share > 1.0 else mark.marker)
+            if share < 0.0 or share > 1.0:
+                beyond[mark.number][int(share > 1.0)].append(f"{mark.label}: {value:.3g}")
+            if mark.sensor is not None:
+                alarm = _alarmed(mark.sensor, row)
+                mark.line.set_alpha(0.35 if alarm else 1.0)
+                ignored += [mark.label] * alarm
+        for texts, named in zip(self.beyond, beyond, strict=True):
+            for text, names in zip(texts, named, strict=True):
+                text.set_text(", ".join(names))
         self.note.set_text(f"alarm: {', '.join(ignored)}" if ignored else "")
 
 

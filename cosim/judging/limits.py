@@ -1,4 +1,4 @@
-"""Limits of axes that a transient at the start does not stretch, with marks where a line leaves them."""
+"""Limits of axes that a transient at the start or an extreme sample does not stretch, with marks where a line leaves them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -18,6 +19,12 @@ STRETCHED = 3.0
 """An axis is cut if its whole range is so many times the range without the start."""
 MARGIN = 0.08
 """Space above and below the lines, as a share of their range."""
+WIDE_MARGIN = 0.3
+"""The same for lines with samples about them."""
+REACH = 3.0
+"""Samples count for an axis up to this distance from its lines, in ranges of the lines, or of their noise if that is larger."""
+SCATTER = 6.0
+"""Range of the noise, in standard deviations."""
 
 
 def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[Floats]) -> None:
@@ -44,21 +51,69 @@ def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[
     space = MARGIN * (high - low)
     low, high = low - space, high + space
     axis.set_ylim(low, high)
-    for outside, end, height, marker in (
-        (np.any([values > high for values in cut], axis=0), highest, 1.0, "^"),
-        (np.any([values < low for values in cut], axis=0), lowest, 0.0, "v"),
-    ):
-        if not outside.any():
+    mark_cut(axis, time, cut, (low, high))
+
+
+def mark_cut(axis: Axes, time: Floats, cut: Sequence[Floats], limits: tuple[float, float]) -> None:
+    """Mark on an axis with these limits where lines leave it, and say how far they go.
+
+    Parameters
+    ----------
+    axis : Axes
+        The axis.
+    time : ndarray
+        Time in seconds.
+    cut : sequence of ndarray
+        The lines.
+    limits : tuple of float
+        Lower and upper end of the axis.
+    """
+    low, high = limits
+    for ahead, end, height, marker in ((1.0, high, 1.0, "^"), (-1.0, -low, 0.0, "v")):
+        outside = np.any([ahead * values > end for values in cut], axis=0)
+        if not np.any(outside):
             continue
+        furthest = ahead * max(float(np.nanmax(ahead * values)) for values in cut if np.any(ahead * values > end))
         begins = time[outside & ~np.concatenate([[False], outside[:-1]])]
         style: dict[str, Any] = {"transform": axis.get_xaxis_transform(), "clip_on": False, "color": "0.3", "zorder": 6}
         axis.plot(begins, np.full(len(begins), height), ls="none", marker=marker, ms=4, **style)
         side = "bottom" if height == 0.0 else "top"
         axis.annotate(
-            f"cut off: {'down' if height == 0.0 else 'up'} to {end:.3g}", (begins[0], height),
+            f"cut off: {'down' if height == 0.0 else 'up'} to {furthest:.3g}", (begins[0], height),
             xycoords=axis.get_xaxis_transform(), xytext=(6, 3 if side == "bottom" else -3), textcoords="offset points",
             fontsize=7, color="0.3", va=side,
         )  # fmt: skip
+
+
+def limits_with_samples(lines: Sequence[Floats], samples: Sequence[Floats]) -> tuple[float, float]:
+    """Return the limits of an axis that contains lines, and the samples except those that would squeeze the lines.
+
+    Parameters
+    ----------
+    lines : sequence of ndarray
+        Such as the true value, the belief and the reference.
+    samples : sequence of ndarray
+        Of each sensor over time; one that is not finite is missing.
+    """
+    low, high = _ends(lines) or _middle(samples)
+    size = max(high - low, SCATTER * min(map(_noise, samples), default=0.0)) or 0.3 * abs(high) or 1.0
+    inside = [values[np.abs(values - 0.5 * (low + high)) <= 0.5 * (high - low) + REACH * size] for values in samples]
+    lowest, highest = _ends([*lines, *inside]) or (low, high)
+    margin, space = WIDE_MARGIN * size, MARGIN * (highest - lowest)
+    return min(low - margin, lowest - space), max(high + margin, highest + space)
+
+
+def _noise(samples: Floats) -> float:
+    """Return the standard deviation of a sensor's noise, from the differences of its samples: a constant offset has none."""
+    differences = np.abs(np.diff(samples[np.isfinite(samples)]))
+    return MAD * float(np.median(differences)) / 2.0**0.5 if len(differences) else 0.0
+
+
+def _middle(samples: Sequence[Floats]) -> tuple[float, float]:
+    """Return the median of all samples, twice; 0 if there are none."""
+    finite = np.concatenate([values[np.isfinite(values)] for values in samples] or [np.zeros(0)])
+    middle = float(np.median(finite)) if len(finite) else 0.0
+    return middle, middle
 
 
 def _ends(lines: Sequence[Floats]) -> tuple[float, float] | None:
@@ -67,4 +122,4 @@ def _ends(lines: Sequence[Floats]) -> tuple[float, float] | None:
     return (float(finite.min()), float(finite.max())) if len(finite) else None
 
 
-__all__ = ["limit_axis"]
+__all__ = ["limit_axis", "limits_with_samples", "mark_cut"]

@@ -19,7 +19,7 @@ from bayesftc.cosim.judging.fault_panels import (
     name_faults,
 )
 from bayesftc.cosim.judging.limits import limit_axis
-from bayesftc.cosim.judging.panels import finish, legend, make_panels, thin
+from bayesftc.cosim.judging.panels import broken, finish, legend, make_panels, thin
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.signals import ControlSignals, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.types import Floats
@@ -120,7 +120,7 @@ def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> Non
         half = NORMAL_95 * thin(time, quantity.spread)[1]
         style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
         axis.fill_between(shown, mean - half, mean + half, label="belief: 95 % interval", **style)
-    axis.set_ylabel(with_unit(quantity.name, quantity.unit))
+    axis.set_ylabel(broken(with_unit(quantity.name, quantity.unit), MAIN))
     limit_axis(axis, time, [values for values in (quantity.truth, quantity.reference) if values is not None], cut)
 
 
@@ -155,7 +155,7 @@ def _draw_control(axis: Axes, *, time: Floats, control: ControlSignals, inputs: 
     limits = [limit for limit in (control.low, control.high) if limit is not None]
     for number, limit in enumerate(limits):
         axis.axhline(limit, color="0.4", lw=0.9, ls=":", zorder=1, label=None if number else "limits of the control")
-    axis.set_ylabel(with_unit(control.name, control.unit))
+    axis.set_ylabel(broken(with_unit(control.name, control.unit), NARROW))
     limit_axis(axis, time, [], [control.sent, *(each.received for each in inputs if each.received is not None)])
 
 
@@ -164,7 +164,7 @@ def _draw_input(axis: Axes, *, time: Floats, each: InputSignals) -> None:
         _draw_sent(axis, time, each.sent, "sent")
     if each.received is not None:
         axis.plot(*thin(time, each.received), color=BLACK, lw=0.9, zorder=4, label="received")
-    axis.set_ylabel(with_unit(each.name, each.unit))
+    axis.set_ylabel(broken(with_unit(each.name, each.unit), NARROW))
     limit_axis(axis, time, [], [values for values in (each.sent, each.received) if values is not None])
 
 

@@ -66,12 +66,13 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
     moving : sequence of Artist
         All parts that change from picture to picture, from the lowest up. The rest is drawn only once.
     **settings
-        Those of `matplotlib.animation.FuncAnimation`.
+        Those of `matplotlib.animation.FuncAnimation`; ``frames`` is the number of pictures.
     """
 
     def __init__(self, figure: Figure, show: Callable[[int], Any], moving: Sequence[Artist], **settings: Any):
         super().__init__(figure, show, **settings)
         self.figure, self.moving = figure, moving
+        self.pictures = int(settings["frames"])
         self.page: str | None = None
         self.differences: _Differences | None = None
 
@@ -118,6 +119,11 @@ class NotebookAnimation(FuncAnimation):  # type: ignore[misc]
             page = page.replace('<img id="', f'<img alt="{ALTERNATIVE}" style="{pictures.style()}" id="', 1)
             self.page = page.replace('type="range"', f'type="range" style="max-width: 100%" aria-label="{SLIDER}"', 1)
         return self.page
+
+    def __repr__(self) -> str:
+        seconds: float = self.pictures * self._interval / 1000.0  # type: ignore[attr-defined]
+        size = f"{self.pictures} pictures in {seconds:.4g} s"
+        return f"<NotebookAnimation of {size}; animation.save('run.gif') writes it to a file>"
 
     def _repr_html_(self) -> str:
         return self.to_jshtml(default_mode="once")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,8 @@ ROW = 0.2
 """Height of those rows in inches."""
 LETTER = 0.0115
 """Width of a letter of those names, as a share of the panel's width."""
+LETTERS = 115.0
+"""Letters of a size of 1 point that fit an inch."""
 WIDTH, PANEL = 8.0, 2.1
 """Width of a figure and usual height of a panel in inches."""
 
@@ -93,6 +96,30 @@ def plain(axis: Axes) -> None:
     axis.ticklabel_format(useOffset=False)
     for side in ("top", "right"):
         axis.spines[side].set_visible(False)
+
+
+def broken(label: str, height: float, size: float = 10.0) -> str:
+    """Return a label of a vertical axis, broken into lines that fit the height of the panel.
+
+    Parameters
+    ----------
+    label : str
+        The label. It is broken after points, underscores, hyphens and spaces, and anywhere if that is not enough.
+    height : float
+        Height of the panel in inches.
+    size : float
+        Size of the letters in points.
+    """
+    most, lines = max(int(LETTERS * height / size), 1), [""]
+    for part in re.findall(r"[^._ \n-]*[._ \n-]?", label):
+        if lines[-1] and len(lines[-1]) + len(part.rstrip()) > most:
+            lines.append("")
+        lines[-1] += part.removesuffix("\n")
+        while len(lines[-1].rstrip()) > most:
+            lines[-1:] = [lines[-1][:most], lines[-1][most:]]
+        if part.endswith("\n"):
+            lines.append("")
+    return "\n".join(line.rstrip() for line in lines)
 
 
 def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:

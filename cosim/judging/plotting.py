@@ -6,13 +6,12 @@ they are distinct in black and white. Legends are beside the panels and cover no
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels, thin
+from bayesftc.cosim.judging.panels import PANEL, broken, finish, legend, make_panels, thin
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
 
@@ -28,8 +27,6 @@ LINES = ("-", "--", "-.", ":")
 MARKERS = ("o", "^", "s", "D", "v")
 OF_SENSORS = ("innovation", "precision", "beta", "fault_size")
 """Outputs of a controller with an element for each sensor, in its unit or a power of it."""
-LONGEST = 24
-"""Largest number of letters in a line of a label beside a panel."""
 
 
 def plot_signals(result: Result, signals: Iterable[str] | None = None, figure: Figure | None = None) -> Figure:
@@ -73,7 +70,7 @@ def plot_signals(result: Result, signals: Iterable[str] | None = None, figure: F
         for i, (label, values) in enumerate(lines):
             style = LINES[i // len(colours) % len(LINES)]
             axis.plot(*thin(result.time, values), style, color=colours[i % len(colours)], lw=1.1, label=label)
-        axis.set_ylabel(_broken(key))
+        axis.set_ylabel(broken(key, PANEL))
         if all(np.isnan(values).all() for _, values in lines):
             axis.text(0.5, 0.5, "no value", transform=axis.transAxes, ha="center", color="0.35")
         legend(axis)
@@ -108,20 +105,6 @@ def _panels_of_elements(roles: LoopRoles) -> dict[Place, str]:
     for j, control in enumerate(roles.controls):
         panels[signal, j] = control.unit or f"{signal}\n{control.name}"
     return panels
-
-
-def _broken(label: str) -> str:
-    """Return a label, broken after points and underscores into lines that fit the height of a panel."""
-    lines = [""]
-    for part in re.findall(r"[^._\n]*[._\n]?", label):
-        if part.endswith("\n"):
-            lines[-1] += part[:-1]
-            lines.append("")
-            continue
-        if lines[-1] and len(lines[-1]) + len(part) > LONGEST:
-            lines.append("")
-        lines[-1] += part
-    return "\n".join(lines)
 
 
 def colour_of(sensor: int) -> str:

@@ -44,6 +44,9 @@ FORMAT = "bayesftc-result-1"
 _TABLES = frozenset({".csv", ".tsv", ".xlsx", ".parquet", ".json", ".mat"})
 """Endings of files that other programs read, which this format is not."""
 
+DIAGNOSE = "controllers.diagnose(result, loop)"
+"""The call that looks for an error of the model; its room is above this one, and it takes seconds."""
+
 # What NumPy, zip and JSON raise for damaged files.
 _DAMAGE = (
     OSError, EOFError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RuntimeError, SyntaxError,
@@ -243,18 +246,31 @@ class Result(Mapping[str, Floats]):
         """What a reader must know of the run: that it stopped, or that its sensors contradict the controller's model."""
         return self._explained("")
 
-    def _explained(self, why: str = " (controllers.diagnose(result, loop) says why)") -> list[str]:
+    def _explained(self, why: str = f" ({DIAGNOSE} says why)") -> list[str]:
         """Return the notes, with `why` after each that a diagnosis explains."""
+        notes = ["stopped early"] if self.stopped else []
+        wrong = [f"model of {block} suspect from t = {time:g} s" for block, time in self._suspect.items()]
+        return [*notes, *(f"{text}{why}" for text in wrong or self._agreement["model"]), *self._agreement["start"]]
+
+    def _sentences(self) -> list[str]:
+        """Return the notes as sentences."""
+        notes = ["The run stopped early."] if self.stopped else []
+        wrong = [f"The model of {block} is suspect from t = {time:g} s" for block, time in self._suspect.items()]
+        model, start = ([f"{text[0].upper()}{text[1:]}" for text in self._agreement[of]] for of in ("model", "start"))
+        cause = f"Sensors may be blamed because of it. {DIAGNOSE} looks for the cause."
+        return [*notes, *(f"{text}. {cause}" for text in wrong or model), *(f"{text}." for text in start)]
+
+    @cached_property
+    def _suspect(self) -> dict[str, float]:
+        """The time from which on the sensors contradict the model, for each controller or estimator where they do."""
         from bayesftc.cosim.judging.signals import ALARM
 
-        notes = ["stopped early"] if self.stopped else []
+        times = {}
         for name in self:
             block, _, port = name.rpartition(".")
             if port == "model_suspect" and (raised := self[name] >= ALARM).any():
-                notes.append(f"model of {block} suspect from t = {self.time[raised.argmax()]:g} s{why}")
-        suspect = len(notes) > bool(self.stopped)
-        notes += [f"{text}{why}" for text in self._agreement["model"] if not suspect]
-        return notes + self._agreement["start"]
+                times[block] = float(self.time[raised.argmax()])
+        return times
 
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:
@@ -354,7 +370,7 @@ class Result(Mapping[str, Floats]):
 
         signals = self._loop_signals()
         numbers = {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
-        return RunSummary(tables_of(numbers | {"findings": plain_findings(signals)}), self._explained())
+        return RunSummary(tables_of(numbers | {"findings": plain_findings(signals)}), self._sentences())
 
     def findings(self, *, threshold: float = 0.5, hold: float | None = None) -> pd.DataFrame:
         """Return the faults that the controller infers, a row for each alarm: where, kind, times, size and probability.

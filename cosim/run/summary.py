@@ -202,7 +202,7 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
     tables : iterable of FiguresTable
         The tables.
     notes : sequence of str
-        Remarks on the run.
+        Sentences above the tables: what a reader must know of them.
 
     Examples
     --------
@@ -232,12 +232,12 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
             for each in self._tables.values()
             if not each.empty
         ]
-        return "\n\n".join([*blocks, *self.notes])
+        return "\n\n".join([*self.notes, *blocks])
 
     def _repr_html_(self) -> str:
         """Return the tables for notebooks."""
         shown = [each.html() for each in self._tables.values() if not each.empty]
-        return "\n".join([*shown, *(f"<p>{escape(note)}</p>" for note in self.notes)])
+        return "\n".join([*(f"<p>{escape(note)}</p>" for note in self.notes), *shown])
 
 
 def _aligned(table: FiguresTable) -> str:

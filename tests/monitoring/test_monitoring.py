@@ -396,6 +396,16 @@ def test_names_of_alarms_say_whose_and_do_not_overlap(tmp_path):
     assert max(box.x1 for box in boxes) <= figure.axes[0].get_window_extent().x1 + 1
 
 
+def test_long_names_of_sensors_do_not_run_into_each_other(tmp_path):
+    found = found_in(tmp_path, drive(2.0))
+    names = ("LT201 ultrasonic, upper", "LT202_ultrasonic_lower", "LT203 pressure at the outlet")
+    figure = replace(found, recording=replace(found.recording, sensors=names)).plot()
+    figure.draw_without_rendering()
+    boxes = [axis.yaxis.label.get_window_extent() for axis in figure.axes]
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    assert [axis.get_ylabel().split("\n")[0] for axis in figure.axes[1:4]] == ["LT201", "LT202_", "LT203"]
+
+
 @pytest.mark.parametrize("noisy", ["covariance", "effect"])
 def test_an_input_whose_faults_cannot_be_told_is_called_by_its_name(noisy, tmp_path):
     B, Q = ("[[0.05]]", "[[0.0]]") if noisy == "covariance" else ("[[0.0]]", "[[1e-4]]")

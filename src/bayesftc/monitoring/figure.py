@@ -11,6 +11,7 @@ from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.judging.panels import (
     ROW,
     as_dates,
+    broken,
     finish,
     have_room,
     legend,
@@ -67,11 +68,11 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
         members = [i for i, quantity in enumerate(of.reshape(-1)) if quantity == q]
         axis.plot(*thin(time, belief[:, members[0]]), color=BLACK, lw=1.2, label="belief")
         what = sensors[members[0]] if len(quantities) > 1 else ""
-        axis.set_ylabel(with_unit("\n".join(["belief", *filter(None, [what])]), units[members[0]]))
+        axis.set_ylabel(broken(with_unit("\n".join(["belief", *filter(None, [what])]), units[members[0]]), MAIN))
     for i, axis in enumerate(axes[len(quantities) : -1]):
         _dots(axis, i, time, recording.y[:, i] - belief[:, i])
         axis.axhline(0.0, color="0.4", lw=0.8, zorder=0)
-        axis.set_ylabel(sensors[i] + (f"\n({units[i]})" if units[i] else ""), fontsize=8)
+        axis.set_ylabel(broken(sensors[i] + (f"\n({units[i]})" if units[i] else ""), STRIP, 8.0), fontsize=8)
     for i, sensor in enumerate(sensors):
         style: dict[str, Any] = {"color": colour_of(i), "ls": LINES[i % len(LINES)]}
         axes[-1].plot(*thin(time, monitored.fault_probability[:, i]), lw=1.3, label=sensor, **style)

@@ -57,6 +57,17 @@ def test_models_and_controllers_are_printed_in_one_line_and_repr_has_all():
     assert "process_covariance=array([[" in repr(controller)
 
 
+def test_ipython_shows_models_and_blocks_as_print_does():
+    """Their repr has all settings, thousands of characters of matrices; campaigns compare them by it."""
+    model = controllers.LinearModel(0.9 * np.eye(3), np.eye(3, 1), np.eye(3)[[0, 0]], 0.01, 1.0, dt=0.1)
+    nonlinear = controllers.NonlinearModel(motion, first_twice, 3, 1, 2, 1e-3, 1.0, 0.1)
+    pretty = pytest.importorskip("IPython.lib.pretty").pretty
+    for each in (model, nonlinear, controllers.LQGController(model, goal_on=[[1.0, 0.0, 0.0]])):
+        assert pretty(each) == str(each)
+        assert len(pretty(each)) < 160
+    assert pretty(cosim.Gain(2.0)) == repr(cosim.Gain(2.0))
+
+
 def test_a_class_in_place_of_an_object_is_named():
     model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 0.01, 1.0, dt=0.1)
     diagram, sentence = cosim.Diagram(0.1), r"the class {0} \(make an object of it: {0}\(...\)\)"

@@ -8,7 +8,8 @@ from scipy.linalg import solve_discrete_are
 import bayesftc
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import FixedPrecision
-from bayesftc.cosim.control.loop_figures import root_locus_figure
+from bayesftc.cosim.control.loop_figures import bode_figure, root_locus_figure
+from bayesftc.cosim.control.margins import margins_of
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.judging.panels import bare_figure
 
@@ -227,6 +228,40 @@ def test_an_fmu_is_linearized_where_it_stands():
     np.testing.assert_allclose(
         np.sort(np.abs(loop.poles())), np.sort(np.abs(controller.closed_loop_poles())), atol=1e-6
     )
+
+
+@pytest.mark.parametrize(("gain", "lag"), [(1.0, 0), (-1.0, 0), (1.0, 3), (-1.0, 40)])
+def test_the_phase_margin_can_be_read_off_at_the_labelled_line(gain, lag):
+    """Python-control begins at -360 degrees for some loops; the line at -180 degrees is then far from the phase."""
+    late = control.ss(np.eye(lag, k=-1), np.eye(lag)[:, :1], np.eye(lag)[-1:], 0.0, DT) if lag else 1.0
+    loop = control.ss([[0.9, 1.0], [0.0, 0.8]], [[0.0], [0.1 * gain]], [[1.0, 0.0]], 0.0, DT) * late
+    margins = margins_of(loop)
+    _, axis = bode_figure(loop, margins, "", bare_figure()).axes
+    frequency, phase = axis.lines[0].get_data()
+    at = np.interp(margins.gain_crossover, frequency, phase)
+    assert at == pytest.approx(-180.0 + margins.phase, abs=0.5)
+    assert -360.0 < at <= 0.0
+    assert {"-180\ndegrees": -180.0}.items() <= {text.get_text(): text.xy[1] for text in axis.texts}.items()
+    low, high = axis.get_ylim()
+    assert low < phase.min() <= phase.max() < high
+    assert -180.0 in axis.get_yticks()
+
+
+def test_a_loop_without_a_crossover_has_its_phase_near_the_line_as_well():
+    loop = control.ss([[0.9]], [[0.01]], [[-1.0]], 0.0, DT)  # the gain is below 1
+    _, axis = bode_figure(loop, margins_of(loop), "", bare_figure()).axes
+    phase = axis.lines[0].get_ydata()
+    assert -360.0 < phase[0] <= 0.0
+    assert axis.get_ylim()[0] < -180.0 < axis.get_ylim()[1]
+
+
+def test_a_notebook_shows_a_linear_loop_as_a_table():
+    shown = loop_of(lqg()).linear()._repr_html_()
+    assert "<td" in shown
+    for text in ("LinearLoop", f"{DT:g} s", ">yes<", f"{loop_of(lqg()).poles()[0]:.4g}", "bode()"):
+        assert text in shown
+    strong = control.ss(MODEL.matrix("A"), 40.0 * MODEL.matrix("B"), MODEL.matrix("C")[:1], 0.0, DT)
+    assert ">no<" in loop_of(lqg()).linear(plant=strong)._repr_html_()
 
 
 def test_figures_show_loop_and_margins():

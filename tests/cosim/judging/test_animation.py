@@ -116,6 +116,26 @@ def test_the_reading_of_a_faulty_sensor_is_drawn_and_grows_pale():
     assert abs(place["belief"] - place["true value"]) < abs(place["sensor 0"] - place["true value"])
 
 
+@pytest.mark.parametrize(("magnitude", "beyond"), [(8.0, ""), (1e6, "sensor 0: 1e+06"), (-1e6, "sensor 0: -1e+06")])
+def test_a_faulty_reading_is_on_its_scale_or_an_arrow_with_its_value(magnitude, beyond):
+    """A mark that merely stopped at the end of the scale stood beside those of healthy sensors."""
+    run = car(faults=[cosim.Bias(sensor=0, start=1.0, magnitude=magnitude)]).simulate(2.0, seed=1, engine="interpreted")
+    animation = keep(run.animate(frames=21))
+    scales, signals = animation.figure.axes[1:3]
+    (mark,) = (line for line in scales.lines if line.get_label() == "sensor 0")
+    usual = mark.get_marker()
+    show(animation, 20)
+    assert mark.get_marker() == (">" if magnitude > 8.0 else "<" if magnitude < 8.0 else usual)
+    assert (0.0 < mark.get_xdata()[0] < 1.0) == (not beyond)
+    assert beyond in texts(animation)
+    low, high = signals.get_ylim()
+    assert high - low < 30.0
+    assert bool(beyond) == ("cut off" in texts(animation))
+    show(animation, 0)
+    assert mark.get_marker() == usual
+    assert "sensor 0: 1e+06" not in texts(animation)
+
+
 def test_the_servo_of_a_faulty_sensor_is_drawn_beside_the_true_one():
     plant = cosim.FMU(fmus.path("PositionServo"))
     controller = controllers.design(plant, measured="angle", actuated="voltage", sensors=2, sensor_std=0.01)
@@ -213,6 +233,13 @@ def test_pictures_that_last_too_long_are_refused_before_they_are_drawn(tmp_path,
         animation.save(tmp_path / name)
     assert not (tmp_path / name).exists()
     keep(run.animate(frames=2, speed=0.1 / (longest - 0.1))).save(tmp_path / name)
+
+
+def test_the_text_of_an_animation_says_how_to_keep_it():
+    animation = keep(car().simulate(0.2, seed=1, engine="interpreted").animate(frames=3, speed=1e-4))
+    assert (
+        repr(animation) == "<NotebookAnimation of 3 pictures in 2000 s; animation.save('run.gif') writes it to a file>"
+    )
 
 
 def test_a_missing_sample_is_not_drawn():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.cosim.judging.limits import limit_axis
+from bayesftc.cosim.judging.limits import limit_axis, limits_with_samples, mark_cut
 from bayesftc.cosim.judging.loop_figure import draw_quantity
 from bayesftc.cosim.judging.panels import make_panels
 from bayesftc.cosim.judging.signals import QuantitySignals
@@ -51,3 +51,32 @@ def test_the_wide_interval_of_the_first_belief_is_cut_off():
     draw_quantity(axis, time=TIME, quantity=quantity)
     assert np.abs(axis.get_ylim()).max() < 1.5
     assert [text.get_text() for text in axis.texts] == ["cut off: up to 196", "cut off: down to -196"]
+
+
+def test_samples_count_for_an_axis_unless_they_would_squeeze_the_lines():
+    rng = np.random.default_rng(0)
+    samples = WAVE + 0.1 * rng.standard_normal(len(TIME))
+    late = TIME > 2.0  # most of the time
+    assert limits_with_samples([WAVE], [samples]) == pytest.approx((-1.6, 1.6), abs=0.1)
+    low, high = limits_with_samples([WAVE], [samples, samples + 4.0 * late])
+    assert low == pytest.approx(-1.6, abs=0.4)
+    assert 5.0 < high < 6.0
+    for extreme in (samples + 1e6 * late, np.where(late, np.inf, samples), np.full_like(TIME, np.nan)):
+        assert limits_with_samples([WAVE], [samples, extreme]) == pytest.approx((-1.6, 1.6), abs=0.1)
+
+
+def test_an_axis_without_lines_or_without_a_range_has_limits():
+    noise = 0.1 * np.random.default_rng(0).standard_normal(len(TIME))
+    low, high = limits_with_samples([], [7.0 + noise])
+    assert 6.0 < low < 6.8 < 7.2 < high < 8.0
+    low, high = limits_with_samples([np.full_like(TIME, 7.0)], [7.0 + noise, 7.5 + noise])  # at rest, with an offset
+    assert 6.0 < low < 6.8 < 7.8 < high < 8.2
+    for lines in ([], [np.zeros(3)], [np.full(3, 5.0)], [np.full(3, np.nan)]):
+        low, high = limits_with_samples(lines, [])
+        assert low < high
+
+
+def test_samples_that_leave_an_axis_are_marked():
+    (axis,) = make_panels([2.0])[1]
+    mark_cut(axis, TIME, [WAVE, np.where(TIME > 5.0, 1e6, np.nan), np.where(TIME > 6.0, -np.inf, 0.0)], (-2.0, 2.0))
+    assert [text.get_text() for text in axis.texts] == ["cut off: up to 1e+06", "cut off: down to -inf"]

@@ -52,6 +52,24 @@ def test_it_prints_aligned_tables(result):
     assert "tracking of v (m/s)" in html
 
 
+def test_a_wrong_model_is_said_above_the_faults_that_it_may_cause(tmp_path):
+    """All sensors count as faulty, because the force has the opposite sign of the model's."""
+    model = controllers.LinearModel([[0.999]], [[-2e-4]], [[1.0], [1.0]], 1e-3, 1.0, dt=0.02)
+    controller = controllers.BayesianController(model, initial_mean=20.0, u_min=-4000.0, u_max=4000.0)
+    car = load_scenario("cruise_control")
+    wrong = cosim.closed_loop(
+        car.plant, controller, control="force", measured="v", sensors=cosim.Sensors(2, 1.0), reference=25.0
+    )
+    result = wrong.simulate(8.0, seed=1)
+    result = cosim.Result.load(result.save(tmp_path / "run.npz"))
+    since = result.time[np.argmax(result["controller.model_suspect"] >= 0.5)]
+    sentence = f"The model of controller is suspect from t = {since:g} s."
+    cause = "Sensors may be blamed because of it. controllers.diagnose(result, loop) looks for the cause."
+    assert repr(result.summary()).startswith(f"{sentence} {cause}\n\n")
+    assert result.summary()._repr_html_().startswith(f"<p>{sentence}")
+    assert controllers.diagnose(result, wrong).kind == "sign"  # the call that it names
+
+
 def test_faults_of_inputs_have_a_table(loop):
     car = load_scenario("cruise_control")
     faulty = cosim.closed_loop(
