@@ -18,6 +18,9 @@ PROBABILITY, OFFSET_AGE, STATE = 0, 1, 2
 FADED = 100.0
 """Largest variance of a reading, in units of the noise variance, up to which a belief fades; else unseen states would diverge."""
 
+VAGUE = 2.0
+"""Variance of a reading, in units of another hypothesis's variance of the sample, from which on a belief is `vague` beside it."""
+
 
 class Onset(NamedTuple):
     """Mean of an offset at its onset, covariance of it and its slope, and variance of its random walk per sample."""
@@ -205,20 +208,34 @@ def inflate(memory, at, n, plant, more, fades, Q):
             memory[P + a * N + b] = memory[P + a * N + b] + more * Q[a, b]
 
 
+def spread(memory, at, n, C, sensor):
+    """Return the variance of a sensor's reading without its noise."""
+    P, N = at + STATE + n + 2, n + 2
+    variance = 0.0 * memory[P]
+    for a in range(n):
+        for b in range(n):
+            variance = variance + C[sensor, a] * memory[P + a * N + b] * C[sensor, b]
+    return variance
+
+
 def measurable(memory, at, n, C, nominal):
     """Return 1 while a sample of any sensor would leave enough of a hypothesis, else 0.
 
     The limit is `FADED` times the variance of the sensor's noise.
     """
-    P, N = at + STATE + n + 2, n + 2
-    fresh = 1.0 + 0.0 * memory[P]
+    fresh = 1.0 + 0.0 * memory[at + STATE + n + 2]
     for i in range(nominal.shape[0]):
-        variance = 0.0 * fresh
-        for a in range(n):
-            for b in range(n):
-                variance = variance + C[i, a] * memory[P + a * N + b] * C[i, b]
-        fresh = select(variance <= FADED * nominal[i, i], fresh, 0.0)
+        fresh = select(spread(memory, at, n, C, i) <= FADED * nominal[i, i], fresh, 0.0)
     return fresh
+
+
+def vague(memory, at, other, n, C, nominal):
+    """Return 1 if a belief predicts the sample of any sensor far worse than the ``other`` one, else 0."""
+    worse = 0.0 * memory[at + STATE + n + 2]
+    for i in range(nominal.shape[0]):
+        usual = nominal[i, i] + spread(memory, other, n, C, i)
+        worse = select(spread(memory, at, n, C, i) > VAGUE * usual, 1.0, worse)
+    return worse
 
 
 def expect(memory, at, n, offset, reads, sensor, C, direction):

@@ -17,7 +17,7 @@ At each sample every hypothesis is predicted; then offsets begin and end. Ended 
 there to no offset, or to the offset that a further sensor has meanwhile. Three transitions come later. An offset that jumps joins
 earlier ones after its first sample. The end of a common offset remains a hypothesis for one sample, and the end of a process mode
 for a while (the one more). Beliefs with the same hypothesis are merged by moments, as in an interacting-multiple-model filter
-(Blom and Bar-Shalom 1988); only the pool's state counts less in the hypothesis without a fault (`onsets.py`). Then each
+(Blom and Bar-Shalom 1988); only a vague state of the pool counts less in the hypothesis without a fault (`onsets.py`). Then each
 hypothesis is conditioned on the sensors one after the other, and gets the probability of their samples.
 """
 

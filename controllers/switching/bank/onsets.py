@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers.switching.bank.blends import make_blend_sensor
-from bayesftc.controllers.switching.bank.hypothesis import blend, inflate, measurable
+from bayesftc.controllers.switching.bank.hypothesis import blend, inflate, measurable, vague
 from bayesftc.controllers.switching.bank.layout import (
     ACTUATOR_SETTINGS,
     BEGIN,
@@ -30,7 +30,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     OWN_SETTINGS,
     held,
 )  # fmt: skip
-from bayesftc.cosim.ops import maximum
+from bayesftc.cosim.ops import maximum, select
 
 
 @cache
@@ -157,17 +157,18 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
             inflate(memory, at, n, plant, part * settings[mode_row + MORE], fades, Q)
         return stays
 
-    def merge_pool(memory, stays, left):
+    def merge_pool(C, nominal, memory, stays, left):
         """Merge the rest of the pool into the hypothesis without any fault.
 
         The state after a fault can be nearly unknown, as without the only sensor of a quantity. Merged by moments, even a small
-        part of it would spoil the belief without a fault, and so make the fault more probable from sample to sample. The shares
-        of the states are therefore the squared ones, and the less probable belief hardly counts. The price: after a fault of
-        middling probability the belief without it returns later to the state, and this depends on the sample time.
+        part of such a `vague` belief would spoil that without a fault, and so make the fault more probable from sample to
+        sample. Its share is then that of the squared probabilities.
         """
         part = left / (stays + left)
+        few = left * left / (left * left + stays * stays)
         memory[none] = stays + left
-        blend(memory, none, left * left / (left * left + stays * stays), pool, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        share = select(vague(memory, pool, none, n, C, nominal) > 0.5, few, part)
+        blend(memory, none, share, pool, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for j in range(m):
             of_pool = pool + kept + j * sensor
             remaining = 1.0 + 0.0 * left
@@ -182,6 +183,6 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
         stays = merge_common(C, Q, memory, settings, merge_lost(memory, stays))
         stays = merge_actuators(applied, memory, settings, stays)
         stays = merge_process(sampled, C, Q, nominal, memory, settings, stays)
-        merge_pool(memory, maximum(stays, LEAST), maximum(left, LEAST))
+        merge_pool(C, nominal, memory, maximum(stays, LEAST), maximum(left, LEAST))
 
     return merge_onsets

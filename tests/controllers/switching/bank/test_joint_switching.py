@@ -105,6 +105,23 @@ def test_the_only_sensor_of_a_healthy_plant_is_not_blamed(seed):
     assert np.mean([step(y=[y], u=[0.0]).fault_probability[0] > 0.5 for y in rows]) < 0.02
 
 
+def test_a_fault_of_the_only_sensor_ends_with_it():
+    """In 8 runs of the same tank, an offset of 5 sd is found, and no longer blamed soon after its end."""
+    A, noise = np.array([[0.985, 2.0], [0.0, 1.0]]), np.diag([1e-6, 1e-8])
+    single = LinearModel(A, [[2.0], [0.0]], [[1.0, 0.0]], noise, 1e-4, 1.0)
+    estimator = controllers.StateEstimator(single, SwitchingPrecision(), [0.0, 0.0], np.diag([1e-4, 1e-6]))
+    blamed = np.empty((8, 1000))
+    for seed, run in enumerate(blamed):
+        rng, state, step = np.random.default_rng(seed), np.zeros(2), estimator.online()
+        for k in range(1000):
+            y = state[0] + 0.01 * rng.normal() + 0.05 * (300 <= k < 600)
+            run[k] = step(y=[y], u=[0.0]).fault_probability[0] > 0.5
+            state = A @ state + np.sqrt(np.diag(noise)) * rng.normal(size=2)
+    assert blamed[:, :300].mean() < 0.02
+    assert blamed[:, 310:600].mean() > 0.8
+    assert blamed[:, 620:].mean() < 0.1
+
+
 def test_the_first_sample_is_bayes_rule_with_all_sensors_at_once():
     modes = (Offset(1.0, jump=3.0), Drifting(2.0, slope=0.5))
     (out,) = inferred(SwitchingPrecision(modes=modes, process_modes=(), noise_factor=1.0), [[24.0, 20.5]])
