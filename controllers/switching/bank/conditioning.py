@@ -37,7 +37,7 @@ SPREAD, TOTAL, ERROR, DIRECTION = range(4)
 def make_condition(
     layout: Layout, weigh_alone: Callable[..., float], weigh_other: Callable[..., float]
 ) -> Callable[..., None]:
-    """Return the step function that conditions all hypotheses on the sample of a sensor.
+    """Return the step function that conditions all hypotheses on the sample of a sensor, the k-th in each one's `order`.
 
     It updates the density of the samples under each hypothesis: a logarithm, and a factor that includes its probability.
 
@@ -48,33 +48,34 @@ def make_condition(
     weigh_alone, weigh_other : function
         Weights of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
-    m, sensor, H = layout.m, layout.sensor, layout.hypotheses
-    none, stride = layout.first, layout.length
+    m, H, none, stride = layout.m, layout.hypotheses, layout.first, layout.length
     logp, factor = layout.grow + H, layout.grow + 2 * H
     without, with_offset = layout.without_offset, layout.with_offset or (0,)
+    order = layout.order
     # Separate functions, so that the compiler has constant loop lengths.
     expect_plain, expect_offset = (make_expect(layout, offset) for offset in (0, 1))
     weigh_first, weigh_plain = (make_weigh_reading(layout, weigh, 0) for weigh in (weigh_alone, weigh_other))
     weigh_offset = make_weigh_reading(layout, weigh_other, 1)
     learn_plain, learn_offset = (make_learn(layout, offset) for offset in (0, 1))
 
-    def condition(i, sample, C, memory, settings):
-        variance, change = sample.nominal[i, i] * memory[i * sensor + NOISE], sample.y[i] - memory[i * sensor + LAST]
-        doubt = 0.5 / memory[i * sensor + NOISE_SHAPE]
-        for k in range(len(without)):
-            expect_plain(without[k], i, variance, sample.e, C, memory)
-        for k in range(H - len(without)):
-            expect_offset(with_offset[k], i, variance, sample.e, C, memory)
-        weigh_first(0, i, variance, doubt, change, sample.present, memory, settings)
-        for k in range(1, len(without)):
-            weigh_plain(without[k], i, variance, doubt, change, sample.present, memory, settings)
-        for k in range(H - len(without)):
-            weigh_offset(with_offset[k], i, variance, doubt, change, sample.present, memory, settings)
-        for k in range(len(without)):
-            learn_plain(without[k], i, variance, sample.present, C, memory)
-        for k in range(H - len(without)):
-            learn_offset(with_offset[k], i, variance, sample.present, C, memory)
-        if i % 2 == 1 and i < m - 1:  # avoids underflow of the product of many small factors
+    def condition(k, sample, C, memory, settings):
+        for x in range(len(without)):
+            expect_plain(without[x], k, sample, C, memory)
+        for x in range(H - len(without)):
+            h = with_offset[x]
+            expect_offset(h, order[h * m + k], sample, C, memory)
+        weigh_first(0, k, sample, memory, settings)
+        for x in range(1, len(without)):
+            weigh_plain(without[x], k, sample, memory, settings)
+        for x in range(H - len(without)):
+            h = with_offset[x]
+            weigh_offset(h, order[h * m + k], sample, memory, settings)
+        for x in range(len(without)):
+            learn_plain(without[x], k, sample, C, memory)
+        for x in range(H - len(without)):
+            h = with_offset[x]
+            learn_offset(h, order[h * m + k], sample, C, memory)
+        if k % 2 == 1 and k < m - 1:  # avoids underflow of the product of many small factors
             for h in range(H):
                 memory[logp + h] = memory[logp + h] + log(memory[factor + h])
                 memory[factor + h] = 1.0 + 0.0 * memory[none + h * stride]
@@ -86,16 +87,17 @@ def make_condition(
 def make_expect(layout: Layout, offset: int) -> Callable[..., None]:
     """Return the step function that writes a hypothesis's reading of a sensor, unless the sensor is on an unmodelled course."""
     n, m, none, stride, judged = layout.n, layout.m, layout.first, layout.length, layout.judged
-    readings, reading = layout.readings, layout.reading
+    sensor, readings, reading = layout.sensor, layout.readings, layout.reading
 
-    def expect_reading(h, i, variance, e, C, memory):
+    def expect_reading(h, i, sample, C, memory):
         at, here, by = none + h * stride, readings + h * reading, judged[h * m + i]
+        variance = sample.nominal[i, i] * memory[i * sensor + NOISE]
         if by != BY_COURSE:
             spread, expected = expect(memory, at, n, offset, by >= 0 if offset else 0, i, C, here + DIRECTION)
             total = spread + variance
             memory[here + SPREAD] = spread
             memory[here + TOTAL] = total
-            memory[here + ERROR] = held(e[i] - expected, minimum(total, ABSURD * variance))
+            memory[here + ERROR] = held(sample.e[i] - expected, minimum(total, ABSURD * variance))
 
     return expect_reading
 
@@ -108,17 +110,18 @@ def make_weigh_reading(layout: Layout, weigh_sensor: Callable[..., float], offse
     readings, reading = layout.readings, layout.reading
     logp, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
 
-    def weigh_reading(h, i, variance, doubt, change, present, memory, settings):
+    def weigh_reading(h, i, sample, memory, settings):
+        present = sample.present[i]
         here, row, by = readings + h * reading, i * row_length, judged[h * m + i]
         if by == BY_MODES:
             place = none + h * stride + kept + i * sensor
             density = weigh_sensor(
                 memory[here + ERROR],
-                present[i],
+                present,
                 memory[here + TOTAL],
-                variance,
-                doubt,
-                change,
+                sample.nominal[i, i] * memory[i * sensor + NOISE],
+                0.5 / memory[i * sensor + NOISE_SHAPE],
+                sample.y[i] - memory[i * sensor + LAST],
                 memory[repeated + i],
                 memory,
                 place,
@@ -129,8 +132,8 @@ def make_weigh_reading(layout: Layout, weigh_sensor: Callable[..., float], offse
             memory[factor + h] = memory[factor + h] * memory[place + DENSITY]
         elif offset and by >= 0:
             place, error = row + FIRST_SETTINGS + by * width_of_settings, memory[here + ERROR]
-            density = select(present[i] > 0.5, log_density(error * error, memory[here + TOTAL]), 0.0)
-            times = select(present[i] > 0.5, settings[place + MODE_ARRIVES], settings[place + MODE_MISSING])
+            density = select(present > 0.5, log_density(error * error, memory[here + TOTAL]), 0.0)
+            times = select(present > 0.5, settings[place + MODE_ARRIVES], settings[place + MODE_MISSING])
             memory[logp + h] = memory[logp + h] + density
             memory[factor + h] = memory[factor + h] * times
 
@@ -145,15 +148,16 @@ def make_learn(layout: Layout, offset: int) -> Callable[..., None]:
         layout.first, layout.length, layout.kept, layout.readings, layout.reading,
     )  # fmt: skip
 
-    def learn(h, i, variance, present, C, memory):
+    def learn(h, i, sample, C, memory):
         at, here, by = none + h * stride, readings + h * reading, judged[h * m + i]
+        variance, present = sample.nominal[i, i] * memory[i * sensor + NOISE], sample.present[i]
         if by != BY_COURSE:
             spread, total, error = memory[here + SPREAD], memory[here + TOTAL], memory[here + ERROR]
             if by == BY_MODES:
                 noise = variance / memory[at + kept + i * sensor + TRUSTED]
-                correct(memory, at, n, offset, 0, i, C, here + DIRECTION, error, spread + noise, noise, present[i])
+                correct(memory, at, n, offset, 0, i, C, here + DIRECTION, error, spread + noise, noise, present)
             elif offset:
-                correct(memory, at, n, 1, 1, i, C, here + DIRECTION, error, total, variance, present[i])
+                correct(memory, at, n, 1, 1, i, C, here + DIRECTION, error, total, variance, present)
             part = variance / total
             memory[squares + h * m + i] = part * (part * error * error + spread)
 

@@ -121,6 +121,16 @@ class Layout:
         return tuple(table.ravel().tolist())
 
     @property
+    def order(self) -> tuple[int, ...]:
+        """For each hypothesis, the order in which it is conditioned on the sensors: those with an offset last.
+
+        Otherwise an offset of the first sensor would explain a surprise before the modes of any other sensor are judged, and
+        an offset of the last one after those of all others: after a sudden load, healthy sensor 0 would be blamed.
+        """
+        judged = np.reshape(self.judged, (self.hypotheses, self.m))
+        return tuple(int(i) for row in judged for i in np.argsort(row >= 0, kind="stable"))
+
+    @property
     def with_offset(self) -> tuple[int, ...]:
         """The hypotheses with an offset estimated with the state: of a sensor, a group or an actuator."""
         of_sensors = (*range(1, self.first_lost), *range(self.first_common, self.first_ended))

@@ -81,6 +81,7 @@ def make_weigh(
         for i in range(m):
             place, change = i * sensor, sample.y[i] - memory[i * sensor + LAST]
             memory[repeated + i] = repetition(change, sample.nominal[i, i], memory, place, settings, i * row_length)
+        for i in range(m):
             condition(i, sample, C, memory, settings)
         for i in range(m):
             for u in range(U):

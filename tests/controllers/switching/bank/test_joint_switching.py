@@ -1,11 +1,12 @@
 """The joint form of switching: offsets together with the state, against filterpy and Bayes; several sensors and faults."""
 
+import control
 import numpy as np
 import pytest
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy import stats
 
-from bayesftc import controllers
+from bayesftc import controllers, cosim
 from bayesftc.controllers import Drifting, DroppedOut, Frozen, LinearModel, Noisier, Offset, Ramping, SwitchingPrecision
 from bayesftc.controllers.switching.bank.hypothesis import Moving, Onset, Places, blend, correct, expect, move
 from bayesftc.cosim.errors import ModelError
@@ -103,6 +104,29 @@ def test_the_only_sensor_of_a_healthy_plant_is_not_blamed(seed):
     estimator = controllers.StateEstimator(single, SwitchingPrecision(), [0.0, 0.0], np.diag([1e-4, 1e-6]))
     step = estimator.online()
     assert np.mean([step(y=[y], u=[0.0]).fault_probability[0] > 0.5 for y in rows]) < 0.02
+
+
+def test_a_sudden_load_is_not_blamed_on_the_first_of_equal_sensors():
+    """Heat is lost through a door, ten times as fast as the model expects of its disturbance; no sensor has a fault."""
+    air, wall, between, ambient = 6e3, 20e3, 40.0, 17.5
+    chamber = control.ss(
+        [[-between / air, between / air], [between / wall, -(between + ambient) / wall]],
+        [[1 / air, -1 / air], [0.0, 0.0]], np.eye(2), 0,
+        inputs=["heater", "loss"], outputs=["air", "wall"], states=["air", "wall"],
+    )  # fmt: skip
+    sensors = cosim.Sensors(count=[4, 1], std=[0.1] * 4 + [0.3])
+    controller = controllers.design(
+        chamber, measured=["air", "wall"], sensors=[4, 1], sensor_std=[0.1] * 4 + [0.3], actuated="heater", goal="air", dt=10.0,
+        acceptable_error=0.5, acceptable_control=300.0, u_min=-700.0, u_max=1300.0, disturbance=4000.0,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        chamber, controller, control="heater", measured=["air", "wall"], sensors=sensors, reference=5.0,
+        input_faults={"loss": [cosim.Bias(magnitude=800.0, start=3000.0, stop=3300.0)]},
+    )  # fmt: skip
+    for seed in (1, 3):
+        blamed = loop.simulate(7200.0, seed=seed)["controller.fault_probability"] > 0.5
+        assert blamed.mean(axis=0).max() < 0.05
+        assert blamed[361:].mean(axis=0).max() < 0.01
 
 
 def test_a_fault_of_the_only_sensor_ends_with_it():
