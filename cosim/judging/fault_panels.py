@@ -236,15 +236,17 @@ def name_faults(axis: Axes, signals: LoopSignals) -> None:
         for name, (i, active) in signals.faults.items()
         for a, b in periods(active)
     ]
-    faults += [
+    note = f"shaded: {len(faults)} faults, in the colour of their sensor"
+    of_inputs = [
         (a, b, f"{each.name}: {_kind(name, f'{each.name}_', '_0')}", "0.35")
         for each in signals.inputs
         for name, active in each.faults.items()
         if active is not None
         for a, b in periods(active)
     ]
+    faults += of_inputs
     named = [(float(signals.time[a]), float(signals.time[b - 1]), text, colour) for a, b, text, colour in faults]
-    name_spans(axis, signals.time, named, "faults")
+    name_spans(axis, signals.time, named, note + f"; hatched: {len(of_inputs)}" * bool(of_inputs))
     if any(active.any() for _, active in signals.faults.values()):
         axis.fill_between([], [], color="0.88", lw=0, label="shaded: sensor fault")
     faulty = [each for each in signals.inputs if each.faulty is not None and each.faulty.any()]

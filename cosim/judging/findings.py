@@ -50,7 +50,8 @@ class Finding:
     where : str
         The sensor, the actuator, or ``"process"``.
     kind : str
-        Most probable kind of fault at the end of the alarm; empty if the learner distinguishes none.
+        Most probable kind of fault at the end of the alarm; empty if no kind is more probable than a healthy sensor, because
+        several share the probability, or if the learner distinguishes none.
     onset : float or None
         Estimated time of the fault's begin in seconds, never after the begin of the alarm; None if it is not estimated.
     start, end : float

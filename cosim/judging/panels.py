@@ -128,16 +128,13 @@ def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     return time[::stride], values[::stride]
 
 
-def name_spans(axis: Axes, time: Floats, spans: Sequence[Span], what: str) -> None:
-    """Write names above spans of time in as many rows as necessary.
-
-    If there are too many rows, write one note with the number of shaded ``what`` instead.
-    """
+def name_spans(axis: Axes, time: Floats, spans: Sequence[Span], note: str) -> None:
+    """Write names above spans of time in as many rows as necessary; if those are too many, write the note instead."""
     if have_room(time, spans):
         write_names(axis, time, spans, PANEL)
         return
     first = float(time[0]) if len(time) else 0.0
-    axis.text(first, 1.02, f"shaded: {len(spans)} {what}, in the colour of their sensor", color="0.3", **_style(axis))
+    axis.text(first, 1.02, note, color="0.3", **_style(axis))
 
 
 def have_room(time: Floats, spans: Sequence[Span]) -> bool:

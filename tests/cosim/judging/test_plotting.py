@@ -189,10 +189,12 @@ def test_many_faults_are_not_named_one_by_one():
         sensors=cosim.Sensors(count=2, std=1.0),
         faults=[cosim.RandomFaults(sensor=i, mean_time_to_fault=0.2, mean_time_to_recovery=0.1) for i in range(2)],
         reference=1.0,
+        input_faults={"u": [cosim.Bias(magnitude=0.1, start=0.5, stop=0.6)]},
     )
-    texts = [t.get_text() for t in plot_run(run_of(loop)).axes[0].texts]
-    assert len(texts) == 1
-    assert "faults, in the colour of their sensor" in texts[0]
+    signals = run_of(loop)
+    texts = [t.get_text() for t in plot_run(signals).axes[0].texts]
+    faults = sum(int(np.sum(np.diff(active, prepend=0.0) > 0)) for _, active in signals.faults.values())
+    assert texts == [f"shaded: {faults} faults, in the colour of their sensor; hatched: 1"]
 
 
 def test_a_run_of_one_row(tmp_path):
