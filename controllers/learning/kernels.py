@@ -83,7 +83,7 @@ def measure_offsets(begun, lasts, e, variance, units, k, jump, slope, walk, tota
     e, variance : array, steps x sensors
         Innovations, NaN where there is no sample, and their variances with healthy sensors.
     units : array
-        Unit of the squares for each sensor, the `quantity_noise`.
+        Unit of the squares for each sensor, see `SwitchingPrecision.offset_units`.
     k : int
         The mode.
     jump, slope, walk : float

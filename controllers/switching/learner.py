@@ -107,10 +107,6 @@ class SwitchingPrecision(PrecisionLearner):
     joint : bool
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
         is faster, but detects slow drifts later.
-    outages : bool
-        Whether a step without any sample is an outage, as of a logger, and says nothing about the sensors. At least two of them
-        must be silent by surprise: they send at most steps (a `loss` below .5) and have not dropped out before. Otherwise
-        all sensors have probably dropped out. It belongs to the per-sensor form; otherwise it has no effect.
     actuator_modes : sequence of ActuatorMode
         The fault modes of each actuator and of the process, see `ACTUATOR_MODES`; in the joint form only. With them there are,
         for each actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first),
@@ -149,6 +145,10 @@ class SwitchingPrecision(PrecisionLearner):
         Weight of the model's standard deviations in samples.
     noise_forgetting : float
         Forgetting factor in (0, 1] per sample of the learned noise.
+    outages : bool
+        Whether a step without any sample is an outage, as of a logger, and says nothing about the sensors. At least two of them
+        must be silent by surprise: they send at most steps (a `loss` below .5) and have not dropped out before. Otherwise
+        all sensors have probably dropped out. It belongs to the per-sensor form; otherwise it has no effect.
 
     Raises
     ------
@@ -160,7 +160,6 @@ class SwitchingPrecision(PrecisionLearner):
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Unmodelled(), Noisier(), DroppedOut())
     loss: float | Sequence[float] = 0.01
     joint: bool = True
-    outages: bool = False
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
     alike: float = 0.2
@@ -170,6 +169,7 @@ class SwitchingPrecision(PrecisionLearner):
     noise_factor: float = 3.0
     noise_strength: float = 5.0
     noise_forgetting: float = 0.9998
+    outages: bool = False
 
     def __post_init__(self) -> None:
         check_flags(self, "joint", "outages")

@@ -109,8 +109,8 @@ class Engine(Protocol):
     def advance(self, begin: int, end: int, *, first: bool) -> tuple[int, Failure | None]:
         """Run from t_begin to t_end; return the last complete step and, if the run had to stop, the failure.
 
-        If `first`, compute the outputs at t_begin before; else they are already in memory. The engine
-        enters the run's guard itself.
+        If `first`, compute the outputs at t_begin before; else they are already in memory. The
+        engine enters the run's guard itself.
         """
 
     def prepare(self, steps: float) -> None:
