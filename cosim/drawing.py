@@ -87,10 +87,20 @@ def _philox(c0, c1, c2, c3, k0, k1):
     return c0, c1, c2, c3
 
 
+@register_jitable(error_model="numpy", forceinline=True)
+def _of_uniform(word):
+    """Return the bits of the number 2**52 plus the first 52 bits of a word."""
+    return (word >> np.uint64(12)) | np.uint64(0x4330000000000000)
+
+
 @register_jitable(error_model="numpy")
-def _uniform(word):
-    # 52 bits and a half: the largest number is 1 - 2**-53. With 53 bits it would round to 1, whose normal number is infinite.
-    return (np.float64(word >> np.uint64(12)) + 0.5) * (1.0 / 4503599627370496.0)
+def _to_uniform(row):
+    """Turn such numbers into uniform ones, of 52 bits and a half: the largest is 1 - 2**-53.
+
+    With 53 bits it would round to 1, whose normal number is infinite.
+    """
+    for i in range(row.shape[0]):
+        row[i] = ((row[i] - 4503599627370496.0) + 0.5) * (1.0 / 4503599627370496.0)
 
 
 CENTRAL = 0.425
@@ -181,13 +191,14 @@ def fill(seed, streams, first, buffer):
     """
     tails, places = buffer[streams.shape[0]], buffer[streams.shape[0] + 1].view(np.int64)
     for j in range(streams.shape[0]):
-        row = buffer[j]
+        row, bits = buffer[j], buffer[j].view(np.uint64)
         for i in range(0, row.shape[0], 4):
             # Processors have no products of 128 bits for vectors: moving words into vectors and back would take half of the time.
             block = _one_by_one(np.uint64((first + i) >> 2))
             words = _philox(block, streams[j, 1], streams[j, 2], np.uint64(0), seed, streams[j, 0])
-            row[i], row[i + 1] = _uniform(words[0]), _uniform(words[1])
-            row[i + 2], row[i + 3] = _uniform(words[2]), _uniform(words[3])
+            for a in range(4):
+                bits[np.uint64(i + a)] = _of_uniform(words[a])
+        _to_uniform(row)
         if streams[j, 3] == np.uint64(0):
             _to_normal(row, tails, places)
 

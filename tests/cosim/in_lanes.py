@@ -20,7 +20,7 @@ def stepped_in_lanes(block, dt, values):
     slots, memory = arrange(block, definition, 0)
     name = f"{name_of(definition.output, slots.sections)}_lanes"
     text, apart = text_of(definition.output, slots.sections, name)
-    step = _STEP(load(machine_code(lowered_to_lanes(text, lanes, apart)), name))
+    step = _STEP(load(machine_code(lowered_to_lanes(text, lanes, apart), wide=True), name))
     space = np.empty((len(memory) + 1) * lanes)
     first = -space.ctypes.data // 8 % lanes
     wide = space[first : first + len(memory) * lanes].reshape(len(memory), lanes)

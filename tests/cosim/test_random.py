@@ -72,7 +72,8 @@ def normal(p):
 
 
 def test_uniform_is_strictly_inside():
-    ends = [float(drawing._uniform(np.uint64(w))) for w in (0, 2**64 - 1)]
+    ends = np.array([drawing._of_uniform(np.uint64(w)) for w in (0, 2**64 - 1)]).view(float)
+    drawing._to_uniform(ends)
     assert 0 < ends[0] < ends[1] < 1
     assert np.isfinite(normal(ends)).all()
 

@@ -183,7 +183,7 @@ def _compiled_lanes(loop: Loop, lanes: Lanes, functions: Steps, name: str) -> by
         if not failed:
             wanted = {f if homes[node] is Home.SAME else wide_name(f) for f, node in zip(loop.functions, lanes.nodes)}
             parts = {part: text for part, text in parts.items() if part in wanted}
-            return machine_code(text_of_lanes(loop, lanes, name), parts | _service_texts(loop))
+            return machine_code(text_of_lanes(loop, lanes, name), parts | _service_texts(loop), wide=True)
         lanes = replace(lanes, by_address=lanes.by_address | failed)
 
 

@@ -109,4 +109,4 @@ def _environment() -> str:
     version = Path(numba.origin).with_name("_version.py").read_text() if numba and numba.origin else ""
     settings = sorted(f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
     parts = [platform.python_version(), llvmlite.__version__, version, *settings, llvm.get_process_triple()]
-    return "|".join([*parts, llvm.get_host_cpu_name(), features(), _SOURCES_DIGEST])
+    return "|".join([*parts, llvm.get_host_cpu_name(), features(wide=True), _SOURCES_DIGEST])

@@ -175,5 +175,5 @@ def text_of(kernel: FunctionType, sections: Sections, name: str) -> tuple[str, l
 def environment() -> str:
     """Return what else machine code depends on: versions, the processor, and this compiler."""
     parts = [platform.python_version(), llvmlite.__version__, pycparser.__version__, llvm.get_process_triple()]
-    parts += [llvm.get_host_cpu_name(), features(), str(ops.OF_LIBRARY), composed(), _COMPILER_DIGEST]
+    parts += [llvm.get_host_cpu_name(), features(wide=True), str(ops.OF_LIBRARY), composed(), _COMPILER_DIGEST]
     return "|".join(parts)
