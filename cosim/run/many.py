@@ -10,7 +10,8 @@ import ctypes
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from bayesftc.cosim.diagram.schedule import NOT_FINITE, Schedule
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.isolation.spares import Spares
 from bayesftc.cosim.run.engines import CompiledEngine, Engine, Run
-from bayesftc.cosim.run.fused.compiled import LANES
+from bayesftc.cosim.run.fused.compiled import LANES, SECONDS
 from bayesftc.cosim.run.fused.side_by_side import SideBySide
 from bayesftc.cosim.run.raised import reason_of
 from bayesftc.cosim.run.recording import Selection
@@ -148,6 +149,9 @@ class ManyRuns:
             few, more = self._how_many(len(seeds) - done), self._of > 1
             try:
                 self._ready(overhead, more=more)
+                if not self._function and self._pace * self._of >= SECONDS:
+                    overhead()
+                    self._look_for_lock_step()
                 _go_on(keep_going)
                 block = self._some(np.array(seeds[done : done + few], dtype=np.uint64), keep_going, more=more)
             except _NotPutBackError:  # make the run again, with new instances
@@ -178,9 +182,8 @@ class ManyRuns:
         """Make the first of the runs, or all of them."""
         began = time.perf_counter()
         # The first run is made piece by piece, because its duration is not known yet.
-        quick = 0.0 < self._pace < min(BREATH, self._limit or BREATH)
-        if self._goes_from_run_to_run and quick:
-            block = self._compiled(seeds)
+        if self._goes_from_run_to_run and self._pace > 0.0:
+            block = self._compiled(seeds, keep_going)
         else:
             block = self._single(int(seeds[0]), keep_going)
         self._pace = (time.perf_counter() - began) / len(block.steps)
@@ -205,13 +208,17 @@ class ManyRuns:
         self._engine = choose_engine("auto", self._run)
         self._function = 0
         self._engine.prepare(self._steps * self._of)
-        beside = self._beside_allowed and all(hasattr(i, "state_functions") for i in self._run.instances.values())
-        if beside and isinstance(self._engine, CompiledEngine):
-            self._function = self._engine.in_lock_step(self._steps * self._of)
+        self._look_for_lock_step()
         self._opened = self._fresh = True
         self._initial = self._run.memory.copy()
         if more and self._repeats is not False and all(i.can_save for i in self._run.instances.values()):
             self._states = self._saved(self._run)
+
+    def _look_for_lock_step(self) -> None:
+        """Find the function for runs in lock step, if it pays."""
+        beside = self._beside_allowed and all(hasattr(i, "state_functions") for i in self._run.instances.values())
+        if beside and isinstance(self._engine, CompiledEngine):
+            self._function = self._engine.in_lock_step(self._steps * self._of, self._pace * self._of)
 
     def _saved(self, run: Run) -> np.ndarray[Any, np.dtype[np.int64]] | None:
         """Save each FMU's state; return the table for restoring in compiled code, or None if an FMU fails to save.
@@ -236,11 +243,29 @@ class ManyRuns:
             rows.append((restore, component, place.value))
         return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
 
-    def _compiled(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
-        if len(seeds) >= FEWEST and self._opens_beside():
-            return self._in_lock_step(seeds)
-        self._alone = max(self._alone - len(seeds), 0)
-        return self._one_by_one(seeds, self._room(len(seeds)))
+    def _compiled(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing) -> Block:
+        # A group in lock step takes at most as long as its runs one by one, and must not reach the limit of one run.
+        if len(seeds) >= FEWEST and self._pace * LANES < (self._limit or inf) and self._opens_beside():
+            return self._in_lock_step(seeds, keep_going)
+        block = self._one_by_one(seeds, self._room(len(seeds))) if self._quick else self._each(seeds[:1], keep_going)
+        self._alone = max(self._alone - len(block.steps), 0)
+        return block
+
+    @property
+    def _quick(self) -> bool:
+        """Whether a run is so short that it need not be made piece by piece."""
+        return self._pace < min(BREATH, self._limit or BREATH)
+
+    def _each(
+        self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing, *, limited: bool = True
+    ) -> Block:
+        """Make runs piece by piece, up to the first one that fails."""
+        blocks: list[Block] = []
+        while len(blocks) < len(seeds) and not (blocks and blocks[-1].reasons[0]):
+            made = self._single(int(seeds[len(blocks)]), keep_going, limited=limited)
+            blocks.append(replace(made, recording=made.recording.copy()))
+        recording, steps = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("recording", "steps"))
+        return Block(recording, steps, tuple(b.reasons[0] for b in blocks))
 
     def _one_by_one(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
         engine, run = self._engine, self._run
@@ -298,14 +323,14 @@ class ManyRuns:
         self._beside = SideBySide(self._function, [engine.program for engine in engines], memory, states)
         return True
 
-    def _in_lock_step(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
+    def _in_lock_step(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing) -> Block:
         """Make runs in lock step; the lanes that are left over repeat runs. If one fails, its group is made one by one."""
         if not self._agrees:
-            return self._twice(seeds[:LANES])
+            return self._twice(seeds[:LANES], keep_going)
         rest = len(seeds) % LANES
         count = len(seeds) - (rest if rest < FEWEST else 0)
         recording = self._room(-(-count // LANES) * LANES)
-        done = min(self._together(np.resize(seeds[:count], len(recording)), recording), count)
+        done = min(self._together(np.resize(seeds[:count], len(recording)), recording, keep_going), count)
         if done < count:
             self._failures += 1
             # A campaign in which many runs fail soon makes all of them one by one.
@@ -315,26 +340,36 @@ class ManyRuns:
             raise _NotPutBackError
         return Block(recording[:done], np.full(done, self._steps), ("",) * done)
 
-    def _together(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> int:
+    def _together(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats, keep_going: KeepGoing) -> int:
+        """Return the number of complete runs before the first group of which one fails, or that takes too long."""
         assert self._beside is not None
         self._fresh = False
-        with self._run.guard as guard:
-            done = self._beside.make(seeds, recording, self._steps)
-        if guard.changed:
-            warn_of_arithmetic(self._run)
-        if guard.interrupted:
-            raise KeyboardInterrupt
-        return done
+        # A group takes at most the time of its runs one by one.
+        self._beside.begin(seeds, recording, self._steps, max(int(self._steps * BREATH / (self._pace * LANES)), 1))
+        going, began, before = True, time.perf_counter(), 0
+        while going:
+            with self._run.guard as guard:
+                going = self._beside.go_on()
+            if guard.changed:
+                warn_of_arithmetic(self._run)
+            if guard.interrupted:
+                raise KeyboardInterrupt
+            _go_on(keep_going)
+            if self._beside.done > before:
+                began, before = time.perf_counter(), self._beside.done
+            elif self._limit and time.perf_counter() - began > self._limit:
+                break
+        return self._beside.done
 
-    def _twice(self, seeds: np.ndarray[Any, np.dtype[np.uint64]]) -> Block:
+    def _twice(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing) -> Block:
         """Make the first runs one by one, and then in lock step: instances of an FMU may share something that they hide."""
         recording, count = self._room(LANES), len(seeds)
-        block = self._one_by_one(seeds, recording[:count])
+        block = self._one_by_one(seeds, recording[:count]) if self._quick else self._each(seeds, keep_going)
         if len(block.steps) == count and not any(block.reasons):
-            alone = recording[:count].copy()
-            self._agrees = self._together(np.resize(seeds, LANES), recording) == LANES
+            alone = block.recording.copy()
+            self._agrees = self._together(np.resize(seeds, LANES), recording, keep_going) == LANES
             self._agrees = self._agrees and recording[:count].tobytes() == alone.tobytes()
-            recording[:count] = alone
+            block = replace(block, recording=alone)
             if not self._agrees:
                 self._beside_allowed = False
                 self._shut()
@@ -384,8 +419,8 @@ class ManyRuns:
         ends, kept_ = self._run.memory.copy(), first.copy()
         try:
             again = (
-                self._compiled(np.array([seed], dtype=np.uint64))
-                if self._goes_from_run_to_run
+                self._one_by_one(np.array([seed], dtype=np.uint64), self._room(1))
+                if self._goes_from_run_to_run and self._quick
                 else self._single(seed, keep_going, limited=False)
             )
         except _NotPutBackError:

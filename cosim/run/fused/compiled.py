@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from math import prod
+from math import inf, prod
 from types import FunctionType
 from typing import Any
 
@@ -32,6 +33,10 @@ LOADED: float = 50_000
 COMPILED: float = 2_000_000
 """The same for each call of a loop that is not on the disk: compiling it takes about 0.05 s a call."""
 
+SECONDS: float = 15.0
+"""Time of all runs one by one from which on compiling a loop for several runs pays, however few steps they have. The longest,
+with a bank of hypotheses, takes 3 to 5 s, and saves two thirds of the time."""
+
 Whole = np.ndarray[Any, np.dtype[np.int64]]
 
 Tables = tuple[Whole, Whole, Whole, int, tuple[int, int]]
@@ -47,6 +52,8 @@ LANES = 8
 """Runs that are made in lock step, each in its lane of the processor's vector registers."""
 
 _addresses: dict[str, int] = {}
+
+_compiling = threading.Lock()
 
 
 def fused(schedule: Schedule, tables: Tables, steps: float) -> int:
@@ -68,10 +75,10 @@ def fused(schedule: Schedule, tables: Tables, steps: float) -> int:
     return _found(loop, text, steps, lambda name: _compiled(loop, functions, name))
 
 
-def fused_lanes(schedule: Schedule, tables: Tables, steps: float) -> int:
+def fused_lanes(schedule: Schedule, tables: Tables, steps: float, seconds: float = 0.0) -> int:
     """Return the address of a function for `LANES` runs of a diagram in lock step; 0 if that does not pay.
 
-    Parameters are those of `fused`, and `steps` those of all runs together.
+    Parameters are those of `fused`, and `steps` those of all runs together, which take these `seconds` one by one (0: unknown).
     """
     if steps < LOADED * LANES or schedule.groups:  # a group's tables have the address of one run's memory
         return 0
@@ -93,7 +100,9 @@ def fused_lanes(schedule: Schedule, tables: Tables, steps: float) -> int:
         lasting=frozenset(_lasting(schedule, loop)),
     )
     text = text_of_lanes(loop, lanes, "loop")
-    return _found(loop, text, steps, lambda name: _compiled_lanes(loop, lanes, functions, name))
+    return _found(
+        loop, text, inf if seconds >= SECONDS else steps, lambda name: _compiled_lanes(loop, lanes, functions, name)
+    )
 
 
 def _sections(schedule: Schedule) -> Iterator[tuple[int, int]]:
@@ -119,14 +128,22 @@ def _lasting(schedule: Schedule, loop: Loop) -> Iterator[int]:
 
 
 def _found(loop: Loop, text: str, steps: float, compiled: Callable[[str], bytes]) -> int:
-    """Return the address of a loop's code, which depends on this `text` and what it includes; 0 if compiling does not pay."""
+    """Return the address of a loop's code, which depends on this `text` and what it includes.
+
+    It is 0 if compiling does not pay, or as long as another thread compiles a loop: then runs one by one pay.
+    """
     parts = [environment(), text, *(known_text(service) for service in loop.services)]
     name = "loop_" + hashlib.sha256("|".join(parts).encode()).hexdigest()[:24]
     if name not in _addresses:
         is_kept = (cache_directory("compiled") / f"{name}.o").exists()
         if not is_kept and steps < COMPILED * len(loop.rows):
             return 0
-        _addresses[name] = load_or_compile(name, lambda: compiled(name))
+        if not _compiling.acquire(blocking=False):
+            return 0
+        try:
+            _addresses[name] = load_or_compile(name, lambda: compiled(name))
+        finally:
+            _compiling.release()
     return _addresses[name]
 
 

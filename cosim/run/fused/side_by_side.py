@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.cosim.random import CHUNK, SPARE
-from bayesftc.cosim.run.general.program import DONE, DRAWN, Program, Seeds, Whole, function
+from bayesftc.cosim.run.general.program import AT, DONE, DRAWN, UNBEGUN, Program, Seeds, Whole, function
 from bayesftc.cosim.types import Floats
 
 
@@ -32,19 +32,31 @@ class SideBySide:
         self._own, self._wide = np.empty((lanes, size)), _aligned(size, lanes)
         self._buffers = np.empty((lanes, int(self._program.words[DRAWN]) + SPARE, CHUNK))
 
-    def make(self, seeds: Seeds, recordings: Floats, end: int) -> int:
-        """Make runs to step `end`, as many as fill all lanes; return how many are done before the first group with a failure."""
-        many = np.array(
+    def begin(self, seeds: Seeds, recordings: Floats, end: int, piece: int) -> None:
+        """Begin runs to step `end`, as many as fill all lanes, with pauses after every `piece` steps."""
+        self._seeds, self._recordings = seeds, recordings  # keeps their memory
+        self._words = np.array(
             [
                 self._program.address, recordings.ctypes.data, recordings.strides[0], seeds.ctypes.data, len(seeds),
                 self._initial.ctypes.data, self._states.ctypes.data, self._states.shape[1], 0, end, 0, 0,
                 self._loop, self._calls.ctypes.data, self._buffers.ctypes.data, self._own.ctypes.data, self._wide.ctypes.data,
-                len(self._own),
+                len(self._own), piece, UNBEGUN,
             ],
             dtype=np.int64,
         )  # fmt: skip
-        function("run_lanes")(many.ctypes.data, 0, 0, 0, 0.0, 0)
-        return int(many[DONE])
+
+    def go_on(self) -> bool:
+        """Make runs to the next pause; return whether there is more to do.
+
+        There is not if all are done, or one of the first group that is not has failed.
+        """
+        function("run_lanes")(self._words.ctypes.data, 0, 0, 0, 0.0, 0)
+        return bool(self._words[AT] != UNBEGUN)
+
+    @property
+    def done(self) -> int:
+        """Number of complete runs, from the first one on."""
+        return int(self._words[DONE])
 
 
 def _aligned(rows: int, lanes: int) -> Floats:

@@ -12,6 +12,7 @@ from bayesftc.cosim.fmi.binaries.surroundings_kernels import noted, restored
 from bayesftc.cosim.random import CHUNK, SPARE
 from bayesftc.cosim.run.general.program import (
     ALL_CALLS,
+    AT,
     BEFORE,
     BEGIN,
     BUFFER,
@@ -46,6 +47,7 @@ from bayesftc.cosim.run.general.program import (
     OUTPUTS,
     OWN,
     PARAMETERS,
+    PIECE,
     PROGRAM,
     REACHED,
     RECORDED,
@@ -63,6 +65,7 @@ from bayesftc.cosim.run.general.program import (
     STRIDE,
     SURROUNDINGS,
     TABLES,
+    UNBEGUN,
     WIDE,
 )
 from bayesftc.cosim.stepping.by_address import as_floats, as_integers, call_block, call_loop, put_back
@@ -229,13 +232,14 @@ def run_many(state, parameters, inputs, outputs, t, k):
 
 
 def run_lanes(state, parameters, inputs, outputs, t, k):
-    """Make the runs of SEEDS to t_end, LANES of them in lock step; DONE becomes the number of complete ones.
+    """Make the runs of SEEDS to t_end, LANES of them in lock step, from run DONE on, which becomes the number of complete ones.
 
     OWN is the memory of the runs, with a row for each, and WIDE the one with all lanes of each number. INITIAL has the first
-    content of each run's memory, and STATES for each its table as in `run_many`. The function stops at the first group of runs
-    of which one fails.
+    content of each run's memory, and STATES for each its table as in `run_many`. After PIECE steps the function pauses: AT is
+    then the step of the group of runs that is not complete, and the next call continues it. Else AT is `UNBEGUN`, and all runs
+    are complete, or one of the next group has failed.
     """
-    many = carray(as_integers(state), (LANES + 1,))
+    many = carray(as_integers(state), (AT + 1,))
     words, lanes = carray(as_integers(many[PROGRAM]), (TABLES,)), many[LANES]
     size, drawn = words[SIZE], words[DRAWN]
     own = carray(as_floats(many[OWN]), (lanes, size))
@@ -245,17 +249,23 @@ def run_lanes(state, parameters, inputs, outputs, t, k):
     seeds = carray(as_integers(many[SEEDS]), (many[RUNS],))
     streams = carray(as_integers(words[STREAMS]), (drawn, 4)).view(np.uint64)
     buffers = carray(as_floats(many[BUFFERS]), (lanes, drawn + SPARE, CHUNK))
-    many[DONE] = i = 0
+    i, made = many[DONE], 0
     while i + lanes <= many[RUNS]:
-        for lane in range(lanes):
-            for j in range(size):
-                own[lane, j] = initial[lane, j]
-                wide[j, lane] = initial[lane, j]
-            row, _ = _put_back(states[lane], many[STATE_COUNT])
-            if row >= 0:
-                return 0
-        step, evaluate = 0, 1
+        step, evaluate = many[AT], 0
+        many[AT] = UNBEGUN
+        if step == UNBEGUN:
+            step, evaluate = 0, 1
+            for lane in range(lanes):
+                for j in range(size):
+                    own[lane, j] = initial[lane, j]
+                    wide[j, lane] = initial[lane, j]
+                row, _ = _put_back(states[lane], many[STATE_COUNT])
+                if row >= 0:
+                    return 0
         while evaluate != 0 or step != many[LENGTH]:
+            if evaluate == 0 and made >= many[PIECE]:
+                many[AT] = step
+                return 0
             chunk = (step if evaluate != 0 else step + 1) // CHUNK
             for lane in range(lanes):
                 fill(np.uint64(seeds[i + lane]), streams, chunk * CHUNK, buffers[lane])
@@ -265,6 +275,6 @@ def run_lanes(state, parameters, inputs, outputs, t, k):
             )  # fmt: skip
             if step < 0:
                 return 0
-            evaluate = 0
+            evaluate, made = 0, made + CHUNK
         many[DONE] = i = i + lanes
     return 0

@@ -31,7 +31,9 @@ COLUMNS = 10
 
 # Words for many runs, after the program's address: one by one, and in lock step.
 PROGRAM, RECORDINGS, STRIDE, SEEDS, RUNS, INITIAL, STATES, STATE_COUNT, FRESH, LENGTH, REACHED, DONE = range(12)
-LOOP, ALL_CALLS, BUFFERS, OWN, WIDE, LANES = range(12, 18)
+LOOP, ALL_CALLS, BUFFERS, OWN, WIDE, LANES, PIECE, AT = range(12, 20)
+UNBEGUN = -1
+"""The step AT which runs in lock step are that have not begun."""
 
 _write_piece = Struct("qQqqqq").pack_into
 """Writes the words from RECORDING to END."""

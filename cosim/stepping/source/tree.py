@@ -7,6 +7,7 @@ import copy
 import dis
 import inspect
 import textwrap
+import threading
 from bisect import bisect_left
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,8 +21,20 @@ Sections = Mapping[str, tuple[str, int, tuple[int, ...]]]
 """For each argument of a step function except ``t`` and ``k``: its section of memory, its offset in elements, its shape."""
 
 
+_parsing = threading.RLock()
+
+
 class NoText(KernelError):
     """The source of a function is not available."""
+
+
+def parsed(text: str) -> ast.Module:
+    """Return the syntax tree of some Python, in one thread at a time.
+
+    Python 3.11 counts the depth of the trees that all threads build in one number. Two threads at once can raise a SystemError.
+    """
+    with _parsing:
+        return ast.parse(text)
 
 
 def tree_of(function: FunctionType) -> ast.FunctionDef:
@@ -36,7 +49,7 @@ def tree_of(function: FunctionType) -> ast.FunctionDef:
         return copy.deepcopy(function.tree)  # type: ignore[no-any-return]
     try:
         lines, first = inspect.getsourcelines(function)
-        tree = ast.parse(textwrap.dedent("".join(lines)))
+        tree = parsed(textwrap.dedent("".join(lines)))
     except (OSError, TypeError, SyntaxError):
         raise NoText(
             f"The source of step function {where(function)} is not available, so it cannot be translated to C. Define it with "
@@ -63,7 +76,7 @@ def _alike(tree: ast.FunctionDef, code: CodeType) -> bool:
     bare = ast.Module([_without_decorators(tree)], [])
     if code.co_freevars:
         # An outer function with these variables makes them compile to the same instructions.
-        outer = ast.parse(f"def outer():\n    {' = '.join(code.co_freevars)} = None\n")
+        outer = parsed(f"def outer():\n    {' = '.join(code.co_freevars)} = None\n")
         outer.body[0].body += bare.body  # type: ignore[attr-defined]
         bare = outer
     compiled = compile(ast.fix_missing_locations(bare), code.co_filename, "exec")

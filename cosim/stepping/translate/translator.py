@@ -8,6 +8,7 @@ Python. Loops stay loops: the length of the C does not depend on the sizes of th
 from __future__ import annotations
 
 import ast
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
 from types import FunctionType
@@ -164,7 +165,8 @@ class Translator(Expressions):
 
     def do_AugAssign(self, node: ast.AugAssign) -> None:
         self._plain(node.target)
-        target = ast.parse(ast.unparse(node.target), mode="eval").body
+        target = copy.deepcopy(node.target)
+        target.ctx = ast.Load()
         changed = ast.copy_location(ast.BinOp(target, node.op, node.value), node)
         self.assign(node.target, self.value(ast.fix_missing_locations(changed)))
 

@@ -3,7 +3,7 @@
 import pytest
 
 from bayesftc.cosim.run import engines, many
-from bayesftc.cosim.run.fused import compiled, side_by_side
+from bayesftc.cosim.run.fused import compiled
 
 
 @pytest.fixture
@@ -28,10 +28,10 @@ def lanes(as_one, monkeypatch):
     """The numbers of runs that were made in lock step, call by call."""
     made = []
 
-    def noted(self, *arguments, usual=side_by_side.SideBySide.make):
+    def noted(self, *arguments, usual=many.ManyRuns._together):
         made.append(usual(self, *arguments))
         return made[-1]
 
-    monkeypatch.setattr(side_by_side.SideBySide, "make", noted)
+    monkeypatch.setattr(many.ManyRuns, "_together", noted)
     monkeypatch.setattr(many, "WORTH", 0.0)
     return made

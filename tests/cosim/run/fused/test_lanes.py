@@ -1,6 +1,8 @@
 """Runs in lock step: the bits of single runs, for every kind of call; and what happens if one fails."""
 
 import platform
+import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -9,8 +11,11 @@ from bayesftc import cosim
 from bayesftc.bench.measures.full_loop import full_diagram
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.random import CHUNK
+from bayesftc.cosim.run import many
 from bayesftc.cosim.run.fused import compiled, lanes as lanes_text
+from bayesftc.cosim.run.fused.side_by_side import SideBySide
 from bayesftc.cosim.run.general.program import FUNCTION
+from bayesftc.cosim.run.recording import select_signals
 from bayesftc.cosim.stepping.machine.services import service_at
 from bayesftc.cosim.stepping.machine.shipped import MACHINES
 
@@ -53,11 +58,99 @@ def test_a_run_that_fails_is_told_as_elsewhere(every, lanes, make_block, campaig
     block = make_block(inputs=[Port("u")], outputs=[Port("y")], output=leave, finite=True)
     plant = diagram.add(block, "plant", every=every)
     diagram.connect(diagram.add(cosim.Gaussian(1.0), "noise")["y"], plant["u"])
-    table = campaign_as_alone(diagram, 60 * every * diagram.step, tuple(range(60)))
+    table = campaign_as_alone(diagram, 60 * every * diagram.step, tuple(range(150)))
     reasons = table["reason"].astype(bool)
     assert 0 < reasons.sum() < len(table)
     assert 0 in lanes
     assert max(lanes) > 0
+
+
+@pytest.fixture
+def pauses(lanes, monkeypatch):
+    """Whether there was more to do after each call of the compiled code, where all runs are too long for one call."""
+    more = []
+
+    def noted(self, usual=SideBySide.go_on):
+        more.append(usual(self))
+        return more[-1]
+
+    monkeypatch.setattr(many, "BREATH", 1e-6)
+    monkeypatch.setattr(SideBySide, "go_on", noted)
+    return more
+
+
+@pytest.mark.parametrize("name", DIAGRAMS)
+def test_long_runs_go_on_after_pauses(name, lanes, pauses, campaign_as_alone):
+    diagram = DIAGRAMS[name]()
+    campaign_as_alone(diagram, 5 * CHUNK * diagram.step, SEEDS)
+    assert sum(lanes) >= 2 * compiled.LANES
+    assert sum(pauses) == 5 * -(-sum(lanes) // compiled.LANES)
+
+
+def long_runs(steps, **settings):
+    """Return runs of this many chunks of steps, which record one signal."""
+    schedule = slow_and_fast().schedule
+    return many.ManyRuns(schedule, select_signals(schedule, ["gap.y"]), steps * CHUNK, **settings)
+
+
+def test_long_runs_stop_between_pauses(lanes, pauses):
+    runs = long_runs(10)
+    with closing(runs), pytest.raises(many.StoppedFromOutside):
+        for _ in runs.run(range(SEEDS[-1]), lambda: len(pauses) < 5):
+            pass
+    assert pauses == [True] * 5
+
+
+def test_a_group_that_takes_longer_than_the_limit_is_made_one_by_one(lanes, pauses, monkeypatch):
+    slept = []
+
+    def sleep_once():
+        if pauses and not slept:
+            time.sleep(1.1)
+            slept.append(len(pauses))
+        return True
+
+    with closing(long_runs(10, time_limit=1.0)) as runs:
+        reasons = [reason for block in runs.run(range(40), sleep_once) for reason in block.reasons]
+    assert reasons == [""] * 40
+    assert slept == [1]
+    assert lanes[0] == 0
+    assert sum(lanes) > 0
+
+
+@pytest.fixture
+def nothing_kept(monkeypatch, tmp_path):
+    """No loop is compiled yet, and the number of steps never makes compiling pay."""
+    monkeypatch.setenv("BAYESFTC_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiled, "_addresses", {})
+    monkeypatch.setattr(compiled, "LOADED", 0)
+    monkeypatch.setattr(compiled, "COMPILED", np.inf)
+
+
+@pytest.mark.parametrize(("seconds", "compiles"), [(0.99 * compiled.SECONDS, False), (compiled.SECONDS, True)])
+def test_slow_runs_are_worth_compiling(seconds, compiles, nothing_kept, monkeypatch):
+    monkeypatch.setattr(compiled, "load_or_compile", lambda name, compile: 1)
+    with slow_and_fast().start() as session:
+        assert bool(session._engine.in_lock_step(1e6, seconds)) is compiles
+
+
+def test_no_thread_waits_for_the_compiler_of_another(nothing_kept):
+    with slow_and_fast().start() as session:
+        with compiled._compiling:
+            assert not session._engine.in_lock_step(1e6, compiled.SECONDS)
+        assert session._engine.in_lock_step(1e6, compiled.SECONDS)
+
+
+def test_the_first_run_tells_whether_compiling_pays(nothing_kept, monkeypatch):
+    groups = []
+    monkeypatch.setattr(
+        SideBySide, "begin", lambda self, *a, usual=SideBySide.begin: groups.append(1) or usual(self, *a)
+    )
+    for at in (compiled, many):
+        monkeypatch.setattr(at, "SECONDS", 1e-9)
+    with closing(long_runs(3)) as runs:
+        assert sum(len(block.steps) for block in runs.run(range(40))) == 40
+    assert groups
 
 
 def test_outputs_last_as_long_as_somebody_reads_them(lanes, make_block, campaign_as_alone):
