@@ -11,7 +11,7 @@ from matplotlib import pyplot
 from matplotlib.image import imread
 
 from bayesftc import cosim
-from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision, LinearModel, LQGController
+from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision, LinearModel, LQGController, SwitchingPrecision
 from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.judging.fault_panels import _logarithmic
 from bayesftc.cosim.judging.loop_figure import plot_run
@@ -154,6 +154,30 @@ def test_ignored_samples_are_marked():
     assert 5 < len(bars) < marked.sum()
     assert marks.get_linewidth() > 3  # periods are bars without gaps ...
     assert marks.get_marker() == "|"  # ... and a single sample has a tick
+
+
+@pytest.mark.parametrize(("joint", "word"), [(True, "corrected"), (False, "ignored")])
+def test_a_sensor_whose_offset_is_subtracted_is_not_called_ignored(joint, word):
+    loop = cruise_control(SwitchingPrecision(joint=joint), cosim.Bias(sensor=0, start=1.0, magnitude=8.0))
+    deviation = panel(plot_run(run_of(loop, 4.0)), "expected")
+    assert [t.get_text() for t in deviation.texts] == [word]
+    explained = ":\ninferred offset subtracted" if joint else ""
+    assert names(deviation) == ["sensor 0", f"sensor 0 {word}{explained}", "sensor 1"]
+
+
+def test_only_a_sensor_with_an_alarm_and_without_weight_for_its_quantity_is_called_ignored(signals):
+    first, second = signals.sensors
+    coarse = replace(second, precision=1e-6 * second.precision)  # healthy, with a thousand times the noise
+
+    def marked(**changes):
+        return names(panel(plot_run(replace(signals, **changes)), "expected"))
+
+    assert marked(sensors=(first, coarse)) == ["sensor 0", "sensor 0 ignored", "sensor 1"]
+    speed = signals.quantities[0]
+    apart = (replace(speed, sensors=(0,)), replace(speed, name="w", sensors=(1,)))
+    blamed = replace(coarse, probability=np.ones_like(coarse.probability))
+    assert marked(sensors=(first, blamed))[-1] == "sensor 1 ignored"
+    assert marked(sensors=(first, blamed), quantities=apart)[-1] == "sensor 1 (w)"
 
 
 def test_missing_samples_are_gaps_and_marks():
