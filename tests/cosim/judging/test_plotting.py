@@ -370,6 +370,15 @@ def test_the_limits_of_a_control_and_what_the_plant_received():
     np.testing.assert_array_equal(received[60:], 0.5 * sent[60:])
 
 
+@pytest.mark.parametrize(("low", "high", "label"), [(-1e4, 1e4, []), (-1e4, 150.0, ["limit of the control"])])
+def test_only_limits_within_the_panel_are_in_the_legend(signals, low, high, label):
+    sent = np.where(signals.time < 0.1, 1e4, 100.0 * np.sin(signals.time))  # the start is cut off
+    sent[-1] = 160.0
+    (control,) = signals.controls
+    axis = panel(plot_run(replace(signals, controls=(replace(control, sent=sent, low=low, high=high),))), "force")
+    assert names(axis) == ["control", *label]
+
+
 def test_samples_of_many_sensors_leave_room_for_the_rest():
     controller = load_scenario("cruise_control").controller
     model = replace(controller.model, C=np.ones((14, 1)), sensor_covariance=1.0)
