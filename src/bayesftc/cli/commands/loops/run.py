@@ -21,8 +21,8 @@ from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
-from bayesftc.cosim.judging.findings import blamed_together, never_began, plain_findings
-from bayesftc.cosim.judging.metrics import figures, without_nan
+from bayesftc.cosim.judging.findings import blamed_together, never_began, numbers_of
+from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
@@ -193,10 +193,8 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "duration": float(steps * result.step),
         "steps": steps,
         "stopped": result.stopped,
-        "units": {q.name: q.unit for q in signals.quantities},
         "law": _law(scenario.controller),
-        **figures(signals).to_dict(),
-        "findings": plain_findings(signals),
+        **numbers_of(signals),
         "notes": [
             *_notes(scenario, signals, _unrecorded(loop, result)),
             *_limited(loop, result),
