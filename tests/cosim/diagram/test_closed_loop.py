@@ -205,6 +205,16 @@ def test_references(reference):
         ),
         ({"faults": ["freeze"]}, cosim.ModelError, r"faults must contain only faults, such as Freeze"),
         ({"faults": 3}, cosim.ModelError, r"faults must contain only faults, .* not 3"),
+        (
+            {"input_faults": {"wind": [cosim.Bias(magnitude=1.0)]}},
+            cosim.UnknownNameError,
+            r"^input_faults names 'wind', which is no input of the plant; known names: force, gust\.$",
+        ),
+        (
+            {"noise": {"gusts": cosim.Gaussian(1.0)}},
+            cosim.UnknownNameError,
+            r"^noise names 'gusts', which is no input of the plant; did you mean 'gust'\?$",
+        ),
         ({"input_faults": {"force": None}}, cosim.ModelError, r"faults must contain only faults, .* not None"),
         ({"faults": [cosim.Freeze(sensor=1, start=1.0)]}, cosim.ModelError, r"refers to sensor 1, but there are 1"),
         (
