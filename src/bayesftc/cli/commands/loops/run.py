@@ -121,8 +121,10 @@ def run(
             error.args = (f"{said} They are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
-    numbers["model"] = _diagnosed(loaded, loop, result)
-    numbers["notes"] += _blamed(numbers, signals, loaded.controller, result.decimation)
+    numbers["model"], compared = _diagnosed(loaded, loop, result)
+    hints = _blamed(numbers, signals, loaded.controller, result.decimation)
+    numbers["notes"] += hints
+    numbers["model_without_error"] = None if numbers["model"] or hints or not compared else compared
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
     elif _is_ser(loaded):
@@ -234,17 +236,20 @@ def _law(controller: Block) -> str:
     return "The controller steers the state to it one step later." if isinstance(controller, BayesianController) else ""
 
 
-def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any] | None:
-    """Return how the controller's model is wrong, as far as the run was recorded; None if there is no evidence against it."""
+def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int]:
+    """Return how the controller's model is wrong, as far as the run was recorded, and how many samples were compared with it.
+
+    The first is None if there is no evidence against the model.
+    """
     from bayesftc.controllers import NonlinearModel, diagnose
-    from bayesftc.controllers.diagnosis.diagnose import checked_model
+    from bayesftc.controllers.diagnosis.diagnose import checked_model, compared_samples
 
     model, samples = checked_model(scenario.controller), _source_of_samples(loop)
     needed = ("controller.model_suspect",) if isinstance(model, NonlinearModel) else (samples, "controller.u")
     if model is None or result.decimation != 1 or not all(name in result for name in needed):
-        return None
+        return None, 0
     finding = diagnose(result, scenario.controller, y=samples)
-    return None if finding is None else without_nan(asdict(finding))
+    return None if finding is None else without_nan(asdict(finding)), compared_samples(model, len(result.time))
 
 
 def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block, decimation: int) -> list[str]:
