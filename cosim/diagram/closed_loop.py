@@ -216,7 +216,7 @@ def closed_loop(
     warn_of_held_inputs(diagram, node, controller_node)
     warn_of_start(diagram, node, controller_node)
     check_goals_ahead(diagram, controller_node)
-    check_units_of_goals(diagram, controller_node)
+    check_units_of_goals(diagram)
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
     return diagram.build()

@@ -24,7 +24,7 @@ from bayesftc.cosim.diagram.wiring import (
     label_of,
     preview_time,
 )
-from bayesftc.cosim.errors import BayesFTCError, ConnectionError
+from bayesftc.cosim.errors import BayesFTCError, ConnectionError, ModelError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -355,14 +355,18 @@ def _unit(known: tuple[str, Unit | None] | None) -> str | None:
     return known[0] if known else None
 
 
-def check_units_of_goals(diagram: Diagram, controller: Node) -> None:
-    """Refuse a reference in another unit than the quantity that it is the goal of.
+def check_units_of_goals(diagram: Diagram) -> None:
+    """Refuse a reference in another unit than the quantity that it is the goal of; what is no closed loop has no goals.
 
     Raises
     ------
     ConnectionError
         With the two units, and the block that converts one into the other.
     """
+    try:
+        controller = find_controller(diagram)
+    except ModelError:
+        return
     known, goal = _declared(diagram), controller.port("goal")
     sources = [diagram.source_of(controller, goal, i) for i in range(goal.size)]
     given = [s and known.get((s[0].node.name, s[0].port.name, s[1])) for s in sources]
