@@ -28,8 +28,8 @@ LANE, FIRST_LANE = 0.11, 1.10
 """Height of a row of kinds and the middle of the lowest, in units of the probability."""
 HATCHED: dict[str, Any] = {"fc": "none", "ec": "0.8", "hatch": "///"}
 """Look of the time of an actuator or process fault."""
-EXPLAINED = {"corrected": ":\ninferred offset subtracted"}
-"""What the legend adds to the word of a mark."""
+GREY_BAR: dict[str, Any] = {"color": "0.6", "lw": 5, "alpha": 0.5, "solid_capstyle": "butt"}
+"""Look of a bar of any colour in a legend."""
 ROW = 0.09
 """Height of a row of marks, as a share of the panel's."""
 
@@ -60,6 +60,8 @@ def _draw_deviation(axis: Axes, *, signals: LoopSignals, sensors: list[SensorSig
         row += _mark(axis, signals, sensor, "ignored", row, ignored)
         row += _mark(axis, signals, sensor, "corrected", row, corrected)
         row += _mark(axis, signals, sensor, "missing", row, missing)
+    if any(text.endswith(" corrected") for text in axis.get_legend_handles_labels()[1]):
+        axis.plot([], [], **GREY_BAR, label="corrected: the inferred\noffset is subtracted")
     axis.set_ylabel("expected standard\n" + with_unit("deviation", unit))
     _logarithmic(axis, drawn, (row + 0.5) * ROW if row else 0.0)
 
@@ -85,7 +87,7 @@ def _mark(axis: Axes, signals: LoopSignals, sensor: SensorSignals, what: str, ro
     if not where.any():
         return 0
     time, height = signals.time, axis.get_xaxis_transform()
-    top, label = 0.97 - ROW * row, f"{signals.sensor_name(sensor.index)} {what}{EXPLAINED.get(what, '')}"
+    top, label = 0.97 - ROW * row, f"{signals.sensor_name(sensor.index)} {what}"
     style: dict[str, Any] = {"color": colour_of(sensor.index), "transform": height, "label": label}
     if what in ("ignored", "corrected"):  # a bar, with a tick for a single sample, which has no length
         bar: dict[str, Any] = {"lw": 5, "solid_capstyle": "butt", "marker": "|", "ms": 5}
@@ -175,7 +177,7 @@ def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
     for row, each in enumerate(rows):
         _draw_kinds(axis, signals.time, each, FIRST_LANE + LANE * row)
     if rows:
-        axis.plot([], [], color="0.6", lw=5, alpha=0.5, label="bar: most probable kind\nduring an alarm")
+        axis.plot([], [], **GREY_BAR, label="bar: most probable kind\nduring an alarm")
     axis.set_ylim(-0.04, FIRST_LANE + LANE * (len(rows) - 0.4) if rows else 1.04)
     axis.set_yticks(np.linspace(0.0, 1.0, 6))
     axis.set_ylabel("fault probability")

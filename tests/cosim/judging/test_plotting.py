@@ -161,8 +161,8 @@ def test_a_sensor_whose_offset_is_subtracted_is_not_called_ignored(joint, word):
     loop = cruise_control(SwitchingPrecision(joint=joint), cosim.Bias(sensor=0, start=1.0, magnitude=8.0))
     deviation = panel(plot_run(run_of(loop, 4.0)), "expected")
     assert [t.get_text() for t in deviation.texts] == [word]
-    explained = ":\ninferred offset subtracted" if joint else ""
-    assert names(deviation) == ["sensor 0", f"sensor 0 {word}{explained}", "sensor 1"]
+    explained = ["corrected: the inferred\noffset is subtracted"] * joint
+    assert names(deviation) == ["sensor 0", f"sensor 0 {word}", "sensor 1", *explained]
 
 
 def test_only_a_sensor_with_an_alarm_and_without_weight_for_its_quantity_is_called_ignored(signals):
