@@ -55,8 +55,9 @@ def _draw_deviation(axis: Axes, *, signals: LoopSignals, sensors: list[SensorSig
         drawn.append(shown)
         axis.plot(*thin(signals.time, shown), **_line(signals, sensor))
         missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
-        corrected = beyond & sensor.corrected  # its precision does not count the samples minus the offset
-        ignored = (~missing & (sensor.precision == 0)) | (beyond & ~corrected)
+        little = (~missing & (sensor.precision == 0)) | beyond
+        corrected = little & sensor.corrected  # its precision does not count the samples minus the offset
+        ignored = little & ~corrected
         row += _mark(axis, signals, sensor, "ignored", row, ignored)
         row += _mark(axis, signals, sensor, "corrected", row, corrected)
         row += _mark(axis, signals, sensor, "missing", row, missing)

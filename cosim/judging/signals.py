@@ -70,9 +70,9 @@ class SensorSignals:
     def corrected(self) -> Flags:
         """The samples of which the controller subtracts an offset that it infers; none if the kinds were not recorded."""
         numbers = [number for number, kind in enumerate(self.kinds, start=1) if kind in self.corrected_kinds]
-        if self.kind is None or self.alarm is None:
+        if self.kind is None or self.probability is None:
             return np.zeros(0 if self.precision is None else len(self.precision), dtype=bool)
-        return self.alarm & np.isin(self.kind, numbers)  # type: ignore[no-any-return]
+        return (self.probability >= ALARM) & np.isin(self.kind, numbers)  # type: ignore[no-any-return]
 
     @property
     def missing(self) -> Flags | None:

@@ -159,8 +159,13 @@ def test_ignored_samples_are_marked():
 @pytest.mark.parametrize(("joint", "word"), [(True, "corrected"), (False, "ignored")])
 def test_a_sensor_whose_offset_is_subtracted_is_not_called_ignored(joint, word):
     loop = cruise_control(SwitchingPrecision(joint=joint), cosim.Bias(sensor=0, start=1.0, magnitude=8.0))
-    deviation = panel(plot_run(run_of(loop, 4.0)), "expected")
+    run = run_of(loop, 4.0)
+    deviation = panel(plot_run(run), "expected")
     assert [t.get_text() for t in deviation.texts] == [word]
+    first, second = run.sensors
+    first = replace(first, probability=np.append(np.nan, first.probability[1:]))  # no probability yet
+    unknown = panel(plot_run(replace(run, sensors=(first, second))), "expected")
+    assert [t.get_text() for t in unknown.texts] == [word]
     explained = ["corrected: the inferred\noffset is subtracted"] * joint
     assert names(deviation) == ["sensor 0", f"sensor 0 {word}", "sensor 1", *explained]
 
