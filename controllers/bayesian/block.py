@@ -157,6 +157,11 @@ class BayesianBlock(Block, ABC):
         return self._learner().infer is not None
 
     @property
+    def corrected_kinds(self) -> tuple[str, ...]:
+        """Names of those of `fault_kinds` whose inferred offset is subtracted from the samples, which still inform the state."""
+        return self.precision.offset_kinds if self.corrects_offsets else ()
+
+    @property
     def fault_kinds(self) -> tuple[str, ...]:
         """Names of the kinds of sensor faults that the precision learner distinguishes."""
         return self.precision.fault_kinds

@@ -81,6 +81,12 @@ def learner_lines(controller: BayesianController) -> list[str]:
     lines = [f"Precision learner: {type(precision).__name__}{settings}."]
     if modes := tuple(type(mode).__name__ for mode in getattr(precision, "modes", ())):
         lines.append(f"Sensor faults that are distinguished: {', '.join(modes)}.")
+        # The settings show the times for samples of up to 20 ms; these are the times in use.
+        used = precision.paced(float(controller.model.step)).modes
+        times = ", ".join(
+            f"{name} {m.time_to_fault:.6g} / {m.time_to_recovery:.6g}" for name, m in zip(modes, used, strict=True)
+        )
+        lines.append(f"Their mean times in seconds, until a fault begins / until it ends: {times}.")
     if controller.actuator_kinds:
         lines.append(f"Actuator faults that are distinguished: {', '.join(controller.actuator_kinds)}.")
     if precision.why_no_probability:

@@ -225,6 +225,13 @@ def checked_model(controller: Any) -> LinearModel | NonlinearModel | None:
     return model if isinstance(model, LinearModel | NonlinearModel) else None
 
 
+def compared_samples(model: LinearModel | NonlinearModel, samples: int) -> int:
+    """Return how many of a run's samples, from its start, `diagnose` compares with a model; 0 if it compares none."""
+    if isinstance(model, NonlinearModel):
+        return samples
+    return 0 if samples < LEAST_SAMPLES or observers(model) is None else min(samples, MOST_SAMPLES)
+
+
 def diagnose_recording(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0
 ) -> ModelFinding | None:

@@ -89,8 +89,13 @@ def _alone(model: LinearModel) -> str:
     single = [group[0] for group in model.alike if len(group) == 1]
     if len(single) == len(model.alike):
         return " No quantity has a second sensor, so a sensor fault may look the same."
-    names = [f"the only sensor of {model.names.sensors[i]}" if model.names else f"sensor {i}" for i in single]
-    return f" A fault of {' or '.join(names)}, which has no second one, may look the same." if names else ""
+    if not single:
+        return ""
+    if model.names:
+        names = [f"the only sensor of {model.names.sensors[i]}" for i in single]
+        return f" A fault of {' or of '.join(names)} may look the same."
+    names = [f"sensor {i}" for i in single]
+    return f" A fault of {' or '.join(names)} may look the same, because no other sensor measures the same quantity."
 
 
 def _named(j: float, model: LinearModel) -> str:

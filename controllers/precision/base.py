@@ -235,6 +235,11 @@ class PrecisionLearner(NamedArguments):
         return ()
 
     @property
+    def offset_kinds(self) -> tuple[str, ...]:
+        """Names of those of `fault_kinds` that are an offset, constant or growing; none by default."""
+        return ()
+
+    @property
     def actuator_modes(self) -> Sequence[Any]:
         """The kinds of actuator faults that it distinguishes; none by default."""
         return ()

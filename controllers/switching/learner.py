@@ -343,6 +343,11 @@ class SwitchingPrecision(PrecisionLearner):
         """See `PrecisionLearner.fault_sizes`."""
         return tuple(("noise" if mode.size_in_noise else "unit") if mode.is_fault else "" for mode in self.modes)
 
+    @property
+    def offset_kinds(self) -> tuple[str, ...]:
+        """See `PrecisionLearner.offset_kinds`."""
+        return tuple(type(mode).__name__ for mode in self.modes if isinstance(mode, Offset))
+
     def offset_units(self, model: LinearModel) -> Floats:
         """Return the variance for each sensor of a model in which its offsets are expected, see `Offset` (m)."""
         return model.quantity_noise if self._has_bank(model) else np.diag(model.matrix("sensor_covariance"))

@@ -57,6 +57,7 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         axis.set_axisbelow(True)
     axes[0].axhline(0.0, color="0.5", lw=0.8)
     _shift_phase(axes[0].lines[0], axes[1], margins)
+    dotted = ""
     if margins is None:
         texts = ["the closed loop is not stable"]
     else:
@@ -74,10 +75,11 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         for axis, at in zip(axes, (margins.phase_crossover, margins.gain_crossover), strict=True):
             if np.isfinite(at) and at > 0.0:
                 axis.axvline(at, color="0.5", lw=0.8, ls=":")
+                dotted = "; dotted: where the margin is read"
     axes[0].set_title(", ".join(texts), fontsize=9)
     axes[0].set_ylabel("gain (dB)")
     axes[1].set_ylabel("phase (degrees)")
-    axes[1].set_xlabel("frequency (rad/s); dashed: half of the sampling frequency")
+    axes[1].set_xlabel(f"frequency (rad/s); dashed: half of the sampling frequency{dotted}")
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
 

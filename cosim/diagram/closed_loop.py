@@ -206,15 +206,17 @@ def closed_loop(
                 f"connections=[(['plant.{name}', 'disturbance.y'], 'total.u'), ('total.y', 'plant.{name}')])."
             )
         _check_source(f"noise[{name!r}]", source)
-        _feed(diagram, diagram.add(source, noise_block(name))["y"], node[name], remaining.pop(name, ()), name)
+        target = _input(node, name, "noise")
+        _feed(diagram, diagram.add(source, noise_block(name))["y"], target, remaining.pop(name, ()), name)
     for name, chain in remaining.items():
-        _feed(diagram, _start_value(diagram, node[name], name), node[name], chain, name)
+        target = _input(node, name, "input_faults")
+        _feed(diagram, _start_value(diagram, target, name), target, chain, name)
     warn_of_other_signals(diagram, node, controller_node)
     _extend(diagram, blocks or {}, connections)
     warn_of_held_inputs(diagram, node, controller_node)
     warn_of_start(diagram, node, controller_node)
     check_goals_ahead(diagram, controller_node)
-    check_units_of_goals(diagram, controller_node)
+    check_units_of_goals(diagram)
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
     return diagram.build()
@@ -246,9 +248,9 @@ def check_parts(
     for name in _names(control, "control"):
         _port(node, name, "control")
     for name in noise or {}:
-        node[name]
+        _input(node, name, "noise")
     for name, chain in (input_faults or {}).items():
-        _check_input_faults(chain, len(node[name]), name)
+        _check_input_faults(chain, len(_input(node, name, "input_faults")), name)
 
 
 def _count_for(controller: Block, signals: int) -> int | tuple[int, ...]:
@@ -551,6 +553,19 @@ def _port(node: Node, name: str, role: Literal["measured", "control"]) -> PortRe
             f"{did_you_mean(name, ports)}"
         )
     return found
+
+
+def _input(node: Node, name: str, argument: str) -> PortRef:
+    """Return a port of the plant that an argument names as an input; an unknown name is refused with the inputs alone."""
+    try:
+        return node[name]
+    except UnknownNameError:
+        inputs = [port.name for port in node.inputs]
+        if any(each.startswith(f"{name}[") for each in inputs):
+            raise  # the message says how an array becomes one port
+        raise UnknownNameError(
+            f"{argument} names {name!r}, which is no input of the plant; {did_you_mean(name, inputs)}"
+        ) from None
 
 
 def _names(given: Names, what: str) -> list[str]:

@@ -24,7 +24,7 @@ from bayesftc.cosim.diagram.wiring import (
     label_of,
     preview_time,
 )
-from bayesftc.cosim.errors import BayesFTCError, ConnectionError
+from bayesftc.cosim.errors import BayesFTCError, ConnectionError, ModelError
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -110,6 +110,7 @@ class LoopRoles:
     ``fault_kinds`` and ``actuator_kinds`` name the kinds of faults that the controller can identify, from number 1 on.
     ``fault_sizes`` and ``actuator_sizes`` say for each of them what the size of a fault is in: ``"unit"`` of the sensor or the
     control, ``"noise"`` for multiples of the sensor's noise, ``"effect"`` for a share of the control's effect; empty: no fault.
+    ``corrected_kinds`` are those of sensor faults that the controller estimates and subtracts, so that the sensor is still used.
     ``readings`` is the signal of all sensors before their faults; empty in files of earlier versions.
     """
 
@@ -123,6 +124,7 @@ class LoopRoles:
     fault_sizes: tuple[str, ...] = ()
     actuator_sizes: tuple[str, ...] = ()
     readings: str = ""
+    corrected_kinds: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file."""
@@ -183,6 +185,7 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     }
     readings = f"{sensor_node.name}.{read.name}"
     controls = _controls(diagram, controller)
+    kinds["corrected_kinds"] = tuple(getattr(controller.block, "corrected_kinds", ()))
     return LoopRoles(controller.name, sensors, quantities, inputs, controls, **kinds, readings=readings)
 
 
@@ -352,14 +355,18 @@ def _unit(known: tuple[str, Unit | None] | None) -> str | None:
     return known[0] if known else None
 
 
-def check_units_of_goals(diagram: Diagram, controller: Node) -> None:
-    """Refuse a reference in another unit than the quantity that it is the goal of.
+def check_units_of_goals(diagram: Diagram) -> None:
+    """Refuse a reference in another unit than the quantity that it is the goal of; what is no closed loop has no goals.
 
     Raises
     ------
     ConnectionError
         With the two units, and the block that converts one into the other.
     """
+    try:
+        controller = find_controller(diagram)
+    except ModelError:
+        return
     known, goal = _declared(diagram), controller.port("goal")
     sources = [diagram.source_of(controller, goal, i) for i in range(goal.size)]
     given = [s and known.get((s[0].node.name, s[0].port.name, s[1])) for s in sources]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -21,13 +21,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 IGNORED = 100.0
-"""Factor above the smallest expected standard deviation. A sensor beyond it has less than 1/10,000 of the largest weight."""
+"""Factor above the smallest expected standard deviation of a quantity; beyond it, a weight is below 1/10,000 of the largest."""
 SMALLEST = 0.01
 """Quantile of the expected standard deviations that counts as the smallest, because the minimum may last for one sample only."""
 LANE, FIRST_LANE = 0.11, 1.10
 """Height of a row of kinds and the middle of the lowest, in units of the probability."""
 HATCHED: dict[str, Any] = {"fc": "none", "ec": "0.8", "hatch": "///"}
 """Look of the time of an actuator or process fault."""
+GREY_BAR: dict[str, Any] = {"color": "0.6", "lw": 5, "alpha": 0.5, "solid_capstyle": "butt"}
+"""Look of a bar of any colour in a legend."""
 ROW = 0.09
 """Height of a row of marks, as a share of the panel's."""
 
@@ -43,20 +45,34 @@ def deviation_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes],
 
 def _draw_deviation(axis: Axes, *, signals: LoopSignals, sensors: list[SensorSignals], unit: str | None) -> None:
     expected = {sensor.index: _expected(sensor) for sensor in sensors}
-    finite = np.concatenate([values[np.isfinite(values)] for values in expected.values()])
-    most = IGNORED * float(np.quantile(finite, SMALLEST)) if len(finite) else np.inf
     drawn, row = [], 0
     for sensor in sensors:
         values = expected[sensor.index]
-        shown = np.where(values > most, np.nan, values)
+        beyond = values > _most(signals, sensor, expected)
+        if sensor.alarm is not None:
+            beyond &= sensor.alarm  # a healthy sensor may be much noisier than those beside it
+        shown = np.where(beyond, np.nan, values)
         drawn.append(shown)
         axis.plot(*thin(signals.time, shown), **_line(signals, sensor))
         missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
-        ignored = (~missing & (sensor.precision == 0)) | (values > most)
+        little = (~missing & (sensor.precision == 0)) | beyond
+        corrected = little & sensor.corrected  # its precision does not count the samples minus the offset
+        ignored = little & ~corrected
         row += _mark(axis, signals, sensor, "ignored", row, ignored)
+        row += _mark(axis, signals, sensor, "corrected", row, corrected)
         row += _mark(axis, signals, sensor, "missing", row, missing)
+    if any(text.endswith(" corrected") for text in axis.get_legend_handles_labels()[1]):
+        axis.plot([], [], **GREY_BAR, label="corrected: the inferred\noffset is subtracted")
     axis.set_ylabel("expected standard\n" + with_unit("deviation", unit))
     _logarithmic(axis, drawn, (row + 0.5) * ROW if row else 0.0)
+
+
+def _most(signals: LoopSignals, sensor: SensorSignals, expected: Mapping[int, Floats]) -> float:
+    """Return the largest expected standard deviation that has a weight beside the best sensor of the same quantity."""
+    peers = next((q.sensors for q in signals.quantities if sensor.index in q.sensors), tuple(expected))
+    values = np.concatenate([expected[i] for i in peers if i in expected])
+    finite = values[np.isfinite(values)]
+    return IGNORED * float(np.quantile(finite, SMALLEST)) if len(finite) else np.inf
 
 
 def _expected(sensor: SensorSignals) -> Floats:
@@ -74,7 +90,7 @@ def _mark(axis: Axes, signals: LoopSignals, sensor: SensorSignals, what: str, ro
     time, height = signals.time, axis.get_xaxis_transform()
     top, label = 0.97 - ROW * row, f"{signals.sensor_name(sensor.index)} {what}"
     style: dict[str, Any] = {"color": colour_of(sensor.index), "transform": height, "label": label}
-    if what == "ignored":  # a bar, with a tick for a single sample, which has no length
+    if what in ("ignored", "corrected"):  # a bar, with a tick for a single sample, which has no length
         bar: dict[str, Any] = {"lw": 5, "solid_capstyle": "butt", "marker": "|", "ms": 5}
         ends = np.array([(time[a], time[b - 1], np.nan) for a, b in periods(where)]).ravel()
         axis.plot(ends, np.where(np.isnan(ends), np.nan, top), **bar, **style)
@@ -162,7 +178,7 @@ def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
     for row, each in enumerate(rows):
         _draw_kinds(axis, signals.time, each, FIRST_LANE + LANE * row)
     if rows:
-        axis.plot([], [], color="0.6", lw=5, alpha=0.5, label="bar: most probable kind\nduring an alarm")
+        axis.plot([], [], **GREY_BAR, label="bar: most probable kind\nduring an alarm")
     axis.set_ylim(-0.04, FIRST_LANE + LANE * (len(rows) - 0.4) if rows else 1.04)
     axis.set_yticks(np.linspace(0.0, 1.0, 6))
     axis.set_ylabel("fault probability")

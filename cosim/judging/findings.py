@@ -13,7 +13,7 @@ from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.judging.metrics import periods
+from bayesftc.cosim.judging.metrics import figures, periods
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.types import Floats
 
@@ -108,6 +108,12 @@ def plain_findings(signals: LoopSignals) -> list[dict[str, Any]] | None:
     if not inferred and all(sensor.detected is None for sensor in signals.sensors):
         return None
     return [asdict(each) for each in findings(signals)]
+
+
+def numbers_of(signals: LoopSignals) -> dict[str, Any]:
+    """Return the figures of a run, the unit of each quantity, and the findings, as plain data for `tables_of` and files."""
+    units = {q.name: q.unit for q in signals.quantities}
+    return {"units": units, **figures(signals).to_dict(), "findings": plain_findings(signals)}
 
 
 def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:
@@ -268,5 +274,5 @@ def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str
 
 __all__ = [
     "AGREE", "Finding", "alarms", "alarms_of_all", "blamed_together", "findings", "findings_frame", "never_began",
-    "plain_findings",
+    "numbers_of", "plain_findings",
 ]  # fmt: skip

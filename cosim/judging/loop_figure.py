@@ -54,7 +54,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     - for each control the sent signal, its limits, and with a fault in between the signal that the plant received; the same for
       other inputs of the plant with faults;
     - the standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``). While it is more than a
-      hundred times the smallest one, the sensor counts as ignored and has a mark at the top. Crosses are missing samples;
+      hundred times the smallest one of the same quantity, a sensor with an alarm has a bar at the top instead: "ignored", or
+      "corrected" if the controller subtracts an offset that it infers and still uses the sensor. Crosses are missing samples;
     - the fault probability of each sensor and, in black, of each actuator whose faults the controller infers; above it the most
       probable kind of fault during an alarm. Without a probability: beta, with marks for detected faults. Without both there is
       no such panel.
@@ -153,10 +154,13 @@ def _draw_control(axis: Axes, *, time: Floats, control: ControlSignals, inputs: 
         if each.received is not None:
             axis.plot(*thin(time, each.received), color=BLACK, lw=0.9, zorder=4, label=f"received by {each.name}")
     limits = [limit for limit in (control.low, control.high) if limit is not None]
-    for number, limit in enumerate(limits):
-        axis.axhline(limit, color="0.4", lw=0.9, ls=":", zorder=1, label=None if number else "limits of the control")
+    lines = [axis.axhline(limit, color="0.4", lw=0.9, ls=":", zorder=1) for limit in limits]
     axis.set_ylabel(broken(with_unit(control.name, control.unit), NARROW))
     limit_axis(axis, time, [], [control.sent, *(each.received for each in inputs if each.received is not None)])
+    low, high = axis.get_ylim()
+    seen = [line for line, limit in zip(lines, limits, strict=True) if low <= limit <= high]
+    for line in seen[:1]:
+        line.set_label("limits of the control" if len(seen) > 1 else "limit of the control")
 
 
 def _draw_input(axis: Axes, *, time: Floats, each: InputSignals) -> None:

@@ -68,6 +68,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
             size[i],
             onset[i],
             roles.fault_sizes,
+            roles.corrected_kinds,
         )
         for i, role in enumerate(roles.sensors)
     )

@@ -47,6 +47,8 @@ class SensorSignals:
         The size and the begin in seconds of a fault of that kind; None if there is no such output, or if not recorded.
     sizes : tuple of str
         What the size of each kind is in: the ``"unit"`` of the sensor, or multiples of its ``"noise"``; empty for no fault.
+    corrected_kinds : tuple of str
+        Those of ``kinds`` that the controller estimates and subtracts, so that the sensor is still used.
     """
 
     index: int
@@ -62,6 +64,15 @@ class SensorSignals:
     size: Floats | None = None
     onset: Floats | None = None
     sizes: tuple[str, ...] = ()
+    corrected_kinds: tuple[str, ...] = ()
+
+    @property
+    def corrected(self) -> Flags:
+        """The samples of which the controller subtracts an offset that it infers; none if the kinds were not recorded."""
+        numbers = [number for number, kind in enumerate(self.kinds, start=1) if kind in self.corrected_kinds]
+        if self.kind is None or self.probability is None:
+            return np.zeros(0 if self.precision is None else len(self.precision), dtype=bool)
+        return (self.probability >= ALARM) & np.isin(self.kind, numbers)  # type: ignore[no-any-return]
 
     @property
     def missing(self) -> Flags | None:

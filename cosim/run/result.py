@@ -364,13 +364,10 @@ class Result(Mapping[str, Floats]):
         ModelError
             If the diagram is no closed loop.
         """
-        from bayesftc.cosim.judging.findings import plain_findings
-        from bayesftc.cosim.judging.metrics import figures
+        from bayesftc.cosim.judging.findings import numbers_of
         from bayesftc.cosim.run.summary import RunSummary, tables_of
 
-        signals = self._loop_signals()
-        numbers = {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
-        return RunSummary(tables_of(numbers | {"findings": plain_findings(signals)}), self._sentences())
+        return RunSummary(tables_of(numbers_of(self._loop_signals())), self._sentences())
 
     def findings(self, *, threshold: float = 0.5, hold: float | None = None) -> pd.DataFrame:
         """Return the faults that the controller infers, a row for each alarm: where, kind, times, size and probability.

@@ -23,6 +23,7 @@ from bayesftc.cosim.base.timebase import EXACT, whole_number, whole_steps
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.diagram.diagram import is_external
 from bayesftc.cosim.diagram.nodes import PortRef, label
+from bayesftc.cosim.diagram.roles import check_units_of_goals
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.isolation.spares import Spares
@@ -133,6 +134,7 @@ class Session:
         if isinstance(record, Iterable) and not isinstance(record, str):
             record = list(record)
             diagram = diagram.watching(record)
+        check_units_of_goals(diagram)  # of a loop that is wired by hand
         self._schedule: Schedule = diagram.schedule
         self._decimation = whole_number(decimation, "decimation is ")
         self._selection = select_signals(self._schedule, record)

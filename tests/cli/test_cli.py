@@ -442,6 +442,21 @@ def test_no_probability_is_explained(bayesftc_, tmp_path):
         assert sensor["missed"] is sensor["delay"] is sensor["false_alarm_rate"] is None
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("", "", "The model A comparison with the 101 samples found no error in the controller's model."),
+        ("B = [[", "B = [[-", "The model All sensors disagree with the model in the same way"),
+        ("seed = 1", 'seed = 1\nrecord = ["plant.v"]', None),
+    ],
+)
+def test_a_run_says_whether_its_samples_show_an_error_of_the_model(bayesftc_, tmp_path, old, new, sentence):
+    (tmp_path / "car.toml").write_text(CAR.replace(old, new) if old else CAR)
+    shown = " ".join(bayesftc_("run", "car.toml", "--duration", 2).stdout.split())
+    assert ("The model" in shown) == (sentence is not None)
+    assert (sentence or "") in shown
+
+
 def test_what_was_not_recorded_is_a_dash_and_not_a_zero(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace("seed = 1", 'record = ["plant.v", "reference.y"]'))
     done = bayesftc_("run", "car.toml", "--json", "--out", "out")

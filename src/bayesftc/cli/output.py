@@ -246,13 +246,23 @@ def print_report(numbers: Mapping[str, Any]) -> None:
         rows = ((what, *(DASH if v is None else f"{v:.2e}" for v in of)) for what, of in values.items())
         heading = f"Largest differences from filterpy's Kalman filter over {check['steps']} samples"
         _print_table(console, heading, tuple(kinds), rows, check["verdict"])
-    if numbers.get("model"):
+    if said := _of_model(numbers):
         console.print()
         console.print(Text("The model", style="bold"))
-        console.print(Text(numbers["model"]["sentence"]))
+        console.print(Text(said))
     for note in numbers["notes"]:
         console.print()
         console.print(Text(note))
+
+
+def _of_model(numbers: Mapping[str, Any]) -> str:
+    """Return what a run shows of an error of the controller's model; nothing if it was not compared with the samples."""
+    if numbers.get("model"):
+        return str(numbers["model"]["sentence"])
+    if not (count := numbers.get("model_without_error")):
+        return ""
+    which = f"{'first ' if count <= numbers['steps'] else ''}{count} samples"
+    return f"A comparison with the {which} found no error in the controller's model."
 
 
 def say_written(folder: Path) -> None:

@@ -87,7 +87,8 @@ def sentences(contents: Contents) -> list[str]:
         return [head + _undecided(beside[0]), *_cells(contents, beside[0])]
     sure = [each for each in beside if each.certain]
     by = [f"by {each.difference.value:.3g} ± {each.half:.2g} with {text_of(each.first)}" for each in sure]
-    return [f"{head}. It is higher {', and '.join(by)}.", *_cells(contents, beside[0])]
+    more = by[0] if len(by) == 1 else f"{', '.join(by[:-1])} and {by[-1]}"
+    return [f"{head}. It is higher {more}.", *_cells(contents, beside[0])]
 
 
 def _undecided(each: Pair) -> str:

@@ -161,7 +161,9 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
         if each.is_probability:
             at = delay_curve(each.score, each.truth, step=step, thresholds=[ALARM]).iloc[0]
             false, missed, delay = (float(at[name]) for name in ("false_share", "missed_share", "median_delay"))
-            right.plot([false], [delay], ms=8, mfc="none", **look)
+            right.plot(
+                [false], [delay], ms=8, mfc="none", clip_on=False, zorder=5, **look
+            )  # whole, also at a delay of 0
             alarms.append(
                 f"{'' if level is None else f'{contents.name(level)}: '}alarms in {false:.2%} of the fault-free time, "
                 f"{missed:.1%} of the faults missed, median delay {_seconds(delay)}"
@@ -180,9 +182,9 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
     )
     return made, (
         f"Detection of sensor faults by {' or '.join(sorted(names))}, {_chosen(detection)}. Left: mean of the seeds' curves, "
-        f"with the AUC of all samples{seeds}. Right: delay of alarms over the share of false alarms, for all thresholds; a curve "
-        "ends where most faults are missed."
-        + (f" At a fault probability of {ALARM:g} (mark): {'; '.join(alarms)}." if alarms else "")
+        f"with the AUC of all samples{seeds}; dotted: detection by chance. Right: delay of alarms over the share of false "
+        "alarms, for all thresholds; a curve ends where most faults are missed."
+        + (f" At a fault probability of {ALARM:g} (open mark): {'; '.join(alarms)}." if alarms else "")
         + _without(contents, detection)
     )
 

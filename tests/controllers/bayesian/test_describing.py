@@ -61,6 +61,9 @@ def test_settings_faults_names_and_limits_are_named():
     assert "Model: 2 states and 1 disturbance, 1 control (force), 2 sensors of 1 quantity (place)" in text
     assert "loss=0.02" in text
     assert "Sensor faults that are distinguished: Offset." in text
+    assert (
+        "in seconds, until a fault begins / until it ends: Offset 750 / 50." in text
+    )  # at 0.1 s, five times the default
     assert "Actuator faults that are distinguished: LostEffect." in text
     assert "limits of the control: -2 to 3" in text
     assert "0.01, 0.01414 of each state; 0.01 of each disturbance.\n" in text

@@ -251,7 +251,11 @@ def test_sets_share_the_only_sensor_of_a_quantity():
     assert diagnose_recording(model, drifting, u) is None
     reversed_ = diagnose_recording(replace(model, B=-B), y, u)
     assert reversed_.kind == "sign"
-    assert "A fault of sensor 0, which has no second one, may look the same." in reversed_.sentence
+    assert reversed_.sentence.endswith(
+        "A fault of sensor 0 may look the same, because no other sensor measures the same quantity."
+    )
+    named = replace(model, B=-B, names=controllers.SignalNames(["u"], ["angle", "w", "w", "w"], ["angle", "w"]))
+    assert diagnose_recording(named, y, u).sentence.endswith("A fault of the only sensor of angle may look the same.")
 
 
 @pytest.mark.slow

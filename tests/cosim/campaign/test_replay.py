@@ -67,6 +67,16 @@ def test_each_run_has_the_bits_of_the_store(said, bayesftc_, tmp_path):
         assert numbers["tracking"]
 
 
+def test_a_replay_lists_the_inferred_faults_as_a_run_does(bayesftc_, tmp_path):
+    (tmp_path / "tracking.toml").write_text(FILE.replace("duration = 2.0", "duration = 8.0"))
+    assert bayesftc_("campaign", "tracking.toml", "-q").exit_code == 0
+    replayed, run = bayesftc_("replay", "tracking", 2), bayesftc_("run", "cruise_control", "--duration", 8, "--seed", 0)
+    numbers = json.loads(bayesftc_("replay", "tracking", 2, "--json").stdout)
+    assert "Frozen" in {found["kind"] for found in numbers["findings"]}
+    for done in (replayed, run):
+        assert "Faults that the controller infers" in done.stdout, done.output
+
+
 def test_a_run_that_differs_is_told(said, tmp_path):
     from bayesftc.cosim.campaign.designs.plan import Piece
     from bayesftc.cosim.campaign.store.folder import CampaignStore

@@ -286,6 +286,10 @@ def test_areas_under_the_curve_are_those_of_scikit_learn(stored):
     contents = Contents(store)
     made, caption = roc_figure(contents, read_detection(contents))
     assert "controller.fault_probability, in all 6 complete runs of each" in caption
+    assert "dotted: detection by chance" in caption
+    marks = [line for line in made.axes[1].get_lines() if line.get_markersize() > 5]
+    assert len(marks) == 3
+    assert not any(mark.get_clip_on() for mark in marks)  # a delay of 0 is at the edge of the panel
     labels = [line.get_label() for line in made.axes[0].get_lines()]
     precision = contents.table["precision"].to_numpy()
     for level in LEVEL:
@@ -397,6 +401,7 @@ def test_the_first_sentence_says_what_the_tests_carry(stored):
     assert mean.idxmin() == "switching"
     assert f"rmse is lowest with precision = switching, {mean['switching']:.4g} on average. It is higher " in text
     assert f"by {mean['gamma'] - mean['switching']:.3g} ± " in text
+    assert re.search(r"It is higher by [\d.]+ ± [\d.]+ with gamma and by [\d.]+ ± [\d.]+ with fixed\.", text)
     assert "switching and gamma are tested at each of the 2 values of mass (5 %, corrected for several tests)." in text
     assert "switching is significantly lower at 2 of them." in text
 

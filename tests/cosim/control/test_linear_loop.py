@@ -86,6 +86,7 @@ def test_margins_need_a_loop_that_is_stable():
     with pytest.raises(ModelError, match=r"not stable: its largest poles are .*has no margins"):
         loop.margins()
     assert "not stable" in loop.bode().axes[0].get_title()
+    assert "dotted" not in loop.bode().axes[1].get_xlabel()
 
 
 @pytest.mark.filterwarnings("ignore:stability_margins")
@@ -269,6 +270,7 @@ def test_figures_show_loop_and_margins():
     bode, locus, margins = loop.bode(), loop.root_locus(), loop.margins()
     assert [axis.get_ylabel() for axis in bode.axes] == ["gain (dB)", "phase (degrees)"]
     assert bode.axes[0].get_yscale() == "linear"
+    assert bode.axes[1].get_xlabel().endswith("dotted: where the margin is read")
     crossing = np.interp(margins.phase_crossover, *bode.axes[0].lines[0].get_data())
     assert crossing == pytest.approx(-20.0 * np.log10(margins.gain), abs=0.2)
     assert f"gain margin {margins.gain:.3g}" in bode.axes[0].get_title()

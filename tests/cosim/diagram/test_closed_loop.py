@@ -205,6 +205,16 @@ def test_references(reference):
         ),
         ({"faults": ["freeze"]}, cosim.ModelError, r"faults must contain only faults, such as Freeze"),
         ({"faults": 3}, cosim.ModelError, r"faults must contain only faults, .* not 3"),
+        (
+            {"input_faults": {"wind": [cosim.Bias(magnitude=1.0)]}},
+            cosim.UnknownNameError,
+            r"^input_faults names 'wind', which is no input of the plant; known names: force, gust\.$",
+        ),
+        (
+            {"noise": {"gusts": cosim.Gaussian(1.0)}},
+            cosim.UnknownNameError,
+            r"^noise names 'gusts', which is no input of the plant; did you mean 'gust'\?$",
+        ),
         ({"input_faults": {"force": None}}, cosim.ModelError, r"faults must contain only faults, .* not None"),
         ({"faults": [cosim.Freeze(sensor=1, start=1.0)]}, cosim.ModelError, r"refers to sensor 1, but there are 1"),
         (
@@ -448,6 +458,27 @@ def test_a_reference_in_another_unit_than_its_quantity_is_refused(unit, gap):
         in_units("m/s", "m", [1.0, cosim.Constant(3.0, unit=unit)])
     in_units("m/s", "m", [cosim.Constant(1.0, unit="m s-1"), cosim.Constant(3.0, unit="m")])
     in_units("m/s", None, [1.0, cosim.Constant(3.0, unit=unit)])  # not known
+
+
+def test_a_reference_is_checked_in_a_loop_wired_by_hand():
+    class Known(Car):
+        outputs = (Port("speed", unit="K"), Port("position"), Port("both", (2,)))
+
+    for unit in ("K", "degC"):
+        diagram = cosim.Diagram(0.02)
+        goal, plant = diagram.add(cosim.Constant(20.0, unit=unit), "goal"), diagram.add(Known(), "plant")
+        sensors = diagram.add(cosim.Sensors(1), "sensors")
+        controller = diagram.add(Proportional(sensors=1, goals=1), "controller")
+        diagram.connect(plant["speed"], sensors["u"])
+        diagram.connect(sensors["y"], controller["y"])
+        diagram.connect(goal["y"], controller["goal"])
+        diagram.connect(controller["u"], plant["force"])
+        if unit == "K":
+            diagram.simulate(0.1, engine="interpreted")
+    with pytest.raises(
+        cosim.ConnectionError, match=r"^goal\.y is in degC, but controller\.goal, .* of speed, is in K; put"
+    ):
+        diagram.simulate(1.0)
 
 
 def test_a_reference_is_checked_through_blocks_and_by_the_units_of_sensors():

@@ -11,7 +11,7 @@ from matplotlib import pyplot
 from matplotlib.image import imread
 
 from bayesftc import cosim
-from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision, LinearModel, LQGController
+from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision, LinearModel, LQGController, SwitchingPrecision
 from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.judging.fault_panels import _logarithmic
 from bayesftc.cosim.judging.loop_figure import plot_run
@@ -154,6 +154,35 @@ def test_ignored_samples_are_marked():
     assert 5 < len(bars) < marked.sum()
     assert marks.get_linewidth() > 3  # periods are bars without gaps ...
     assert marks.get_marker() == "|"  # ... and a single sample has a tick
+
+
+@pytest.mark.parametrize(("joint", "word"), [(True, "corrected"), (False, "ignored")])
+def test_a_sensor_whose_offset_is_subtracted_is_not_called_ignored(joint, word):
+    loop = cruise_control(SwitchingPrecision(joint=joint), cosim.Bias(sensor=0, start=1.0, magnitude=8.0))
+    run = run_of(loop, 4.0)
+    deviation = panel(plot_run(run), "expected")
+    assert [t.get_text() for t in deviation.texts] == [word]
+    first, second = run.sensors
+    first = replace(first, probability=np.append(np.nan, first.probability[1:]))  # no probability yet
+    unknown = panel(plot_run(replace(run, sensors=(first, second))), "expected")
+    assert [t.get_text() for t in unknown.texts] == [word]
+    explained = ["corrected: the inferred\noffset is subtracted"] * joint
+    assert names(deviation) == ["sensor 0", f"sensor 0 {word}", "sensor 1", *explained]
+
+
+def test_only_a_sensor_with_an_alarm_and_without_weight_for_its_quantity_is_called_ignored(signals):
+    first, second = signals.sensors
+    coarse = replace(second, precision=1e-6 * second.precision)  # healthy, with a thousand times the noise
+
+    def marked(**changes):
+        return names(panel(plot_run(replace(signals, **changes)), "expected"))
+
+    assert marked(sensors=(first, coarse)) == ["sensor 0", "sensor 0 ignored", "sensor 1"]
+    speed = signals.quantities[0]
+    apart = (replace(speed, sensors=(0,)), replace(speed, name="w", sensors=(1,)))
+    blamed = replace(coarse, probability=np.ones_like(coarse.probability))
+    assert marked(sensors=(first, blamed))[-1] == "sensor 1 ignored"
+    assert marked(sensors=(first, blamed), quantities=apart)[-1] == "sensor 1 (w)"
 
 
 def test_missing_samples_are_gaps_and_marks():
@@ -344,6 +373,15 @@ def test_the_limits_of_a_control_and_what_the_plant_received():
     assert [line.get_ydata()[0] for line in control.lines[2:]] == [-800.0, 900.0]
     sent, received = (line.get_ydata() for line in control.lines[:2])
     np.testing.assert_array_equal(received[60:], 0.5 * sent[60:])
+
+
+@pytest.mark.parametrize(("low", "high", "label"), [(-1e4, 1e4, []), (-1e4, 150.0, ["limit of the control"])])
+def test_only_limits_within_the_panel_are_in_the_legend(signals, low, high, label):
+    sent = np.where(signals.time < 0.1, 1e4, 100.0 * np.sin(signals.time))  # the start is cut off
+    sent[-1] = 160.0
+    (control,) = signals.controls
+    axis = panel(plot_run(replace(signals, controls=(replace(control, sent=sent, low=low, high=high),))), "force")
+    assert names(axis) == ["control", *label]
 
 
 def test_samples_of_many_sensors_leave_room_for_the_rest():

@@ -106,10 +106,10 @@ class ModelSuspicion:
 def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | None:
     """Say whether the model is suspect, because it makes a monitor blame sensors that agree with each other.
 
-    It is, if redundant sensors agree within the noise of the model, but are blamed at the same time, for a fiftieth of the
-    recording, or a second time if more motion ends it: the monitor then runs again with more motion, up to the least factor with
-    which this ends. It may be, if most sensors are blamed for most of the time: then their noise, or biases, are compared with
-    the model's. Frozen sensors and dropouts do not count.
+    It is, if redundant sensors agree within the noise of the model, but are blamed at the same time: for a fiftieth of the
+    recording, or twice for a shorter time if more motion ends it. The monitor runs again with more motion, up to the least factor
+    with which this ends. It may be, if most sensors are blamed for most of the time: then their noise, or biases, are compared
+    with the model's. Frozen sensors and dropouts do not count.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ class _StoredRun:
 def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> None:
     """Repeat the run, print its figures, and write its files."""
     from bayesftc import __version__
-    from bayesftc.cosim.judging.metrics import figures
+    from bayesftc.cosim.judging.findings import numbers_of
     from bayesftc.cosim.judging.roles import loop_signals
 
     kept, job = stored.store, stored.job
@@ -141,7 +141,7 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
             written = [f"Written to {out}: {', '.join(sorted(p.name for p in out.iterdir()))}"] if out else []
             typer.echo(output.as_json(numbers) if json else "\n\n".join([*numbers["notes"], *written]))
         return
-    numbers |= {"units": {q.name: q.unit for q in signals.quantities}, **figures(signals).to_dict()}
+    numbers |= numbers_of(signals)
     if not json and not quiet:
         output.print_report(numbers)
     if out is not None:

@@ -21,8 +21,8 @@ from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
-from bayesftc.cosim.judging.findings import blamed_together, never_began, plain_findings
-from bayesftc.cosim.judging.metrics import figures, without_nan
+from bayesftc.cosim.judging.findings import blamed_together, never_began, numbers_of
+from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
@@ -121,8 +121,10 @@ def run(
             error.args = (f"{said} They are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
-    numbers["model"] = _diagnosed(loaded, loop, result)
-    numbers["notes"] += _blamed(numbers, signals, loaded.controller, result.decimation)
+    numbers["model"], compared = _diagnosed(loaded, loop, result)
+    hints = _blamed(numbers, signals, loaded.controller, result.decimation)
+    numbers["notes"] += hints
+    numbers["model_without_error"] = None if numbers["model"] or hints or not compared else compared
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
     elif _is_ser(loaded):
@@ -193,10 +195,8 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "duration": float(steps * result.step),
         "steps": steps,
         "stopped": result.stopped,
-        "units": {q.name: q.unit for q in signals.quantities},
         "law": _law(scenario.controller),
-        **figures(signals).to_dict(),
-        "findings": plain_findings(signals),
+        **numbers_of(signals),
         "notes": [
             *_notes(scenario, signals, _unrecorded(loop, result)),
             *_limited(loop, result),
@@ -236,17 +236,20 @@ def _law(controller: Block) -> str:
     return "The controller steers the state to it one step later." if isinstance(controller, BayesianController) else ""
 
 
-def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> dict[str, Any] | None:
-    """Return how the controller's model is wrong, as far as the run was recorded; None if there is no evidence against it."""
+def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int]:
+    """Return how the controller's model is wrong, as far as the run was recorded, and how many samples were compared with it.
+
+    The first is None if there is no evidence against the model.
+    """
     from bayesftc.controllers import NonlinearModel, diagnose
-    from bayesftc.controllers.diagnosis.diagnose import checked_model
+    from bayesftc.controllers.diagnosis.diagnose import checked_model, compared_samples
 
     model, samples = checked_model(scenario.controller), _source_of_samples(loop)
     needed = ("controller.model_suspect",) if isinstance(model, NonlinearModel) else (samples, "controller.u")
     if model is None or result.decimation != 1 or not all(name in result for name in needed):
-        return None
+        return None, 0
     finding = diagnose(result, scenario.controller, y=samples)
-    return None if finding is None else without_nan(asdict(finding))
+    return None if finding is None else without_nan(asdict(finding)), compared_samples(model, len(result.time))
 
 
 def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block, decimation: int) -> list[str]:
