@@ -2,6 +2,9 @@
 
 Each is a push of the state between two instants. Responses to pushes are linear, so that the one between two instants is the
 difference of two that last to the end. Normal equations of those at all instants therefore judge all pairs of instants.
+
+An observer that estimates a load follows it within some samples. The evidence for a load then has narrow peaks at its begin and
+its end, between the instants of a coarse search. The instants at which it is largest are therefore searched as well.
 """
 
 from __future__ import annotations
@@ -26,6 +29,9 @@ TIMES = 24
 FINE = 13
 """Number of instants about each one of the coarse search."""
 
+LIKELY = 8
+"""Number of instants with the most evidence for a load that begins there."""
+
 LEAST_PUSHED = 8
 """Least number of samples of a push."""
 
@@ -33,16 +39,42 @@ LEAST_PUSHED = 8
 def changes(judge: Judge) -> list[Explanation]:
     """Return the best load that begins during the run, and the best loss of effect; none without a control."""
     model, steps = judge.model, len(judge.recording.u)
-    width = max(1, steps // (TIMES + 1))
-    instants = range(width, steps - LEAST_PUSHED + 1, width)
-    if not np.any(model.B) or not instants:
+    width, last = max(1, steps // (TIMES + 1)), steps - LEAST_PUSHED
+    regular = range(width, last + 1, width)
+    if not np.any(model.B) or not regular:
         return []
+    instants = sorted({*regular, *(k for k in _likely(judge) if 1 <= k <= last)})
     coarse = _Pushes(judge, instants)
     return [
         _explained(judge, kind, _finer(judge, kind, best, width))
         for kind in ("onset", "loss")
         if (best := coarse.best(kind)) is not None
     ]
+
+
+def _likely(judge: Judge) -> list[int]:
+    """Return the instants with the most evidence for a load that begins there and lasts, apart from each other.
+
+    The response to a load from an instant on is taken for that from the first sample on, shifted.
+    """
+    steps = len(judge.recording.u)
+    loads = judge.pushes(np.repeat(judge.model.matrix("B").T[:, np.newaxis], steps, axis=1))
+    moments, squares = np.zeros((2, loads.shape[1], steps))
+    for k, chosen in enumerate(judge.bank.sensors):
+        e = np.zeros((steps, len(chosen)))
+        e[judge.masks[k]] = judge.free(judge.base, k, judge.begin)[0].reshape(-1, len(chosen))
+        responses = loads[k][:, :, list(chosen)]
+        shifts, errors = (
+            np.fft.rfft(of, 2 * steps, axis=-2) for of in (responses, e)
+        )  # twice as long: no wrapping around
+        moments += np.fft.irfft(np.conj(shifts) * errors, axis=1)[:, :steps].sum(axis=2)
+        squares += np.cumsum((responses**2).sum(axis=2), axis=1)[:, ::-1]
+    evidence = np.max(moments**2 / np.maximum(squares, 1e-300), axis=0)
+    found: list[int] = []
+    while len(found) < LIKELY and np.max(evidence) > 0.0:  # never with NaN, of a plant that is lost
+        found.append(int(np.argmax(evidence)))
+        evidence[max(found[-1] - LEAST_PUSHED, 0) : found[-1] + LEAST_PUSHED + 1] = 0.0
+    return found
 
 
 def _finer(judge: Judge, kind: str, best: _Found, width: int) -> _Found:

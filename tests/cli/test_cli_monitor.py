@@ -435,6 +435,9 @@ def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, sentence):
     whole = RUNNER.invoke(app, [*command, str(tmp_path / "whole.toml")])
     assert sentence in " ".join(whole.output.split())
     assert "--from and --to" in " ".join(whole.output.split())
+    assert "If it measures another quantity, leave it out: name the others with --sensor." in " ".join(
+        whole.output.split()
+    )
     healthy = RUNNER.invoke(app, [*command, str(tmp_path / "healthy.toml"), "--to", "29"])
     assert healthy.exit_code == 0
     assert "errors of b" not in healthy.output

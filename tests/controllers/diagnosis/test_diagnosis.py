@@ -144,6 +144,61 @@ def test_what_begins_during_a_run_is_dated_and_measured(faults, load, kind, valu
     assert re.search(words, finding.sentence)
 
 
+def chamber(disturbance, reference, **faults):
+    """Return a climate chamber under control, which its heater warms and an open door cools, in deviations from 700 W."""
+    A, B = [[-40 / 6e3, 40 / 6e3], [40 / 20e3, -57.5 / 20e3]], [[1 / 6e3, -1 / 6e3], [0.0, 0.0]]
+    plant = cosim.StateSpace(control.ss(A, B, np.eye(2), 0, inputs=["heater", "loss"], outputs=["air", "wall"]))
+    std = [0.1, 0.1, 0.3, 0.3, 0.3]
+    controller = controllers.design(
+        plant, measured=["air", "wall"], sensors=[4, 1], sensor_std=std, actuated="heater", goal="air", dt=10.0,
+        acceptable_error=0.5, acceptable_control=300.0, u_min=-700.0, u_max=1300.0, disturbance=disturbance,
+    )  # fmt: skip
+    return cosim.closed_loop(
+        plant, controller, control="heater", measured=["air", "wall"], sensors=cosim.Sensors([4, 1], std),
+        reference=reference, input_faults=faults,
+    )  # fmt: skip
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("disturbance", [400.0, 4000.0])
+@pytest.mark.parametrize("reference", [5.0, cosim.Sine(3.0, 1200.0, offset=4.0)], ids=["constant", "changing"])
+def test_a_load_that_the_controller_estimates_is_no_weak_actuator(disturbance, reference, seed):
+    """The estimate follows the load, so that the load is visible only for some samples after its begin and its end."""
+    loop = chamber(disturbance, reference, loss=cosim.Bias(magnitude=800.0, start=3000.0, stop=3300.0))
+    finding = controllers.diagnose(loop.simulate(7200.0, seed=seed), loop)
+    assert (finding.kind, finding.others) == ("onset", ())
+    assert finding.values[:2] == pytest.approx((3000.0, 3300.0), abs=20.0)
+    assert finding.values[2] == pytest.approx(-800.0, rel=0.15)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_weak_actuator_is_no_load(seed):
+    loop = chamber(
+        400.0, cosim.Sine(6.0, 1200.0, offset=4.0), heater=cosim.GainFault(factor=0.5, start=3000.0, stop=4500.0)
+    )
+    finding = controllers.diagnose(loop.simulate(7200.0, seed=seed), loop)
+    assert (finding.kind, finding.others) == ("loss", ())
+    assert finding.values[2] == pytest.approx(0.5, abs=0.15)
+
+
+@pytest.mark.parametrize("weak", [True, False])
+def test_a_load_and_a_weak_actuator_are_both_named_if_the_control_does_not_change(weak):
+    model = controllers.LinearModel([[0.95]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=1.0)
+    rng, x = np.random.default_rng(0), np.zeros((400, 1))
+    u = np.where(np.arange(400) % 50 < 25, 2.0, -2.0)[:, None]
+    u[195:305] = 3.0
+    for k in range(399):
+        fault = -0.15 if 200 <= k < 300 else 0.0  # of a control of 3, half of it, or a load of -1.5
+        x[k + 1] = 0.95 * x[k] + 0.1 * u[k] * (1.0 + fault / 0.3 if weak else 1.0) + (0.0 if weak else fault)
+    finding = controllers.diagnose_recording(model, x + 0.1 * rng.standard_normal((400, 2)), u)
+    assert {finding.kind, *finding.others} == {"loss", "onset"}
+    assert "nearly as likely by this run" in finding.sentence
+    assert "0.5 times as strongly" in finding.sentence
+    assert "a change of the control by -1.5" in finding.sentence
+
+
 @pytest.mark.slow
 def test_numbers_of_findings_are_those_of_the_plant():
     def values(wrong):

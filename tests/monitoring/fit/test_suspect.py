@@ -15,6 +15,7 @@ from bayesftc.monitoring import (
     Sensor,
     Signal,
     align,
+    doubtful_alarms,
     suspect_model,
 )
 from bayesftc.monitoring.fit import suspect
@@ -35,14 +36,20 @@ def samples(seed=0, sensors=3, walk=0.03, noise=0.1):
     return level[:, None] + noise * rng.standard_normal((STEPS, sensors))
 
 
-def found(y, plant=None, std=0.1):
-    """Return what is suspected of a monitor of these samples."""
+def watched(y, plant=None, std=0.1):
+    """Return a monitor of these samples, and what it finds in them."""
     names = [f"T{i}" for i in range(y.shape[1])]
     signals = {name: Signal(np.arange(float(len(y))), y[:, i], unit="degC") for i, name in enumerate(names)}
-    sensors = {name: Sensor(std=std, unit="degC") for name in names}
+    each = np.broadcast_to(std, len(names)).tolist()
+    sensors = {name: Sensor(std=std, unit="degC") for name, std in zip(names, each, strict=True)}
     more = {"initial_mean": [20.0, 0.0], "initial_std": [1.0, 1e-3]} if isinstance(plant, ConstantRate) else {}
     monitor = Monitor(1, plant or RandomWalk(std=0.03), sensors, **more)
-    monitored = monitor.run(align(signals, {}, 1))
+    return monitor, monitor.run(align(signals, {}, 1))
+
+
+def found(y, plant=None, std=0.1):
+    """Return what a monitor of these samples finds, and what is suspected of it."""
+    monitor, monitored = watched(y, plant, std)
     return monitored, suspect_model(monitor, monitored)
 
 
@@ -77,21 +84,59 @@ def test_a_motion_that_is_too_small_is_named_with_what_it_needs(plant, words):
     )
 
 
+def pumped(seed, noise, times):
+    """Return samples of sensors with this noise while a pump runs for 15 s, once or several times."""
+    y = samples(seed, len(noise), noise=noise)
+    for begin in (3000, 6000)[:times]:
+        y += 0.15 * np.clip(np.arange(9000.0) - begin, 0, 15)[:, None]
+    return y
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
-def test_alarms_of_sensors_that_agree_are_named_from_the_second_time_on(seed, monkeypatch):
+def test_alarms_of_some_sensors_that_agree_are_named_from_the_second_time_on(seed, monkeypatch):
     monkeypatch.setitem(globals(), "STEPS", 9000)
+    noise = [0.1, 0.1, 2.0]  # the third one is too coarse to see the pump
     for times in (1, 2):
-        y = samples(seed, 2)
-        for begin in (3000, 6000)[:times]:  # a pump runs for 15 s
-            y += 0.15 * np.clip(np.arange(9000.0) - begin, 0, 15)[:, None]
-        monitored, suspicion = found(y)
+        monitored, suspicion = found(y := pumped(seed, noise, times), std=noise)
         assert {event.sensor for event in monitored.events} == {"T0", "T1"}
         assert (suspicion is None) == (times == 1)
     assert suspicion.share < suspect.LEAST_SHARE
     assert suspicion.setting == "motion"
     assert "agree with each other, but are blamed at the same time, 2 times." in suspicion.sentence
+    assert suspect.SHARED not in suspicion.sentence  # the third one has not failed
+    assert found(y, RandomWalk(std=0.03 * suspicion.factor), noise)[1] is None
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_alarms_of_all_sensors_are_named_at_the_first_time_if_they_agree(seed, sensors, monkeypatch):
+    monkeypatch.setitem(globals(), "STEPS", 9000)
+    y = pumped(seed, [0.1] * sensors, 1)
+    y[8000:, 0] += 2.0  # a fault of one, long after
+    monitor, monitored = watched(y)
+    suspicion = suspect_model(monitor, monitored)
+    assert suspicion.share < suspect.LEAST_SHARE
+    assert suspicion.sensors == tuple(monitored.recording.sensors)
+    assert suspicion.setting == "motion"
+    assert re.search(
+        r"agree with each other, but are blamed at the same time, from 30\d+ to 3\d+ s\.", suspicion.sentence
+    )
+    assert suspect.SHARED in suspicion.sentence
+    doubtful = doubtful_alarms(monitor, monitored)
+    assert {event.sensor for event in doubtful} == set(suspicion.sensors)
+    assert all((event.start < 3100) == (event in doubtful) for event in monitored.events)
     assert found(y, RandomWalk(std=0.03 * suspicion.factor))[1] is None
+
+
+def test_a_fault_that_all_sensors_share_is_named_beside_the_model(monkeypatch):
+    monkeypatch.setitem(globals(), "STEPS", 9000)
+    y = samples()
+    y[5000:5100] += 3.0
+    monitored, suspicion = found(y)
+    assert {event.sensor for event in monitored.events} == {"T0", "T1", "T2"}
+    assert suspect.SHARED in suspicion.sentence
 
 
 def test_two_failures_from_one_cause_are_no_reason_to_suspect_the_model():

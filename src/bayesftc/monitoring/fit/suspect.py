@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.switching.fault_modes import DroppedOut, Frozen
 from bayesftc.cosim.base.numbers import MAD, short
+from bayesftc.cosim.base.recordings.dates import span_text
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.findings import AGREE
 from bayesftc.cosim.judging.metrics import periods
@@ -54,6 +55,9 @@ FACTORS = (1.5, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 
 MOST_STEPS = 20_000
 """Largest number of steps over which they are tried."""
+
+SHARED = "A fault that all of them have in common, such as that of a supply, would look the same."
+"""The other reading, if no sensor of the quantity is left to contradict those that are blamed."""
 
 ELSEWHERE = (Frozen.__name__, DroppedOut.__name__)
 """Kinds of faults that no model of the motion explains."""
@@ -108,8 +112,9 @@ def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | No
 
     It is, if redundant sensors agree within the noise of the model, but are blamed at the same time: for a fiftieth of the
     recording, or twice for a shorter time if more motion ends it. The monitor runs again with more motion, up to the least factor
-    with which this ends. It may be, if most sensors are blamed for most of the time: then their noise, or biases, are compared
-    with the model's. Frozen sensors and dropouts do not count.
+    with which this ends. It is as well, if all sensors of a quantity agree and are blamed at once, even briefly: then the
+    sentence also names the other reading, a fault that they have in common. The model may be wrong, if most sensors are blamed
+    for most of the time: then their noise, or biases, are compared with the model's. Frozen sensors and dropouts do not count.
 
     Parameters
     ----------
@@ -140,8 +145,8 @@ def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | No
     if not blame.sensors:
         return None
     setting, factor = _remedy(monitor, monitored, blame)
-    if blame.times and not setting:
-        return None  # a few moments are not enough to blame another part of the model
+    if blame.times and not setting and not blame.whole:
+        return None  # a few moments of some of the sensors are not enough to blame another part of the model
     ratio = max(excess(errors, expected)[0] for errors, expected in blame.innovations())
     return ModelSuspicion(
         tuple(monitored.recording.sensors[i] for i in blame.sensors),
@@ -201,6 +206,16 @@ def doubtful_alarms(monitor: Monitor, monitored: Monitored) -> tuple[FaultEvent,
     return tuple(event for event in monitored.events if event.kind not in ELSEWHERE and together(event))
 
 
+class _Moment(NamedTuple):
+    """A moment at which sensors that agree are blamed together: first step, step after the last, the pairs of these sensors."""
+
+    begin: int
+    end: int
+    pairs: list[tuple[int, int]]
+    whole: bool
+    """Whether all sensors of the quantity are blamed at once."""
+
+
 class _Blame:
     """Which sensors are blamed together, when, and whether they agree."""
 
@@ -218,11 +233,15 @@ class _Blame:
         if not self.sensors and len(often) > 1 and 2 * len(often) > len(blamed.T):
             self.sensors, self.when = often, blamed[:, often].sum(axis=1) > 1
         self.moments = self._moments(blamed)
-        if not self.sensors and self.occasions >= LEAST_TIMES:
-            self.agreeing = sorted({pair for _, _, pairs in self.moments for pair in pairs})
+        if not self.sensors and self.telling:
+            self.agreeing = sorted({pair for moment in self.moments for pair in moment.pairs})
             self.sensors, self.when = sorted({i for pair in self.agreeing for i in pair}), self.momentary
             self.times = self.occasions
         self.share = float(self.when.mean())
+        groups = [set(group) for group in self.model.alike if len(group) > 1]
+        self.whole = bool(self.agreeing) and any(
+            group <= set(self.sensors) and bool(blamed[:, sorted(group)].all(axis=1).any()) for group in groups
+        )
 
     def _agreeing(self, blamed: Flags) -> list[tuple[int, int]]:
         """Return the pairs of sensors that agree with each other while both are blamed, and with those that are not.
@@ -252,8 +271,8 @@ class _Blame:
                 return True
         return False
 
-    def _moments(self, blamed: Flags) -> list[tuple[int, int, list[tuple[int, int]]]]:
-        """Return when blamed sensors agree with all sensors of their quantity: first step, step after the last, and their pairs.
+    def _moments(self, blamed: Flags) -> list[_Moment]:
+        """Return when blamed sensors agree with all sensors of their quantity.
 
         Two sensors that have failed from the same cause agree with each other, too, but not with a healthy one. So a sensor
         that is not blamed must have samples at the same steps as those that are.
@@ -271,7 +290,8 @@ class _Blame:
                 named = {i for pair in together for i in pair}
                 compared = [agreed[pair] for pair in agreed if healthy & set(pair) and named & set(pair)]
                 if together and False not in agreed.values() and all(compared):
-                    moments.append((begin, end, together))
+                    whole = named == set(members) and bool(blamed[part, members].all(axis=1).any())
+                    moments.append(_Moment(begin, end, together, whole))
         return sorted(moments)
 
     def agree(self, pair: tuple[int, int], part: slice) -> bool | None:
@@ -292,14 +312,19 @@ class _Blame:
     def momentary(self) -> Flags:
         """Steps at which sensors that agree are blamed together for a moment."""
         when: Flags = np.zeros(len(self.y), dtype=bool)
-        for begin, end, _ in self.moments:
-            when[begin:end] = True
+        for moment in self.moments:
+            when[moment.begin : moment.end] = True
         return when
+
+    @property
+    def telling(self) -> bool:
+        """Whether the moments are evidence against the model: there are several, or one in which no sensor is left to differ."""
+        return self.occasions >= LEAST_TIMES or any(moment.whole for moment in self.moments)
 
     def ends(self, other: _Blame, most: float) -> bool:
         """Return whether another monitor of the same recording blames sensors in this way at no more steps than these."""
         remaining = other.momentary if self.times else other.when
-        return bool(remaining.sum() <= most) and (not self.agreeing or other.occasions < LEAST_TIMES)
+        return bool(remaining.sum() <= most) and (not self.agreeing or not other.telling)
 
     def difference(self, i: int, j: int) -> Floats:
         """Return the differences of two sensors, where both have a sample."""
@@ -383,10 +408,15 @@ def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: st
     listed = [names[i] for i in blame.sensors]
     who = f"{', '.join(listed[:-1])} and {listed[-1]}"
     share = f"{blame.times} times" if blame.times else f"for {blame.share:.0%} of the recording"
+    if blame.times == 1:
+        first, last = (float(time) for time in monitored.time[blame.when][[0, -1]])
+        share = f"from {span_text(first, last, monitored.recording.origin)}"
     if blame.agreeing:
         said = [
             f"Suspect the model, not the sensors: {who} agree with each other, but are blamed at the same time, {share}."
         ]
+        if blame.whole:
+            said.append(SHARED)
     else:
         said = [f"The model may be wrong instead of the sensors: {who} are blamed at the same time, {share}."]
     (i, (errors, expected)), *_ = zip(blame.sensors, blame.innovations(), strict=True)

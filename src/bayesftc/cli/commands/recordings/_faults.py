@@ -45,7 +45,7 @@ def print_faults(
     if doubtful:
         say(
             f"In brackets: {len(doubtful)} of {len(events)}, which are probably no faults of sensors. Sensors that agree have "
-            "alarms at the same time, because the model is wrong."
+            "alarms at the same time: the model is probably wrong."
         )
     say("Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
     if any(isinstance(event, ActuatorEvent) for event in events):

@@ -100,11 +100,12 @@ def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
 
 
 def fit_notes(fitted: FittedModel) -> list[str]:
-    """Return a note for each sensor that may have failed in the stretch of the fit."""
+    """Return a note for each sensor that may have failed in the stretch of the fit, or that measures another quantity."""
     return [
         f"The errors of {name} last, and are {ratio:.0f} times its noise and far above those of the other sensors. If {name} has "
         "failed in this recording, the model expects the fault: its alarm ends too early, or there is none. Name a stretch "
-        "without faults with --from and --to, or fit a file that has only that stretch."
+        "without faults with --from and --to, or fit a file that has only that stretch. If it measures another "
+        "quantity, leave it out: name the others with --sensor."
         for name, ratio in doubtful_sensors(fitted).items()
     ]
 
