@@ -12,46 +12,6 @@ from bayesftc.cosim.random import SPARE
 from bayesftc.cosim.stepping.by_address import as_floats, as_integers
 
 
-def _multiply(a, b):
-    """Return the high and low words of a 128-bit product."""
-    product = int(a) * int(b)
-    return np.uint64(product >> 64), np.uint64(product & 0xFFFFFFFFFFFFFFFF)
-
-
-@intrinsic
-def _product(typingctx, a, b):
-    """Return the same, by one instruction of the processor."""
-
-    def codegen(context, builder, sig, args):
-        long = ir.IntType(128)
-        product = builder.mul(*(builder.zext(word, long) for word in args))
-        words = builder.lshr(product, long(64)), product
-        return context.make_tuple(builder, sig.return_type, [builder.trunc(w, ir.IntType(64)) for w in words])
-
-    return types.UniTuple(types.uint64, 2)(types.uint64, types.uint64), codegen
-
-
-def _one_by_one(word):
-    """Return the word."""
-    return word
-
-
-@intrinsic
-def _unseen(typingctx, word):
-    """Return the same by an empty instruction that LLVM does not look into, so that it does not make vectors of a loop."""
-
-    def codegen(context, builder, sig, args):
-        kind = ir.FunctionType(ir.IntType(64), [ir.IntType(64)])
-        return builder.asm(kind, "", "=r,0", args, side_effect=False)
-
-    return types.uint64(types.uint64), codegen
-
-
-@overload(_one_by_one)
-def _one_by_one_compiled(word):
-    return lambda word: _unseen(word)
-
-
 def _root(x):
     return math.sqrt(x)
 
@@ -71,12 +31,18 @@ def _root_compiled(x):
     return lambda x: _square_root(x)
 
 
-@overload(_multiply)
-def _multiply_compiled(a, b):
-    return lambda a, b: _product(a, b)
+@register_jitable(error_model="numpy", forceinline=True)
+def _multiply(a, b):
+    """Return the high and low words of a 128-bit product, of products of 32 bits, which processors have for vectors."""
+    low, half = np.uint64(0xFFFFFFFF), np.uint64(32)
+    a0, a1, b0, b1 = a & low, a >> half, b & low, b >> half
+    first = a0 * b0
+    middle = a1 * b0 + (first >> half)
+    rest = a0 * b1 + (middle & low)
+    return a1 * b1 + (middle >> half) + (rest >> half), (rest << half) | (first & low)
 
 
-@register_jitable(error_model="numpy")
+@register_jitable(error_model="numpy", forceinline=True)
 def _philox(c0, c1, c2, c3, k0, k1):
     for _ in range(10):
         high0, low0 = _multiply(np.uint64(0xD2E7470EE14C6C93), c0)
@@ -192,12 +158,15 @@ def fill(seed, streams, first, buffer):
     tails, places = buffer[streams.shape[0]], buffer[streams.shape[0] + 1].view(np.int64)
     for j in range(streams.shape[0]):
         row, bits = buffer[j], buffer[j].view(np.uint64)
-        for i in range(0, row.shape[0], 4):
-            # Processors have no products of 128 bits for vectors: moving words into vectors and back would take half of the time.
-            block = _one_by_one(np.uint64((first + i) >> 2))
-            words = _philox(block, streams[j, 1], streams[j, 2], np.uint64(0), seed, streams[j, 0])
-            for a in range(4):
-                bits[np.uint64(i + a)] = _of_uniform(words[a])
+        # Unsigned, so that numba generates no code for negative indices.
+        key, channel, draw, block = streams[j, 0], streams[j, 1], streams[j, 2], np.uint64(first >> 2)
+        for i in range(np.uint64(row.shape[0] >> 2)):
+            words = _philox(block + np.uint64(i), channel, draw, np.uint64(0), seed, key)
+            at = np.uint64(i) << np.uint64(2)
+            bits[at] = _of_uniform(words[0])
+            bits[at + np.uint64(1)] = _of_uniform(words[1])
+            bits[at + np.uint64(2)] = _of_uniform(words[2])
+            bits[at + np.uint64(3)] = _of_uniform(words[3])
         _to_uniform(row)
         if streams[j, 3] == np.uint64(0):
             _to_normal(row, tails, places)
