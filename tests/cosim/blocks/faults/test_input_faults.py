@@ -230,7 +230,11 @@ def test_what_was_not_recorded_is_not_made_up():
 @pytest.mark.parametrize(
     ("changes", "error", "sentence"),
     [
-        ({"input_faults": {"froce": cosim.Freeze()}}, UnknownNameError, r"names 'froce', which is no input of the plant; did you mean 'force'"),
+        (
+            {"input_faults": {"froce": cosim.Freeze()}},
+            UnknownNameError,
+            r"names 'froce', which is no input of the plant; did you mean 'force'",
+        ),
         ({"input_faults": {"v": cosim.Freeze()}}, ConnectionError, r"plant\.v, which is an output; name an input"),
         ({"input_faults": {"force": "freeze"}}, ModelError, r"faults must contain only faults, such as Freeze"),
         ({"input_faults": {"force": ["freeze"]}}, ModelError, r"not 'freeze'"),
