@@ -133,4 +133,8 @@ COMPOSED: dict[str, Any] = {
 BITS: dict[str, Any] = {"exponent": exponent, "power_of_two": power_of_two, "significand": significand}
 """Operations on the bits of a number, for the functions above only."""
 
+independent = range
+"""The range of a loop of which no pass reads or writes what another one writes. The compiler may then make several passes at
+once, in vectors. Step functions must call it by this name."""
+
 __all__ = list(NAMES)

@@ -100,6 +100,15 @@ def shifts(e, present, variance, nominal, change, healthy, memory, at, settings,
     bb = memory[at + OWN + 3]
     begins = memory[at + ENTERED]
     lasts = 1.0 - begins
+    # If an offset that begins with this sample explains it better than the existing one, the mean age decreases. This needs no
+    # exact density: (1 + x / 8)^8 replaces e^x.
+    old, new = variance + cc, variance + jump + slope
+    worse = 1.0 + maximum(0.0625 * ((e - c) * (e - c) / old - e * e / new), 0.0)
+    worse = worse * worse
+    worse = worse * worse
+    lasted = sqrt(new / old)
+    younger = minimum(lasted / (begins * (worse * worse) + lasts * lasted), 1.0)
+    memory[at + AGE] = memory[at + AGE] * select(present > 0.5, younger, 1.0)
     apart = begins * lasts
     cc = lasts * cc + begins * (jump + slope) + apart * c * c
     cb = lasts * cb + begins * slope + apart * c * b

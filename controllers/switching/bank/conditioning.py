@@ -1,7 +1,7 @@
 """Conditioning of a bank of hypotheses on a sample of one sensor.
 
 Each part of the computation runs for all hypotheses before the next part. The processor computes several hypotheses at once, as
-none depends on another.
+none depends on another. The weights of modes, most of the work with many sensors, are computed in vectors of hypotheses.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     TRUSTED,
     held,
 )  # fmt: skip
-from bayesftc.cosim.ops import log, minimum, select
+from bayesftc.cosim.ops import independent, log, minimum, select
 
 ABSURD = 1e12
 """Largest ratio of an innovation's variance to the sensor's up to which larger innovations are learned from; beyond, hypotheses
@@ -50,12 +50,15 @@ def make_condition(
     """
     m, H, none, stride = layout.m, layout.hypotheses, layout.first, layout.length
     logp, factor = layout.grow + H, layout.grow + 2 * H
-    without, with_offset = layout.without_offset, layout.with_offset or (0,)
-    order = layout.order
+    without, with_offset, order = layout.without_offset, layout.with_offset or (0,), layout.order
+    K, process = len(layout.kinds), layout.process
+    others, further = tuple(h for h in without[1:] if h < process), with_offset[m * K : H - len(without)]
+    other_count, further_count = len(others), len(further)
+    others, further = others or (0,), further or (0,)
     # Separate functions, so that the compiler has constant loop lengths.
     expect_plain, expect_offset = (make_expect(layout, offset) for offset in (0, 1))
     weigh_first, weigh_plain = (make_weigh_reading(layout, weigh, 0) for weigh in (weigh_alone, weigh_other))
-    weigh_offset = make_weigh_reading(layout, weigh_other, 1)
+    weigh_offset, weigh_modes = make_weigh_reading(layout, weigh_other, 1), make_weigh_modes(layout, weigh_other)
     learn_plain, learn_offset = (make_learn(layout, offset) for offset in (0, 1))
 
     def condition(k, sample, C, memory, settings):
@@ -65,10 +68,21 @@ def make_condition(
             h = with_offset[x]
             expect_offset(h, order[h * m + k], sample, C, memory)
         weigh_first(0, k, sample, memory, settings)
-        for x in range(1, len(without)):
-            weigh_plain(without[x], k, sample, memory, settings)
-        for x in range(H - len(without)):
-            h = with_offset[x]
+        for x in range(other_count):
+            weigh_plain(others[x], k, sample, memory, settings)
+        for h in independent(process, H):
+            weigh_modes(h, k, sample, memory, settings)
+        for j in range(m):
+            first = 1 + j * K
+            i = order[first * m + k]
+            if i == j:
+                for q in range(K):
+                    weigh_offset(first + q, i, sample, memory, settings)
+            else:
+                for q in independent(K):
+                    weigh_modes(first + q, i, sample, memory, settings)
+        for x in range(further_count):
+            h = further[x]
             weigh_offset(h, order[h * m + k], sample, memory, settings)
         for x in range(len(without)):
             learn_plain(without[x], k, sample, C, memory)
@@ -76,7 +90,7 @@ def make_condition(
             h = with_offset[x]
             learn_offset(h, order[h * m + k], sample, C, memory)
         if k % 2 == 1 and k < m - 1:  # avoids underflow of the product of many small factors
-            for h in range(H):
+            for h in independent(H):
                 memory[logp + h] = memory[logp + h] + log(memory[factor + h])
                 memory[factor + h] = 1.0 + 0.0 * memory[none + h * stride]
 
@@ -103,37 +117,48 @@ def make_expect(layout: Layout, offset: int) -> Callable[..., None]:
 
 
 @cache
+def make_weigh_modes(layout: Layout, weigh_sensor: Callable[..., float]) -> Callable[..., None]:
+    """Return the step function that weighs a sensor's modes in a hypothesis, by ``weigh_sensor``."""
+    sensor, row_length, none, stride, kept = layout.sensor, layout.row, layout.first, layout.length, layout.kept
+    readings, reading, repeated = layout.readings, layout.reading, layout.repeated
+    logp, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
+
+    def weigh_modes(h, i, sample, memory, settings):
+        here, place = readings + h * reading, none + h * stride + kept + i * sensor
+        density = weigh_sensor(
+            memory[here + ERROR],
+            sample.present[i],
+            memory[here + TOTAL],
+            sample.nominal[i, i] * memory[i * sensor + NOISE],
+            0.5 / memory[i * sensor + NOISE_SHAPE],
+            sample.y[i] - memory[i * sensor + LAST],
+            memory[repeated + i],
+            memory,
+            place,
+            settings,
+            i * row_length,
+        )
+        memory[logp + h] = memory[logp + h] + density
+        memory[factor + h] = memory[factor + h] * memory[place + DENSITY]
+
+    return weigh_modes
+
+
+@cache
 def make_weigh_reading(layout: Layout, weigh_sensor: Callable[..., float], offset: int) -> Callable[..., None]:
     """Return the step function that weighs a reading, and by ``weigh_sensor`` the modes of a sensor that is judged by them."""
-    m, sensor, row_length, width_of_settings = layout.m, layout.sensor, layout.row, layout.width_of_settings
-    none, stride, kept, judged, repeated = layout.first, layout.length, layout.kept, layout.judged, layout.repeated
-    readings, reading = layout.readings, layout.reading
+    m, row_length, width_of_settings, judged = layout.m, layout.row, layout.width_of_settings, layout.judged
+    readings, reading, weigh_modes = layout.readings, layout.reading, make_weigh_modes(layout, weigh_sensor)
     logp, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
 
     def weigh_reading(h, i, sample, memory, settings):
-        present = sample.present[i]
-        here, row, by = readings + h * reading, i * row_length, judged[h * m + i]
+        here, by = readings + h * reading, judged[h * m + i]
         if by == BY_MODES:
-            place = none + h * stride + kept + i * sensor
-            density = weigh_sensor(
-                memory[here + ERROR],
-                present,
-                memory[here + TOTAL],
-                sample.nominal[i, i] * memory[i * sensor + NOISE],
-                0.5 / memory[i * sensor + NOISE_SHAPE],
-                sample.y[i] - memory[i * sensor + LAST],
-                memory[repeated + i],
-                memory,
-                place,
-                settings,
-                row,
-            )
-            memory[logp + h] = memory[logp + h] + density
-            memory[factor + h] = memory[factor + h] * memory[place + DENSITY]
+            weigh_modes(h, i, sample, memory, settings)
         elif offset and by >= 0:
-            place, error = row + FIRST_SETTINGS + by * width_of_settings, memory[here + ERROR]
-            density = select(present > 0.5, log_density(error * error, memory[here + TOTAL]), 0.0)
-            times = select(present > 0.5, settings[place + MODE_ARRIVES], settings[place + MODE_MISSING])
+            place, error = i * row_length + FIRST_SETTINGS + by * width_of_settings, memory[here + ERROR]
+            density = select(sample.present[i] > 0.5, log_density(error * error, memory[here + TOTAL]), 0.0)
+            times = select(sample.present[i] > 0.5, settings[place + MODE_ARRIVES], settings[place + MODE_MISSING])
             memory[logp + h] = memory[logp + h] + density
             memory[factor + h] = memory[factor + h] * times
 

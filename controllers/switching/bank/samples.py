@@ -43,7 +43,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     repetition,
     share_of,
 )  # fmt: skip
-from bayesftc.cosim.ops import absolute, both, log, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import absolute, both, independent, log, maximum, minimum, select, sqrt
 
 LEAST_EFFECT, MOST_EFFECT = 0.1, 2.0
 """Least and largest effectiveness that the control law uses; a smaller one would require impossible controls."""
@@ -110,9 +110,10 @@ def make_weigh(
         most = memory[logp]
         for h in range(1, H):
             most = maximum(most, memory[logp + h])
+        for h in independent(H):
+            memory[none + h * stride] = memory[factor + h] * share_of(memory[logp + h], most)
         total = 0.0 * most
         for h in range(H):
-            memory[none + h * stride] = memory[factor + h] * share_of(memory[logp + h], most)
             total = total + memory[none + h * stride]
         for h in range(H):
             memory[none + h * stride] = maximum(memory[none + h * stride] / total, LEAST)

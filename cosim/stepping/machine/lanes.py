@@ -481,7 +481,10 @@ class _Lanes(Function):
             self.end(f"br i1 {self.any(mask)}, label %{go_on}, label %{target}")
             self.begin(go_on)
 
-    def loop(self, condition: c_ast.Node | None, turn: c_ast.Node | None, body: c_ast.Node) -> None:
+    def do_Pragma(self, _: c_ast.Pragma) -> None:
+        """Make one pass after the other: vectors are for the runs."""
+
+    def loop(self, condition: c_ast.Node | None, turn: c_ast.Node | None, body: c_ast.Node, _: str = "") -> None:
         test, inside, following, after = (self.label() for _ in range(4))
         loop, outer, kind = _Loop(following, after, self.depth, id(body)), self.mask, self.all_of(TRUTH)
         if loop.key in self.noted:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -66,6 +66,10 @@ OPERATIONS = {
 """Operations with an LLVM text of their own."""
 
 
+AT_ONCE = 4
+"""Passes of a loop that are made at once, if they are independent: so many numbers are in a register of most processors."""
+
+
 @dataclass(frozen=True)
 class Term:
     """A value: its type, and its text in LLVM; for a literal, the number."""
@@ -90,6 +94,9 @@ class Unit:
     tables: dict[str, str] = field(default_factory=dict)  # element type by name
     functions: dict[str, Signature] = field(default_factory=dict)
     outside: set[str] = field(default_factory=set)  # functions of other compiled code
+    calls: dict[str, set[str]] = field(default_factory=dict)  # names of the functions that each one calls
+    within: set[str] = field(default_factory=set)  # functions that loops with independent passes call
+    groups: int = 0  # number of these loops
 
     def type_of(self, node: c_ast.Node) -> str:
         """Return the type of a declaration."""
@@ -114,7 +121,29 @@ def lowered(c: str, apart: Iterable[str] = ()) -> str:
     for node in nodes:
         if isinstance(node, c_ast.FuncDef):
             parts.append(Function(unit, node, apart=node.decl.name in apart).text())
-    return "\n".join(parts) + "\n"
+    return "\n".join([*_included(unit, parts), *_groups(unit)]) + "\n"
+
+
+def _included(unit: Unit, parts: Iterable[str]) -> Iterator[str]:
+    """Mark the functions that become part of loops with independent passes: LLVM makes no vectors of calls."""
+    names, found = set(unit.within), set[str]()
+    while names - found:
+        name = (names - found).pop()
+        found.add(name)
+        names |= unit.calls.get(name, set())
+    for part in parts:
+        head = re.match(r"define internal [^@]*@f\.(\w+)\(", part)
+        yield part.replace(") {", ") alwaysinline {", 1) if head and head[1] in found else part
+
+
+def _groups(unit: Unit) -> Iterator[str]:
+    """Say that the passes of loops are independent, and how many LLVM should make at once."""
+    for group in range(1, unit.groups + 1):
+        access, loop, parallel, width = range(4 * group, 4 * group + 4)
+        yield f"!{access} = distinct !{{}}"
+        yield f"!{loop} = distinct !{{!{loop}, !{parallel}, !{width}}}"
+        yield f'!{parallel} = !{{!"llvm.loop.parallel_accesses", !{access}}}'
+        yield f'!{width} = !{{!"llvm.loop.vectorize.width", i32 {AT_ONCE}}}'
 
 
 def declarations(unit: Unit, nodes: Iterable[c_ast.Node]) -> list[str]:
@@ -131,7 +160,8 @@ def declarations(unit: Unit, nodes: Iterable[c_ast.Node]) -> list[str]:
 
 
 def plain(c: str) -> str:
-    """Return C without comments and macros."""
+    """Return C without comments and macros, except for those before loops with independent passes."""
+    c = c.replace("/* independent */", "#pragma independent")
     text = re.sub(r"/\*.*?\*/", "", c, flags=re.DOTALL)
     return "typedef long int64_t;\ntypedef unsigned long uint64_t;\n" + re.sub(r"INT64_C\((-?\d+)\)", r"\1", text)
 
@@ -213,6 +243,9 @@ class Function:
         self.loops: list[tuple[str, str]] = []  # targets of `continue` and `break`
         self.count = 0
         self.open = True  # whether control can reach the next line
+        self.is_independent = False  # whether the passes of the next loop are
+        self.group = 0  # number of the loop with independent passes around the next line
+        unit.calls[self.name] = set()
 
     def text(self) -> str:
         """Return the function as LLVM text."""
@@ -242,6 +275,8 @@ class Function:
         """Add an instruction."""
         if not self.open:  # unreachable code; LLVM needs a separate block for it
             self.begin(self.label())
+        if self.group and re.match(r"store |call |\S+ = (load|call) ", line):
+            line += f", !llvm.access.group !{4 * self.group}"
         self.lines.append(f"  {line}")
 
     def end(self, line: str) -> None:
@@ -350,11 +385,21 @@ class Function:
         self.scopes.append({})
         for declaration in node.init.decls if node.init else []:
             self.do_Decl(declaration)
-        self.loop(node.cond, node.next, node.stmt)
+        around, mark = self.group, ""
+        if self.is_independent:
+            self.is_independent = False
+            self.unit.groups = self.group = self.unit.groups + 1
+            mark = f", !llvm.loop !{4 * self.group + 1}"
+        self.loop(node.cond, node.next, node.stmt, mark)
+        self.group = around
         self.scopes.pop()
 
-    def loop(self, condition: c_ast.Node | None, turn: c_ast.Node | None, body: c_ast.Node) -> None:
-        """Add a loop."""
+    def do_Pragma(self, _: c_ast.Pragma) -> None:
+        """Note that the passes of the next loop are independent: no other pragma is written."""
+        self.is_independent = True
+
+    def loop(self, condition: c_ast.Node | None, turn: c_ast.Node | None, body: c_ast.Node, mark: str = "") -> None:
+        """Add a loop, with a mark for LLVM."""
         test, inside, following, after = (self.label() for _ in range(4))
         self.begin(test)
         if condition is None:
@@ -367,7 +412,7 @@ class Function:
         self.loops.pop()
         self.begin(following)
         self.block(turn)
-        self.end(f"br label %{test}")
+        self.end(f"br label %{test}{mark}")
         self.begin(after)
 
     def branch(self, condition: c_ast.Node, then: str, other: str) -> None:
@@ -473,6 +518,9 @@ class Function:
         if name in LIBRARY:
             return self.result(DOUBLE, f"call double @{LIBRARY[name]}(double {self.turned(values[0], DOUBLE)})")
         signature = self.unit.functions[name]
+        self.unit.calls[self.name].add(name)
+        if self.group:
+            self.unit.within.add(name)
         given = ", ".join(f"{k} {self.turned(v, k)}" for k, v in zip(signature.arguments, values, strict=True))
         line = f"call {signature.returns} @{'' if name in self.unit.outside else 'f.'}{name}({given})"
         if signature.returns == "void":

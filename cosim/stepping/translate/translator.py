@@ -296,6 +296,12 @@ class Translator(Expressions):
         scoped = name in self.counters
         counter = self.local(name) if scoped else self.new("i")
         turn = f"{'++' if step > 0 else '--'}{counter}" if abs(step) == 1 else f"{counter} += {step}"
+        if (
+            isinstance(node.iter, ast.Call)
+            and isinstance(node.iter.func, ast.Name)
+            and node.iter.func.id == "independent"
+        ):
+            self.emit("/* independent */")
         self.emit(f"for (int64_t {counter} = {begin.text}; {counter} {'<' if step > 0 else '>'} {end.text}; {turn}) {{")
         self.depth += 1
         kind = NATURAL if upward or downward else INT

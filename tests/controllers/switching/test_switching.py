@@ -14,7 +14,16 @@ from filterpy.kalman import KalmanFilter
 from scipy import integrate, special, stats
 
 from bayesftc import controllers, scenario
-from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Noisier, Offset, SwitchingPrecision, Unmodelled
+from bayesftc.controllers import (
+    DroppedOut,
+    Frozen,
+    LinearModel,
+    Noisier,
+    Offset,
+    StateEstimator,
+    SwitchingPrecision,
+    Unmodelled,
+)
 from bayesftc.controllers.linalg.special import squared_gamma_half_step
 from bayesftc.controllers.precision.base import Sample, Trust
 from bayesftc.controllers.switching import fault_modes
@@ -289,6 +298,23 @@ def car(kind, precision, steps=400, begins=150, ends=300, seed=0):
         out = step(y=y, goal=[20.0 + 5.0 * np.sin(STEP * k)])
         yield out, x
         x = 0.999 * x + 2e-4 * out.u[0] + 0.03 * rng.normal()
+
+
+def test_the_onset_of_a_jump_is_its_sample_beside_another_fault():
+    """In the hypothesis of the other fault a small old belief in an offset must not make the jump older."""
+    model = LinearModel([[0.999]], [[0.0]], [[1.0]] * 3, 1e-3, [0.09, 0.09, 0.64], dt=STEP)
+    errors = []
+    for seed in range(8):
+        rng, x = np.random.default_rng(seed), 0.0
+        step = StateEstimator(model, SwitchingPrecision()).online()
+        for k in range(400):
+            x = 0.999 * x + 0.03 * rng.normal()
+            y = x + np.array([0.3, 0.3, 0.8]) * rng.normal(size=3)
+            y[0] += 0.02 * max(k - 50, 0)
+            y[2] += 6.0 * (k >= 300)
+            out = step(y=y)
+        errors.append(out.fault_onset[2] / STEP - 300)
+    assert np.abs(errors).max() < 3.0
 
 
 NUMBERS = {type(mode).__name__: 1 + k for k, mode in enumerate(SwitchingPrecision().modes)}

@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from bayesftc.cosim import Port
+from bayesftc.cosim.diagram.memory import arrange
 from bayesftc.cosim.errors import KernelError
-from bayesftc.cosim.ops import cos, sin
+from bayesftc.cosim.ops import cos, exp, independent, sin
 from bayesftc.cosim.stepping.machine import steps
+from bayesftc.cosim.stepping.machine.code import optimised_text
+from bayesftc.cosim.stepping.machine.lowering import lowered
 
 MODE = 1
 TABLE = {"state": {"m": [[1.0, 2.0], [3.0, 4.0]]}}
+NUMBERS = {"state": {"m": [0.0] * 60}}
 
 
 class Pair(NamedTuple):
@@ -167,20 +171,60 @@ def beside_the_whole_section(y, u, outputs):
     y[0] = y[0] * 1.5
 
 
+def half_of_the_exponential(x):
+    return 0.5 * exp(x) if x < 1.0 else 0.25 * x
+
+
+def independent_passes(y, u, m):
+    for i in independent(2, 20):
+        for j in range(3):
+            m[20 * j + i] = half_of_the_exponential(u[0] * i) + j * u[1]
+    for i in independent(4):
+        m[i] = m[20 + i] * m[40 + i]
+    y[0] = 0.0
+    for i in range(60):
+        y[0] = y[0] + m[i]
+
+
 ALL = [
     behind_a_return, behind_a_continue, a_row_that_is_chosen, by_a_name_of_the_library, a_record_of_an_earlier_round,
-    names_of_c, deep, beside_the_whole_section,
+    names_of_c, deep, beside_the_whole_section, independent_passes,
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("kernel", ALL, ids=lambda f: f.__name__)
 def test_the_bits_are_those_of_plain_python(kernel, make_block, same_bits):
-    parts = TABLE if kernel is a_row_that_is_chosen else {}
+    parts = {a_row_that_is_chosen: TABLE, independent_passes: NUMBERS}.get(kernel, {})
     block = make_block(inputs=[Port("u", (2,))], outputs=[Port("y")], output=kernel, **parts)
     for u in ([0.3, 1.7], [-4.5, 0.25]):
         found = [np.array([block.online(1, compiled=compiled)(u=u).y]) for compiled in (True, False)]
         same_bits(*found)
         assert np.isfinite(found[0]).all()
+
+
+def test_independent_passes_are_made_in_vectors(make_block):
+    """Also where they call functions, and where their places are in a table: LLVM cannot see that they are independent."""
+    places = tuple(59 - i for i in range(20))
+
+    def in_turn(y, u, m):
+        for i in range(2, 20):
+            m[places[i]] = half_of_the_exponential(u[0] * i) + m[places[i]]
+        y[0] = m[7]
+
+    def at_once(y, u, m):
+        for i in independent(2, 20):
+            m[places[i]] = half_of_the_exponential(u[0] * i) + m[places[i]]
+        y[0] = m[7]
+
+    vectors = {}
+    for kernel in (in_turn, at_once):
+        block = make_block(inputs=[Port("u", (2,))], outputs=[Port("y")], output=kernel, **NUMBERS)
+        definition = block.define(1)
+        slots, _ = arrange(block, definition, 0)
+        text = lowered(*steps.text_of(definition.output, slots.sections, "step"))
+        vectors[kernel] = optimised_text(text, "x86-64-v3").count("fmul <4 x double>")
+    assert vectors[at_once] > 10
+    assert vectors[in_turn] == 0
 
 
 @pytest.fixture
