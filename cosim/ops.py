@@ -135,6 +135,7 @@ BITS: dict[str, Any] = {"exponent": exponent, "power_of_two": power_of_two, "sig
 
 independent = range
 """The range of a loop of which no pass reads or writes what another one writes. The compiler may then make several passes at
-once, in vectors. Step functions must call it by this name."""
+once, in vectors. Step functions must call it by this name, by which the translation to C finds it: it becomes a comment in C, and
+a mark of the loop for LLVM (`bayesftc.cosim.stepping.machine.lowering`)."""
 
 __all__ = list(NAMES)

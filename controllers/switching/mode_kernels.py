@@ -55,8 +55,8 @@ def drops(e, present, variance, nominal, change, healthy, memory, at, settings, 
     memory : array
         The mode's block begins at the place ``at``. ``memory[at + ENTERED]`` is the probability that the mode begins with this
         sample, given that it is the sensor's mode; do not write it. The function may write the precision of the sample relative
-        to the nominal one (``memory[at + TRUST]``), the fault's size (``SIZE``), a factor of the density besides the returned
-        logarithm (``FACTOR``), and its own numbers from ``memory[at + OWN]`` on.
+        to the nominal one (``memory[at + TRUST]``), the fault's size (``SIZE``), a smaller mean age (``AGE``), a factor of the
+        density besides the returned logarithm (``FACTOR``), and its own numbers from ``memory[at + OWN]`` on.
     settings : array
         The mode's settings are from the place ``first`` on.
     """
@@ -100,8 +100,8 @@ def shifts(e, present, variance, nominal, change, healthy, memory, at, settings,
     bb = memory[at + OWN + 3]
     begins = memory[at + ENTERED]
     lasts = 1.0 - begins
-    # If an offset that begins with this sample explains it better than the existing one, the mean age decreases. This needs no
-    # exact density: (1 + x / 8)^8 replaces e^x.
+    # If an offset that begins with this sample explains it better than the existing one, the mean age decreases. (1 + x / 8)^8
+    # replaces e^x, which takes longer: it is accurate for small x, and an onset less probable than 1e-5 is noticed less.
     old, new = variance + cc, variance + jump + slope
     worse = 1.0 + maximum(0.0625 * ((e - c) * (e - c) / old - e * e / new), 0.0)
     worse = worse * worse

@@ -184,8 +184,8 @@ class CompiledEngine:
         address = self._program.words[FUSED] = fused(self._run.schedule, self._described(), steps)
         self._asked_for = inf if address else steps
 
-    def in_lock_step(self, steps: float, seconds: float = 0.0) -> int:
-        """Return the address of a function for several runs in lock step; 0 if that does not pay for so many steps or seconds."""
+    def in_lock_step(self, steps: float, seconds: float = 0.0) -> int | None:
+        """Return the address of a function for several runs in lock step; 0 if that does not pay, None while one is compiled."""
         return fused_lanes(self._run.schedule, self._described(), steps, seconds)
 
     @property

@@ -20,6 +20,7 @@ from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.diagram.schedule import NOT_FINITE, Schedule
 from bayesftc.cosim.errors import FMUError
 from bayesftc.cosim.isolation.spares import Spares
+from bayesftc.cosim.random import CHUNK
 from bayesftc.cosim.run.engines import CompiledEngine, Engine, Run
 from bayesftc.cosim.run.fused.compiled import LANES, SECONDS
 from bayesftc.cosim.run.fused.side_by_side import SideBySide
@@ -31,6 +32,10 @@ from bayesftc.cosim.types import Floats
 
 ROOM = 4_000_000
 """Bytes of the recordings of the runs that are made in one call, so that they stay in the processor's cache."""
+MOST_BESIDE = 8_000_000
+"""Bytes of the recording of one run up to which runs are made in lock step: all of a group are in memory."""
+LONGEST = 1.0
+"""Seconds between two pauses of runs in lock step from which on they are made one by one: a pause is after `CHUNK` steps."""
 KeepGoing = Callable[[], bool]
 """Called about twenty times a second; returns whether to continue. From a call on, time counts for the runs."""
 Overhead = Callable[[], None]
@@ -105,7 +110,6 @@ class ManyRuns:
         self._states: np.ndarray[Any, np.dtype[np.int64]] | None = None
         self._free: list[tuple[int, int, ctypes.c_int64]] = []
         self._beside: SideBySide | None = None
-        self._beside_allowed = True  # whether runs in lock step may be tried
         self._agrees = not any(
             d is None for d in schedule.definitions
         )  # whether they have given what runs one by one give
@@ -116,11 +120,15 @@ class ManyRuns:
         self._fresh = False  # whether they are at the beginning of a run
         self._repeats: bool | None = None  # whether restored FMUs give the same bits again
         self._pace = 0.0  # duration of a run in seconds
+        self._measured = False  # whether that was considered in the search for a function for runs in lock step
+        self._asks_again = False  # whether the compiler was busy then
         self._opening = 0.0  # time to make the FMUs in seconds
         self._of = 1  # expected number of all runs
         rows = steps // decimation + 1
         self._buffer = np.empty((0, rows, len(selection.places)))
-        self._few = max(1, ROOM // max(8 * rows * len(selection.places), 1))
+        size = 8 * rows * len(selection.places)
+        self._few = max(1, ROOM // max(size, 1))
+        self._beside_allowed = size <= MOST_BESIDE  # whether runs in lock step may be tried
 
     def run(
         self, seeds: Sequence[int], keep_going: KeepGoing = lambda: True, overhead: Overhead = lambda: None, of: int = 1
@@ -149,7 +157,9 @@ class ManyRuns:
             few, more = self._how_many(len(seeds) - done), self._of > 1
             try:
                 self._ready(overhead, more=more)
-                if not self._function and self._pace * self._of >= SECONDS:
+                slow = not self._measured and self._states is not None and self._pace * self._of >= SECONDS
+                if self._asks_again or slow:
+                    self._measured = True
                     overhead()
                     self._look_for_lock_step()
                 _go_on(keep_going)
@@ -218,7 +228,8 @@ class ManyRuns:
         """Find the function for runs in lock step, if it pays."""
         beside = self._beside_allowed and all(hasattr(i, "state_functions") for i in self._run.instances.values())
         if beside and isinstance(self._engine, CompiledEngine):
-            self._function = self._engine.in_lock_step(self._steps * self._of, self._pace * self._of)
+            found = self._engine.in_lock_step(self._steps * self._of, self._pace * self._of)
+            self._function, self._asks_again = found or 0, found is None
 
     def _saved(self, run: Run) -> np.ndarray[Any, np.dtype[np.int64]] | None:
         """Save each FMU's state; return the table for restoring in compiled code, or None if an FMU fails to save.
@@ -244,10 +255,16 @@ class ManyRuns:
         return np.array(rows, dtype=np.int64).reshape(len(rows), 3)
 
     def _compiled(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing) -> Block:
-        # A group in lock step takes at most as long as its runs one by one, and must not reach the limit of one run.
-        if len(seeds) >= FEWEST and self._pace * LANES < (self._limit or inf) and self._opens_beside():
+        """Make runs in lock step if possible; else one by one, all by one call if they are quick, or one piece by piece."""
+        # A group takes at most as long as its runs one by one, and must not reach the limit of one run.
+        group = self._pace * LANES
+        may_pause = group * CHUNK < LONGEST * max(self._steps, 1)
+        if len(seeds) >= FEWEST and group < (self._limit or inf) and may_pause and self._opens_beside():
             return self._in_lock_step(seeds, keep_going)
-        block = self._one_by_one(seeds, self._room(len(seeds))) if self._quick else self._each(seeds[:1], keep_going)
+        if self._quick:
+            block = self._one_by_one(seeds, self._room(len(seeds)))
+        else:
+            block = self._single(int(seeds[0]), keep_going)
         self._alone = max(self._alone - len(block.steps), 0)
         return block
 
@@ -256,16 +273,17 @@ class ManyRuns:
         """Whether a run is so short that it need not be made piece by piece."""
         return self._pace < min(BREATH, self._limit or BREATH)
 
-    def _each(
-        self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing, *, limited: bool = True
-    ) -> Block:
+    def _each(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats, keep_going: KeepGoing) -> Block:
         """Make runs piece by piece, up to the first one that fails."""
-        blocks: list[Block] = []
-        while len(blocks) < len(seeds) and not (blocks and blocks[-1].reasons[0]):
-            made = self._single(int(seeds[len(blocks)]), keep_going, limited=limited)
-            blocks.append(replace(made, recording=made.recording.copy()))
-        recording, steps = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("recording", "steps"))
-        return Block(recording, steps, tuple(b.reasons[0] for b in blocks))
+        steps: list[int] = []
+        reason = ""
+        while len(steps) < len(seeds) and not reason:
+            i = len(steps)
+            block = self._single(int(seeds[i]), keep_going, recording[i : i + 1])
+            steps.append(int(block.steps[0]))
+            (reason,) = block.reasons
+        reasons = ("",) * (len(steps) - 1) + (reason,)
+        return Block(recording[: len(steps)], np.array(steps, dtype=np.int64), reasons)
 
     def _one_by_one(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], recording: Floats) -> Block:
         engine, run = self._engine, self._run
@@ -354,7 +372,8 @@ class ManyRuns:
                 warn_of_arithmetic(self._run)
             if guard.interrupted:
                 raise KeyboardInterrupt
-            _go_on(keep_going)
+            if going:
+                _go_on(keep_going)
             if self._beside.done > before:
                 began, before = time.perf_counter(), self._beside.done
             elif self._limit and time.perf_counter() - began > self._limit:
@@ -364,7 +383,10 @@ class ManyRuns:
     def _twice(self, seeds: np.ndarray[Any, np.dtype[np.uint64]], keep_going: KeepGoing) -> Block:
         """Make the first runs one by one, and then in lock step: instances of an FMU may share something that they hide."""
         recording, count = self._room(LANES), len(seeds)
-        block = self._one_by_one(seeds, recording[:count]) if self._quick else self._each(seeds, keep_going)
+        if self._quick:
+            block = self._one_by_one(seeds, recording[:count])
+        else:
+            block = self._each(seeds, recording[:count], keep_going)
         if len(block.steps) == count and not any(block.reasons):
             alone = block.recording.copy()
             self._agrees = self._together(np.resize(seeds, LANES), recording, keep_going) == LANES
@@ -375,9 +397,11 @@ class ManyRuns:
                 self._shut()
         return block
 
-    def _single(self, seed: int, keep_going: KeepGoing, *, limited: bool = True) -> Block:
+    def _single(
+        self, seed: int, keep_going: KeepGoing, recording: Floats | None = None, *, limited: bool = True
+    ) -> Block:
         """Make one run piece by piece, because it is long, slow or interpreted."""
-        run, recording = self._run, self._room(1)
+        run, recording = self._run, self._room(1) if recording is None else recording
         if not self._fresh and not self._put_back():
             self._give_up()
             raise _NotPutBackError

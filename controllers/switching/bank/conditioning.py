@@ -52,6 +52,9 @@ def make_condition(
     logp, factor = layout.grow + H, layout.grow + 2 * H
     without, with_offset, order = layout.without_offset, layout.with_offset or (0,), layout.order
     K, process = len(layout.kinds), layout.process
+    # Besides the one without any fault: unmodelled courses and ends of common offsets; common offsets and actuators. The modes of
+    # a process and the K offsets of one sensor follow each other in memory. The latter have one order, and judge all sensors but
+    # their own by their modes: `weigh_modes` needs no choice, and is computed for several of them at once.
     others, further = tuple(h for h in without[1:] if h < process), with_offset[m * K : H - len(without)]
     other_count, further_count = len(others), len(further)
     others, further = others or (0,), further or (0,)

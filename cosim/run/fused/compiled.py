@@ -72,11 +72,13 @@ def fused(schedule: Schedule, tables: Tables, steps: float) -> int:
         return 0
     loop, functions = _described(schedule, tables, INCLUDED)
     text = text_of_loop(loop, "loop", set(functions))
-    return _found(loop, text, steps, lambda name: _compiled(loop, functions, name))
+    return _found(loop, text, steps, lambda name: _compiled(loop, functions, name)) or 0
 
 
-def fused_lanes(schedule: Schedule, tables: Tables, steps: float, seconds: float = 0.0) -> int:
+def fused_lanes(schedule: Schedule, tables: Tables, steps: float, seconds: float = 0.0) -> int | None:
     """Return the address of a function for `LANES` runs of a diagram in lock step; 0 if that does not pay.
+
+    It is None while another thread compiles: then runs one by one pay.
 
     Parameters are those of `fused`, and `steps` those of all runs together, which take these `seconds` one by one (0: unknown).
     """
@@ -100,9 +102,8 @@ def fused_lanes(schedule: Schedule, tables: Tables, steps: float, seconds: float
         lasting=frozenset(_lasting(schedule, loop)),
     )
     text = text_of_lanes(loop, lanes, "loop")
-    return _found(
-        loop, text, inf if seconds >= SECONDS else steps, lambda name: _compiled_lanes(loop, lanes, functions, name)
-    )
+    worth = inf if seconds >= SECONDS else steps
+    return _found(loop, text, worth, lambda name: _compiled_lanes(loop, lanes, functions, name), waits=False)
 
 
 def _sections(schedule: Schedule) -> Iterator[tuple[int, int]]:
@@ -127,10 +128,10 @@ def _lasting(schedule: Schedule, loop: Loop) -> Iterator[int]:
                 yield from range(slots.offset(name), slots.offset(name) + prod(shape))
 
 
-def _found(loop: Loop, text: str, steps: float, compiled: Callable[[str], bytes]) -> int:
+def _found(loop: Loop, text: str, steps: float, compiled: Callable[[str], bytes], *, waits: bool = True) -> int | None:
     """Return the address of a loop's code, which depends on this `text` and what it includes.
 
-    It is 0 if compiling does not pay, or as long as another thread compiles a loop: then runs one by one pay.
+    It is 0 if compiling does not pay, and without `waits` None while another thread compiles.
     """
     parts = [environment(), text, *(known_text(service) for service in loop.services)]
     name = "loop_" + hashlib.sha256("|".join(parts).encode()).hexdigest()[:24]
@@ -138,13 +139,15 @@ def _found(loop: Loop, text: str, steps: float, compiled: Callable[[str], bytes]
         is_kept = (cache_directory("compiled") / f"{name}.o").exists()
         if not is_kept and steps < COMPILED * len(loop.rows):
             return 0
-        if not _compiling.acquire(blocking=False):
-            return 0
-        try:
+        if is_kept:
             _addresses[name] = load_or_compile(name, lambda: compiled(name))
-        finally:
-            _compiling.release()
-    return _addresses[name]
+        elif _compiling.acquire(blocking=waits):
+            try:
+                if name not in _addresses:
+                    _addresses[name] = load_or_compile(name, lambda: compiled(name))
+            finally:
+                _compiling.release()
+    return _addresses.get(name)
 
 
 def _described(schedule: Schedule, tables: Tables, longest: int) -> tuple[Loop, Steps]:

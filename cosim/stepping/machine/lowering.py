@@ -66,10 +66,6 @@ OPERATIONS = {
 """Operations with an LLVM text of their own."""
 
 
-AT_ONCE = 4
-"""Passes of a loop that are made at once, if they are independent: so many numbers are in a register of most processors."""
-
-
 @dataclass(frozen=True)
 class Term:
     """A value: its type, and its text in LLVM; for a literal, the number."""
@@ -137,13 +133,12 @@ def _included(unit: Unit, parts: Iterable[str]) -> Iterator[str]:
 
 
 def _groups(unit: Unit) -> Iterator[str]:
-    """Say that the passes of loops are independent, and how many LLVM should make at once."""
+    """Say that the passes of loops are independent; LLVM decides whether and how many to make at once."""
     for group in range(1, unit.groups + 1):
-        access, loop, parallel, width = range(4 * group, 4 * group + 4)
+        access, loop, parallel = range(3 * group, 3 * group + 3)
         yield f"!{access} = distinct !{{}}"
-        yield f"!{loop} = distinct !{{!{loop}, !{parallel}, !{width}}}"
+        yield f"!{loop} = distinct !{{!{loop}, !{parallel}}}"
         yield f'!{parallel} = !{{!"llvm.loop.parallel_accesses", !{access}}}'
-        yield f'!{width} = !{{!"llvm.loop.vectorize.width", i32 {AT_ONCE}}}'
 
 
 def declarations(unit: Unit, nodes: Iterable[c_ast.Node]) -> list[str]:
@@ -161,7 +156,7 @@ def declarations(unit: Unit, nodes: Iterable[c_ast.Node]) -> list[str]:
 
 def plain(c: str) -> str:
     """Return C without comments and macros, except for those before loops with independent passes."""
-    c = c.replace("/* independent */", "#pragma independent")
+    c = re.sub(r"/\* independent \*/(?=\s*for \()", "#pragma independent", c)
     text = re.sub(r"/\*.*?\*/", "", c, flags=re.DOTALL)
     return "typedef long int64_t;\ntypedef unsigned long uint64_t;\n" + re.sub(r"INT64_C\((-?\d+)\)", r"\1", text)
 
@@ -276,7 +271,7 @@ class Function:
         if not self.open:  # unreachable code; LLVM needs a separate block for it
             self.begin(self.label())
         if self.group and re.match(r"store |call |\S+ = (load|call) ", line):
-            line += f", !llvm.access.group !{4 * self.group}"
+            line += f", !llvm.access.group !{3 * self.group}"
         self.lines.append(f"  {line}")
 
     def end(self, line: str) -> None:
@@ -389,7 +384,7 @@ class Function:
         if self.is_independent:
             self.is_independent = False
             self.unit.groups = self.group = self.unit.groups + 1
-            mark = f", !llvm.loop !{4 * self.group + 1}"
+            mark = f", !llvm.loop !{3 * self.group + 1}"
         self.loop(node.cond, node.next, node.stmt, mark)
         self.group = around
         self.scopes.pop()

@@ -134,11 +134,40 @@ def test_slow_runs_are_worth_compiling(seconds, compiles, nothing_kept, monkeypa
         assert bool(session._engine.in_lock_step(1e6, seconds)) is compiles
 
 
-def test_no_thread_waits_for_the_compiler_of_another(nothing_kept):
+def test_no_runs_wait_for_the_compiler_of_another_thread(nothing_kept):
+    """They are made one by one meanwhile."""
     with slow_and_fast().start() as session:
         with compiled._compiling:
-            assert not session._engine.in_lock_step(1e6, compiled.SECONDS)
+            assert session._engine.in_lock_step(1e6, compiled.SECONDS) is None
         assert session._engine.in_lock_step(1e6, compiled.SECONDS)
+
+
+def test_runs_go_in_lock_step_once_the_compiler_of_another_thread_is_done(nothing_kept, monkeypatch):
+    monkeypatch.setattr(compiled, "COMPILED", 0)
+    monkeypatch.setattr(many, "BREATH", 1e-6)
+    with closing(long_runs(3)) as runs:
+        blocks = runs.run(range(60))
+        with compiled._compiling:
+            alone = [next(blocks) for _ in range(5)]
+        later = list(blocks)
+    assert [len(block.steps) for block in alone] == [1] * 5
+    assert compiled.LANES in {len(block.steps) for block in later}
+
+
+def test_runs_with_much_to_record_are_made_one_by_one(lanes, monkeypatch, campaign_as_alone):
+    monkeypatch.setattr(many, "MOST_BESIDE", 8 * 130)
+    campaign_as_alone(slow_and_fast(), "130/30", SEEDS, record=["gap.y"])
+    assert not lanes
+    monkeypatch.setattr(many, "MOST_BESIDE", 8 * 131)
+    campaign_as_alone(slow_and_fast(), "130/30", SEEDS, record=["gap.y"])
+    assert lanes
+
+
+def test_runs_whose_pauses_would_be_far_apart_are_made_one_by_one(lanes, pauses, monkeypatch):
+    monkeypatch.setattr(many, "LONGEST", 0.0)
+    with closing(long_runs(3)) as runs:
+        assert [len(block.steps) for block in runs.run(range(12))] == [1] * 12
+    assert not lanes
 
 
 def test_the_first_run_tells_whether_compiling_pays(nothing_kept, monkeypatch):

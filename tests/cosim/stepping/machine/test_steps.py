@@ -175,6 +175,19 @@ def half_of_the_exponential(x):
     return 0.5 * exp(x) if x < 1.0 else 0.25 * x
 
 
+def named_like_a_mark(x):
+    """independent"""
+    return 2.0 * x
+
+
+def passes_that_end_early(y, u):
+    y[0] = 0.0
+    for i in independent(8):
+        if named_like_a_mark(u[0]) * i > 3.0:
+            break
+        y[0] = y[0] + i
+
+
 def independent_passes(y, u, m):
     for i in independent(2, 20):
         for j in range(3):
@@ -189,6 +202,7 @@ def independent_passes(y, u, m):
 ALL = [
     behind_a_return, behind_a_continue, a_row_that_is_chosen, by_a_name_of_the_library, a_record_of_an_earlier_round,
     names_of_c, deep, beside_the_whole_section, independent_passes,
+    passes_that_end_early,
 ]  # fmt: skip
 
 
