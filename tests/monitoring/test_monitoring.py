@@ -16,6 +16,7 @@ from bayesftc.cosim.errors import BayesFTCError, ModelError, RecordingError
 from bayesftc.monitoring import (
     ActuatorEvent,
     Alarm,
+    AlarmWatch,
     ConstantRate,
     FaultEvent,
     Integrator,
@@ -379,6 +380,25 @@ def test_an_onset_is_never_after_the_alarm_whose_kind_has_changed():
     signals["fault_onset"][:] = 2.0
     (event,) = sensor_events(recording, signals, (Offset(), Drifting()), Alarm())
     assert event.onset == 7.0
+
+
+def test_the_onset_of_an_alarm_is_not_inside_the_one_before():
+    """The learner dates the second fault to the time of the first one, between which the sensor was healthy."""
+    n, modes = 12, (Offset(), Drifting())
+    recording = Recording(5.0, Fraction(1), ("a",), np.zeros((n, 1)), np.zeros((n, 1)), (0.01,), (0.0,), (0,), ("m",))
+    blamed = np.isin(np.arange(n), [3, 4, 9, 10]).astype(float)
+    signals = {
+        "fault_probability": blamed[:, None],
+        "mode_probability": np.stack([1 - blamed, blamed, np.zeros(n)], axis=1)[:, None],
+        "fault_size": np.full((n, 1), 2.0),
+        "fault_onset": np.full((n, 1), 3.0),
+    }
+    first, second = sensor_events(recording, signals, modes, Alarm(hold=1.0))
+    assert (first.onset, first.end, second.onset, second.start) == (8.0, 9.0, 9.0, 14.0)
+    watch = AlarmWatch(["a"], modes, Fraction(1), Alarm(hold=1.0))
+    rows = [{name: signals[name][k] for name in AlarmWatch.signals} for k in range(n)]
+    live = [event for k, row in enumerate(rows) for event, ended in watch.feed(float(k), row) if not ended]
+    assert [event.onset for event in live] == [3.0, 4.0]
 
 
 def test_names_of_alarms_say_whose_and_do_not_overlap(tmp_path):
