@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
 from fractions import Fraction
 from itertools import combinations
 
@@ -380,6 +380,21 @@ def test_an_onset_is_never_after_the_alarm_whose_kind_has_changed():
     signals["fault_onset"][:] = 2.0
     (event,) = sensor_events(recording, signals, (Offset(), Drifting()), Alarm())
     assert event.onset == 7.0
+
+
+@pytest.mark.parametrize(("name", "unit"), [("header.stamp", 10**9), ("stamp", 1)])
+def test_times_since_1970_are_dates(tmp_path, name, unit):
+    start = 1_777_885_920
+    rows = "".join(f"{(start + k) * unit},{k % 3}\n" for k in range(50))
+    (tmp_path / "log.csv").write_text(f"{name},a\n{rows}")
+    (tmp_path / "dates.csv").write_text("time,b\n2026-05-04T09:12:00Z,1\n2026-05-04T09:12:03Z,2\n")
+    tables = Tables(tmp_path)
+    dated = tables.times(tmp_path / "dates.csv", "time")
+    np.testing.assert_array_equal(dated, [0.0, 3.0])
+    np.testing.assert_array_equal(tables.times(tmp_path / "log.csv", name), np.arange(50.0))
+    alone = Tables(tmp_path / "log.csv")
+    np.testing.assert_array_equal(alone.times(tmp_path / "log.csv", name), start + np.arange(50.0))
+    assert alone.origin == datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def test_the_onset_of_an_alarm_is_not_inside_the_one_before():

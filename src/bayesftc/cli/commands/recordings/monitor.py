@@ -244,6 +244,7 @@ def _write(folder: Path, monitored: Monitored, numbers: dict[str, Any]) -> None:
     picture = io.BytesIO()
     plot_monitored(monitored).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
     table, text = monitored.to_pandas(), output.as_json(numbers) + "\n"
+    table["t"] = [f"{t:.13g}" for t in monitored.time]  # seconds since 1970 have ten digits before the point
     with output.staged(folder) as stage:
         table.to_csv(stage / PROBABILITIES, index=False, float_format="%.9g", date_format=DATES)
         (stage / FAULTS).write_text(text, encoding="utf-8")
