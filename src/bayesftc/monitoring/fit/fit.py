@@ -13,6 +13,7 @@ from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.columns import SensorErrors
 from bayesftc.monitoring.fit.bias import biases, wander
 from bayesftc.monitoring.fit.checks import check_recording
+from bayesftc.monitoring.fit.codes import without_codes
 from bayesftc.monitoring.fit.moments import median
 from bayesftc.monitoring.fit.motion import Motion, common
 from bayesftc.monitoring.fit.noise import Noise, awake, decompose, disagreement, groups, share_out
@@ -105,7 +106,8 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     The common part of the sensors' changes is the quantity's motion, the rest is noise. Both are estimated from moments of
     differences over several lags, in many short windows. Noise is the median over the windows, so a fault in fewer than half of
     them has no effect. Motion is an upper quantile of the moving windows, so a calm part has no effect. Windows where a sensor
-    does not change at all are left out: it is frozen, or the car is parked.
+    does not change at all are left out: it is frozen, or the car is parked. So are samples of a value that a sensor repeats
+    exactly while the others are far from it: it seems to stand for no sample.
 
     Parameters
     ----------
@@ -138,6 +140,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     >>> {name: round(sensor.std, 1) for name, sensor in fitted.sensors.items()}, type(fitted.plant).__name__
     ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
+    recording = without_codes(recording)
     check_recording(recording, recording.y[stretch])
     dt, bias = float(recording.dt), biases(awake(recording.y[stretch]))
     whole = awake(recording.y - bias)

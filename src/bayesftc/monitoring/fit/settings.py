@@ -31,6 +31,15 @@ class FitSettings:
     collide: float = chosen(
         0.1, "share of samples that may belong to the step of a later one: jittering times need short steps"
     )
+    # Codes of missing samples.
+    code: float = chosen(0.02, "least share of a sensor's samples that have the value of a code")
+    code_times: int = chosen(
+        3, "least number of separate times at which it is sent: a sensor freezes once or twice at most"
+    )
+    code_far: float = chosen(
+        5.0, "multiple of the usual distance from the others by which a code is away from them ..."
+    )
+    code_span: float = chosen(0.1, "... and share of the span of the quantity: a resolution or a dead zone is smaller")
     # Windows.
     window: int = chosen(16, "lags in a window, for several independent differences")
     least_window: int = chosen(64, "least samples in a window, for a reliable median")
