@@ -504,3 +504,14 @@ def test_an_invalid_value_that_cannot_be_is_refused(tmp_path, options, words):
     done = RUNNER.invoke(app, ["monitor", flown(tmp_path)[1], *options])
     assert done.exit_code == 2
     assert words in " ".join(done.output.replace("│", " ").split())
+
+
+def test_a_column_that_does_not_follow_is_named(tmp_path):
+    rng = np.random.default_rng(1)
+    command = flown(tmp_path, sonar=3 + 0.5 * rng.standard_normal(3000))
+    (note,) = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)["notes"]
+    assert re.match(
+        r"sonar does not follow the other sensors: while they move by 1, it moves by -?0\.?\d*\. Motion ", note
+    )
+    two = RUNNER.invoke(app, [*command, "--overwrite", "--json", "--sensor=baro", "--sensor=sonar"])
+    assert any(note.startswith("baro and sonar do not agree") for note in json.loads(two.stdout)["notes"])

@@ -111,7 +111,9 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
     with output.staged(model.parent) as stage:
         (stage / model.name).write_text(text, encoding="utf-8")
     return FittedFiles(
-        fitted, samples, [*_without_numbers(tables, part), *_codes(samples, tables, places), *fit_notes(fitted)]
+        fitted,
+        samples,
+        [*_without_numbers(tables, part), *_codes(samples, tables, places), *_strangers(fitted), *fit_notes(fitted)],
     )
 
 
@@ -137,6 +139,30 @@ def _codes(recording: Recording, tables: Tables, places: Mapping[str, Place]) ->
             f"is fitted without these samples. If {value} means 'no measurement', add {option}: otherwise the monitor takes them "
             "for faults."
         )
+
+
+def _strangers(fitted: FittedModel) -> Iterator[str]:
+    """Give a note for each sensor that does not follow the others, or for two that do not agree."""
+    if len(fitted.sensors) == 2 and fitted.strangers:
+        (one, slope), (other, _) = fitted.strangers.items()
+        yield (
+            f"{one} and {other} do not agree: while one of them moves by 1, the other moves by {_slope(slope)}. At least one of "
+            "them is wrong, or measures another quantity, but two sensors do not show which one. The monitor needs sensors of "
+            "one quantity."
+        )
+        return
+    for name, slope in fitted.strangers.items():
+        yield (
+            f"{name} does not follow the other sensors: while they move by 1, it moves by {_slope(slope)}. Motion and the noise "
+            f"of the others are fitted without {name}, and its whole distance from them counts as noise. If {name} measures "
+            "another quantity, leave it out: name the others with --sensor. If it has failed in most of this recording, fit to a "
+            "stretch without the fault: --from and --to."
+        )
+
+
+def _slope(slope: float) -> str:
+    """Return a slope with two decimals, and without the sign of a zero."""
+    return f"{round(slope, 2) + 0.0:.2g}"
 
 
 def _has(file: Path, text: str) -> bool:
@@ -166,6 +192,7 @@ def fit_notes(fitted: FittedModel) -> list[str]:
         "without faults with --from and --to, or fit a file that has only that stretch. If it measures another "
         "quantity, leave it out: name the others with --sensor."
         for name, ratio in doubtful_sensors(fitted).items()
+        if name not in fitted.strangers
     ]
 
 

@@ -169,6 +169,8 @@ def monitor(
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
     monitored = loaded.run(samples)
     suspicion = None if mismatch and loaded.inputs else suspect_model(loaded, monitored)
+    if fitted and suspicion and fitted.model.strangers.keys() & set(suspicion.sensors):
+        suspicion = None  # a sensor that does not follow the others agrees with everything within its noise
     doubtful = doubtful_alarms(loaded, monitored) if mismatch or suspicion else ()
     numbers = summary(monitored, mismatch, doubtful) | (
         {} if fitted is None else {"fitted": fitted_summary(fitted.model, model)}
