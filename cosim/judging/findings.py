@@ -53,7 +53,8 @@ class Finding:
         Most probable kind of fault at the end of the alarm; empty if no kind is more probable than a healthy sensor, because
         several share the probability, or if the learner distinguishes none.
     onset : float or None
-        Estimated time of the fault's begin in seconds, never after the begin of the alarm; None if it is not estimated.
+        Estimated time of the fault's begin in seconds, never after the begin of the alarm, nor before the end of an earlier one
+        of the same device; None if it is not estimated.
     start, end : float
         Times of the first and the last sample of the alarm, in seconds.
     size : float or None
@@ -136,6 +137,25 @@ def alarms(probability: Floats, threshold: float, hold: int) -> list[tuple[int, 
     return [(int(above[a]), int(above[b]) + 1) for a, b in zip(first, last, strict=True)]
 
 
+def onset_of_alarm(onset: float | None, begin: float, earlier: float | None) -> float | None:
+    """Return the onset that an alarm shows: not after its begin, and not before the end of an earlier alarm of the device.
+
+    Between the two alarms the device counted as healthy. The learner may know better later on, but the two would then overlap.
+
+    Parameters
+    ----------
+    onset : float or None
+        The learner's estimate in seconds; None if there is none.
+    begin : float
+        Begin of the alarm.
+    earlier : float or None
+        End of the alarm before; None for the first.
+    """
+    if onset is None:
+        return None
+    return min(onset if earlier is None else max(onset, earlier), begin)
+
+
 def _of(
     device: SensorSignals | ActuatorSignals, where: str, time: Floats, threshold: float, hold: int
 ) -> Iterator[Finding]:
@@ -146,6 +166,7 @@ def _of(
         p, score = None, None if detected is None else detected.astype(np.float64)
     if score is None:
         return
+    earlier: float | None = None
     for begin, end in alarms(score, threshold, hold):
         kind, last = _kind(device, begin, end)
         size, onset = (_at(getattr(device, name, None), last) for name in ("size", "onset"))
@@ -155,13 +176,14 @@ def _of(
         yield Finding(
             where,
             _name(device.kinds, kind),
-            None if onset is None else min(onset, float(time[begin])),
+            onset_of_alarm(onset, float(time[begin]), earlier),
             float(time[begin]),
             float(time[end - 1]),
             size,
             "" if size is None else UNITS.get(scale, device.unit or ""),
             None if p is None else float(np.nanmax(p[begin:end])),
         )
+        earlier = float(time[end - 1])
 
 
 def _kind(device: SensorSignals | ActuatorSignals, begin: int, end: int) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.learning import learn_modes
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
-from bayesftc.monitoring import FaultEvent, Monitor, Monitored
+from bayesftc.monitoring import FaultEvent, Monitor
 
 RUNNER = CliRunner()
 
@@ -165,12 +165,10 @@ def test_nothing_found_and_nothing_to_find(files, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_file_that_cannot_be_written_leaves_none_behind(files, tmp_path, monkeypatch):
-    def full(self):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(
-        Monitored, "to_pandas", lambda self: type("Table", (), {"to_csv": lambda *_, **__: full(self)})()
-    )
+    monkeypatch.setattr(pd.DataFrame, "to_csv", full)
     out = tmp_path / "results"
     done = RUNNER.invoke(app, ["monitor", *files, "--out", str(out)])
     assert done.exit_code == 12
@@ -268,7 +266,7 @@ def test_a_model_that_is_there_is_not_overwritten(drive, files, tmp_path):
     again = RUNNER.invoke(
         app, ["monitor", drive, *fit, "--model", files[2], "--json"]
     )  # the same model: nothing to lose
-    assert (again.exit_code, json.loads(again.output)) == (0, json.loads(replaced.output))
+    assert (again.exit_code, json.loads(again.stdout)) == (0, json.loads(replaced.stdout))
     alone = RUNNER.invoke(app, ["monitor", drive, "--overwrite", "--model", files[2]])
     assert alone.exit_code == 2
     assert "--overwrite replaces the model file" in " ".join(alone.output.replace("│", " ").split())
@@ -287,7 +285,7 @@ def test_columns_with_any_names_are_fitted(drive, tmp_path):
     names = [f"--sensor={name}" for name in ("oil, left", 'the "big" one', "c")]
     done = RUNNER.invoke(app, ["monitor", drive, "--fit", "--model", str(model), "--to", "29", *names, "--json"])
     assert done.exit_code == 0, done.output
-    assert [fault["sensor"] for fault in json.loads(done.output)["faults"]] == ['the "big" one']
+    assert [fault["sensor"] for fault in json.loads(done.stdout)["faults"]] == ['the "big" one']
 
 
 @pytest.mark.slow
@@ -301,7 +299,7 @@ def test_several_files_are_fitted_together(drive, tmp_path):
         app, ["monitor", str(folder), "--fit", "--model", str(tmp_path / "m.toml"), "--to", "29", "--json"]
     )
     assert done.exit_code == 0, done.output
-    assert set(json.loads(done.output)["sensors"]) == {"a", "two_a"}
+    assert set(json.loads(done.stdout)["sensors"]) == {"a", "two_a"}
 
 
 @pytest.mark.parametrize(
@@ -455,3 +453,65 @@ def test_the_recording_of_the_readme_fits_its_model(tmp_path):
     found = json.loads(made.stdout)
     assert found["model"] is None
     assert {event["sensor"] for event in found["faults"]} == {"front_left", "rear_left", "front_right"}
+
+
+def flown(tmp_path, **columns):
+    """Five minutes of three altimeters, of which the lidar has the least noise, and further columns."""
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(3000)
+    level = 6 + 2.5 * np.sin(2 * np.pi * t / 50) + np.sin(2 * np.pi * t / 17)
+    noise = {"baro": 0.3, "gnss": 0.8, "lidar": 0.03}
+    table = pd.DataFrame({"t": t, **{name: level + std * rng.standard_normal(3000) for name, std in noise.items()}})
+    table.assign(**columns).round(3).to_csv(tmp_path / "flight.csv", index=False)
+    return ["monitor", str(tmp_path / "flight.csv"), "--fit", "--model", str(tmp_path / "model.toml")]
+
+
+def test_a_column_without_numbers_is_named(tmp_path):
+    command = flown(tmp_path, sonar=np.nan, remark="none")
+    done = RUNNER.invoke(app, [*command, "--json"])
+    note = "The columns 'sonar' and 'remark' have no numbers; they are not monitored."
+    assert json.loads(done.stdout)["notes"] == [note]
+    assert f"Note: {note}" in done.stderr
+    chosen = [f"--sensor={name}" for name in ("baro", "lidar", "gnss")]
+    named = RUNNER.invoke(app, [*command, "--overwrite", "--json", *chosen])
+    assert json.loads(named.stdout)["notes"] == []
+
+
+def test_a_value_in_place_of_samples_is_named_and_can_be_left_out(tmp_path):
+    command = flown(tmp_path)
+    table = pd.read_csv(tmp_path / "flight.csv").rename(columns={"lidar": "lidar [cm]", "baro": "baro [m]"})
+    table["lidar [cm]"] = np.where(table["lidar [cm]"] > 8, -1, 100 * table["lidar [cm]"]).round(1)
+    table.to_csv(tmp_path / "flight.csv", index=False)
+    (note,) = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)["notes"]
+    share = f"{np.mean(table['lidar [cm]'] == -1):.0%}"
+    assert f"is exactly -1 in {share} of its samples, while the other sensors of its quantity are not near -1." in note
+    assert "add --invalid 'lidar [cm]=-1'" in note
+    for option in ("lidar [cm]=-1", "lidar=-1", "-1"):
+        report = json.loads(RUNNER.invoke(app, [*command, "--overwrite", "--json", f"--invalid={option}"]).stdout)
+        assert report["notes"] == []
+        assert report["sensors"]["lidar [cm]"]["samples"] == int((table["lidar [cm]"] != -1).sum())
+        again = RUNNER.invoke(app, ["monitor", command[1], "--model", command[-1], "--json"])
+        assert json.loads(again.stdout)["sensors"] == report["sensors"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--fit", "--invalid", "lidar"], "'lidar' has no number. Write --invalid 0 for all columns"),
+        (["--model", "model.toml", "--invalid", "0"], "--invalid is for a fit: add --fit"),
+    ],
+)
+def test_an_invalid_value_that_cannot_be_is_refused(tmp_path, options, words):
+    done = RUNNER.invoke(app, ["monitor", flown(tmp_path)[1], *options])
+    assert done.exit_code == 2
+    assert words in " ".join(done.output.replace("│", " ").split())
+
+
+def test_a_column_that_does_not_follow_is_named(tmp_path):
+    rng = np.random.default_rng(1)
+    command = flown(tmp_path, sonar=3 + 0.5 * rng.standard_normal(3000))
+    (note,) = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)["notes"]
+    assert re.match(
+        r"sonar does not follow the other sensors: while they move by 1, it moves by -?0\.?\d*\. Motion ", note
+    )
+    two = RUNNER.invoke(app, [*command, "--overwrite", "--json", "--sensor=baro", "--sensor=sonar"])
+    assert any(note.startswith("baro and sonar do not agree") for note in json.loads(two.stdout)["notes"])

@@ -324,3 +324,16 @@ def test_many_faults_have_their_kinds_above_their_sensor(table, tmp_path):
         }
         boxes = [text.get_window_extent() for text in texts]
         assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+
+
+def test_seconds_since_1970_are_shown_as_dates_and_kept_in_full(table, tmp_path):
+    command = write(tmp_path, table, None)
+    log = pd.read_csv(command[1])
+    log["when"] += 1_777_885_920.5
+    log.to_csv(command[1], index=False)
+    done = invoke(*command, "--out", tmp_path / "out")
+    assert "2026-05-04 09:12:00 to 10:01:55 (UTC)" in done.output
+    assert "Faults on 2026-05-04" in done.output
+    report = json.loads((tmp_path / "out" / "faults.json").read_text(encoding="utf-8"))
+    assert (report["start"], report["start_date"]) == (1_777_885_920.5, "2026-05-04T09:12:00.500+00:00")
+    assert pd.read_csv(tmp_path / "out" / "probabilities.csv").t[:2].tolist() == [1_777_885_920.5, 1_777_885_925.5]

@@ -2,7 +2,7 @@
 
 import re
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
 from fractions import Fraction
 from itertools import combinations
 
@@ -16,6 +16,7 @@ from bayesftc.cosim.errors import BayesFTCError, ModelError, RecordingError
 from bayesftc.monitoring import (
     ActuatorEvent,
     Alarm,
+    AlarmWatch,
     ConstantRate,
     FaultEvent,
     Integrator,
@@ -379,6 +380,40 @@ def test_an_onset_is_never_after_the_alarm_whose_kind_has_changed():
     signals["fault_onset"][:] = 2.0
     (event,) = sensor_events(recording, signals, (Offset(), Drifting()), Alarm())
     assert event.onset == 7.0
+
+
+@pytest.mark.parametrize(("name", "unit"), [("header.stamp", 10**9), ("stamp", 1)])
+def test_times_since_1970_are_dates(tmp_path, name, unit):
+    start = 1_777_885_920
+    rows = "".join(f"{(start + k) * unit},{k % 3}\n" for k in range(50))
+    (tmp_path / "log.csv").write_text(f"{name},a\n{rows}")
+    (tmp_path / "dates.csv").write_text("time,b\n2026-05-04T09:12:00Z,1\n2026-05-04T09:12:03Z,2\n")
+    tables = Tables(tmp_path)
+    dated = tables.times(tmp_path / "dates.csv", "time")
+    np.testing.assert_array_equal(dated, [0.0, 3.0])
+    np.testing.assert_array_equal(tables.times(tmp_path / "log.csv", name), np.arange(50.0))
+    alone = Tables(tmp_path / "log.csv")
+    np.testing.assert_array_equal(alone.times(tmp_path / "log.csv", name), start + np.arange(50.0))
+    assert alone.origin == datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def test_the_onset_of_an_alarm_is_not_inside_the_one_before():
+    """The learner dates the second fault to the time of the first one, between which the sensor was healthy."""
+    n, modes = 12, (Offset(), Drifting())
+    recording = Recording(5.0, Fraction(1), ("a",), np.zeros((n, 1)), np.zeros((n, 1)), (0.01,), (0.0,), (0,), ("m",))
+    blamed = np.isin(np.arange(n), [3, 4, 9, 10]).astype(float)
+    signals = {
+        "fault_probability": blamed[:, None],
+        "mode_probability": np.stack([1 - blamed, blamed, np.zeros(n)], axis=1)[:, None],
+        "fault_size": np.full((n, 1), 2.0),
+        "fault_onset": np.full((n, 1), 3.0),
+    }
+    first, second = sensor_events(recording, signals, modes, Alarm(hold=1.0))
+    assert (first.onset, first.end, second.onset, second.start) == (8.0, 9.0, 9.0, 14.0)
+    watch = AlarmWatch(["a"], modes, Fraction(1), Alarm(hold=1.0))
+    rows = [{name: signals[name][k] for name in AlarmWatch.signals} for k in range(n)]
+    live = [event for k, row in enumerate(rows) for event, ended in watch.feed(float(k), row) if not ended]
+    assert [event.onset for event in live] == [3.0, 4.0]
 
 
 def test_names_of_alarms_say_whose_and_do_not_overlap(tmp_path):

@@ -104,6 +104,29 @@ def as_seconds(cells: Any, source: str, origin: pd.Timestamp | None = None) -> t
     return np.asarray((dates - instant) / pd.Timedelta(1, "s"), dtype=np.float64), origin
 
 
+def epoch_seconds(seconds: Floats, source: str, origin: pd.Timestamp | None = None) -> tuple[Floats, pd.Timestamp]:
+    """Return times that count from 1970 as seconds from an instant, and this instant, as `as_seconds` does for dates.
+
+    Parameters
+    ----------
+    seconds : ndarray
+        Seconds since 1970.
+    source : str
+        The file and the column, for the message to the user.
+    origin : pandas.Timestamp, optional
+        The instant; by default 1970, of which the user is informed. The seconds then are as in the file.
+    """
+    import pandas as pd
+
+    epoch = pd.Timestamp(0, tz="UTC")
+    if origin is not None:
+        instant = origin.tz_localize("UTC") if origin.tz is None else origin
+        return np.asarray(seconds - (instant - epoch) / pd.Timedelta(1, "s")), origin
+    first = _text(date_at(epoch.to_pydatetime(), float(np.nanmin(seconds))), 0)
+    inform(f"The times in {source} count from 1970 in UTC, by their size: the first one is {first}.")
+    return seconds, epoch
+
+
 def date_at(origin: datetime, seconds: float) -> datetime:
     """Return the date that is some seconds after an instant, to the microsecond."""
     return origin + timedelta(microseconds=round(seconds * 1e6))
@@ -148,4 +171,6 @@ def seconds_of(moment: datetime, origin: datetime) -> float:
     return (moment - origin) / timedelta(seconds=1)
 
 
-__all__ = ["ISO", "are_dates", "as_seconds", "date_at", "other_date", "seconds_of", "span_text", "time_text"]
+__all__ = [
+    "ISO", "are_dates", "as_seconds", "date_at", "epoch_seconds", "other_date", "seconds_of", "span_text", "time_text",
+]  # fmt: skip

@@ -41,6 +41,12 @@ UNITS_OF_TIME = {name: unit for unit, names in _ALONE.items() for name in names}
 TIMES = ("t", "time", "timestamp", "times", "seconds", "millis", "milliseconds", "microseconds")
 """Names of a column of times, in any case, also with a unit (``t_ms``)."""
 
+EPOCH = 1.0e9, 4.1e9
+"""Seconds since 1970 of the years 2001 to 2099: times of this size count from there, and others hardly are so large."""
+
+_SINCE_1970 = Fraction(1), Fraction(1, 10**3), Fraction(1, 10**6), Fraction(1, 10**9)
+"""Seconds in the units in which programs count from 1970. The spans of `EPOCH` in these units do not overlap."""
+
 _IN_BRACKETS = re.compile(r".*[\[(]\s*([^\W\d_][^\])]*?)\s*[\])]\s*")
 _AT_THE_END = re.compile(r".*(?:[\W_]|[a-z](?=[A-Z]))([^\W\d_]+)\s*")
 
@@ -53,6 +59,11 @@ def time_unit(name: object) -> Fraction:
     RecordingError
         If the name has something in brackets that is no unit of time.
     """
+    return _named_unit(name) or Fraction(1)
+
+
+def _named_unit(name: object) -> Fraction | None:
+    """Return the seconds in the unit that the name of a column of times has; None without one."""
     text = str(name)
     if any(text.lower() in names for names in _ALONE.values()):
         return UNITS_OF_TIME[text.lower()]
@@ -64,7 +75,14 @@ def time_unit(name: object) -> Fraction:
             f"The column of times {text!r} is in {bracket[1]!r}, which is no known unit of time. Call it 't [s]', 't [ms]' or "
             "'t [min]', or convert the times to seconds and call it 't'."
         )
-    return unit or Fraction(1)
+    return unit
+
+
+def since_1970(seconds: Any) -> bool:
+    """Return whether times in seconds count from 1970, by their size; see `EPOCH`."""
+    given = np.asarray(seconds, dtype=np.float64)
+    given = given[np.isfinite(given)]
+    return len(given) > 0 and bool(EPOCH[0] <= given.min() and given.max() <= EPOCH[1])
 
 
 def time_column(names: Iterable[str]) -> str | None:
@@ -120,10 +138,19 @@ def times_in(table: pd.DataFrame, name: str) -> Floats:
 
 
 def in_seconds(name: object, times: Any) -> Floats:
-    """Return the times of a column in seconds, by the unit in its name; see `time_unit`."""
-    unit = time_unit(name)
+    """Return the times of a column in seconds, by the unit in its name; see `time_unit`.
+
+    Without a unit in the name, numbers of about 1e12, 1e15 or 1e18 are milli-, micro- or nanoseconds since 1970.
+    """
+    given, named = np.asarray(times, dtype=np.float64), _named_unit(name)
+    if named is not None:
+        return _times(given, named)
+    return next((seconds for unit in _SINCE_1970 if since_1970(seconds := _times(given, unit))), given)
+
+
+def _times(numbers: Floats, unit: Fraction) -> Floats:
     # 35 / 1000 is the nearest number to 0.035; 35 * 0.001 is not.
-    return np.asarray(times, dtype=np.float64) * unit.numerator / unit.denominator
+    return np.asarray(numbers * unit.numerator / unit.denominator)
 
 
 def exact_numbers() -> dict[str, Any]:
@@ -200,6 +227,7 @@ __all__ = [
     "find_times",
     "in_seconds",
     "read_table_file",
+    "since_1970",
     "time_column",
     "time_unit",
     "times_in",

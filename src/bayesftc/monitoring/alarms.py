@@ -12,7 +12,7 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
-from bayesftc.cosim.judging.findings import alarms
+from bayesftc.cosim.judging.findings import alarms, onset_of_alarm
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.gaps import Gap
 from bayesftc.monitoring.recording import Recording
@@ -75,8 +75,9 @@ class FaultEvent:
     kind : str or None
         Most probable fault mode at the end of the alarm, if the learner has modes.
     onset : float or None
-        Estimated start of the fault, in seconds of the recording, never after the start of the alarm. The learner estimates only
-        the onset of the last kind, and the kind may have changed during the alarm.
+        Estimated start of the fault, in seconds of the recording, never after the start of the alarm, nor before the end of an
+        earlier alarm of the sensor. The learner estimates only the onset of the last kind, and the kind may have changed during
+        the alarm.
     size : float or None
         Size of the fault at the end of the alarm: an offset in the sensor's unit; for `Noisier` and `Unmodelled`, the innovations
         as a multiple of the nominal noise.
@@ -177,7 +178,8 @@ def sensor_events(
             continue
         if last is not None:
             yield last
-        last = event
+        earlier = last.end if last is not None and last.sensor == event.sensor else None
+        last = replace(event, onset=onset_of_alarm(event.onset, event.start, earlier))
     if last is not None:
         yield last
 
@@ -207,7 +209,7 @@ def _each(
             sensor,
             *span,
             kind=type(modes[kind - 1]).__name__,
-            onset=min(float(time[0]) + onset, span[0]) if np.isfinite(onset) else None,
+            onset=float(time[0]) + onset if np.isfinite(onset) else None,
             size=size if np.isfinite(size) else None,
         )
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, CsvForm, cells_of, form_of
-from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, other_date
+from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_seconds, other_date
 from bayesftc.cosim.base.recordings.day_first import iso_of, with_iso_dates
-from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds
+from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds, since_1970
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.recording import LARGEST, absurd_values
@@ -103,11 +103,14 @@ class Tables:
 
     def times(self, file: Path, name: str, whose: str = "") -> Floats:
         """Return a column of times in seconds; its name may have another unit (``t_ms``). Dates become seconds, too."""
-        signal = f"the times{whose}"
+        signal, source = f"the times{whose}", f"column {name!r} of {fspath(file)}"
         cells = self._cells(file, name, signal)
         if not are_dates(cells):
-            return in_seconds(name, self._numbers(cells, file, name, signal))
-        seconds, self._origin = as_seconds(cells, f"column {name!r} of {fspath(file)}", self._origin)
+            seconds = in_seconds(name, self._numbers(cells, file, name, signal))
+            if since_1970(seconds):
+                seconds, self._origin = epoch_seconds(seconds, source, self._origin)
+            return seconds
+        seconds, self._origin = as_seconds(cells, source, self._origin)
         self._refuse_wrong(cells, np.isnan(seconds), file, name, signal)
         return seconds
 

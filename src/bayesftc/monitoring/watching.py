@@ -11,6 +11,7 @@ import numpy as np
 from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
+from bayesftc.cosim.judging.findings import onset_of_alarm
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import ACTUATOR_SIGNALS, ActuatorEvent, Alarm, FaultEvent
 
@@ -60,6 +61,7 @@ class AlarmWatch:
         self._faulty = [k for k, mode in enumerate(modes, start=1) if getattr(mode, "is_fault", True)]
         self._hold = round(time_at(self._alarm.hold, float(step)) / float(step))
         self._open: dict[int, Any] = {}
+        self._ended: dict[int, float] = {}
         self._below = np.zeros(len(self._names), dtype=np.int64)
 
     def feed(self, time: float, signals: Mapping[str, Floats]) -> Iterator[tuple[Any, bool]]:
@@ -84,7 +86,9 @@ class AlarmWatch:
         for i in [i for i in self._open if not above[i]]:
             self._below[i] += 1
             if self._below[i] > self._hold:
-                yield self._open.pop(i), True
+                ended = self._open.pop(i)
+                self._ended[i] = ended.end
+                yield ended, True
 
     def close(self) -> Iterator[Any]:
         """Give the alarms that have not ended, with the last step above the threshold as their end."""
@@ -110,7 +114,7 @@ class AlarmWatch:
     ) -> FaultEvent | ActuatorEvent:
         size, onset = numbers or (None, None)
         return FaultEvent(
-            self._names[i], *span, kind=kind, onset=None if onset is None else min(onset, span[0]), size=size
+            self._names[i], *span, kind=kind, onset=onset_of_alarm(onset, span[0], self._ended.get(i)), size=size
         )
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.controllers import LinearModel
-from bayesftc.cosim.base.recordings.table_files import in_seconds, time_column, time_unit
+from bayesftc.cosim.base.recordings.table_files import in_seconds, since_1970, time_column, time_unit
 from bayesftc.cosim.errors import RecordingError, StepSizeError
 from bayesftc.cosim.fitting.samples import sample
 
@@ -43,6 +43,22 @@ def test_an_unknown_unit_is_refused_with_names_that_are_right():
 
 def test_times_are_the_nearest_numbers():
     assert in_seconds("t_ms", np.arange(1000)).tolist() == [float(f"{k / 1000:.3f}") for k in range(1000)]
+
+
+@pytest.mark.parametrize("digits", [0, 3, 6, 9])
+def test_times_since_1970_are_known_from_their_size(digits):
+    seconds = np.array([1_777_885_920, 1_777_885_921])
+    for name in ("header.stamp", "t"):
+        assert in_seconds(name, seconds * 10**digits).tolist() == seconds.tolist()
+    assert since_1970(seconds)
+
+
+def test_other_times_are_seconds_and_a_unit_in_the_name_goes_first():
+    for times in ([0.0, 1e12], [5e8, 6e8], [0.0, 1.0]):
+        assert in_seconds("t", np.array(times)).tolist() == times
+    assert in_seconds("t_ms", np.array([1.7e9])).tolist() == [1.7e6]
+    assert not since_1970([0.0, 1.7e9])
+    assert not since_1970([np.nan])
 
 
 def test_recordings_in_milliseconds_are_those_in_seconds(tmp_path):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
 from bayesftc.cosim.base.recordings.day_first import iso_of
@@ -31,6 +32,8 @@ class Place:
     ----------
     file, column, time : str
         Its file, its column and the column of its times.
+    invalid : tuple of float
+        Values that stand for no sample.
 
     Examples
     --------
@@ -42,16 +45,19 @@ class Place:
     ...     _ = file.write_text("time,T_1,T_2\n0.0,20.1,20.0\n0.1,20.2,20.1\n")
     ...     places, signals = monitoring.redundant_signals([file])
     >>> places["T_2"]
-    Place(file='tank.csv', column='T_2', time='time')
+    Place(file='tank.csv', column='T_2', time='time', invalid=())
     """
 
     file: str
     column: str
     time: str
+    invalid: tuple[float, ...] = ()
 
 
 def redundant_signals(
-    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], names: Sequence[str] = ()
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    names: Sequence[str] = (),
+    invalid: Mapping[str, Sequence[float]] | None = None,
 ) -> tuple[dict[str, Place], dict[str, Signal]]:
     r"""Return all signals of CSV files, except the times, and the place of each.
 
@@ -62,6 +68,8 @@ def redundant_signals(
     names : sequence of str
         Columns that are sensors, with or without the unit in brackets at the end; by default all. Samples are converted to
         the unit of the first one.
+    invalid : mapping of str to sequence of float, optional
+        Values that stand for no sample, by the name of their column; those of ``""`` hold for all columns.
 
     Returns
     -------
@@ -86,13 +94,20 @@ def redundant_signals(
     >>> {name: signal.values.tolist() for name, signal in signals.items()}
     {'T_1': [20.1, 20.2], 'T_2': [20.0, 20.1]}
     """
-    tables = Tables(paths)
+    return signals_of(Tables(paths), names, invalid or {})
+
+
+def signals_of(
+    tables: Tables, names: Sequence[str], invalid: Mapping[str, Sequence[float]]
+) -> tuple[dict[str, Place], dict[str, Signal]]:
+    """Return the signals of tables that are read already; see `redundant_signals`."""
     places: dict[str, Place] = {}
     signals: dict[str, Signal] = {}
     headers = {file: tables.numeric(file) for file in tables.files()}
     times_of = {file: _time_column(tables, file, header) for file, header in headers.items()}
     columns = [name for file, header in headers.items() for name in header if name != times_of[file]]
     chosen = {_column(name, columns) for name in names} or set(columns)
+    values = {_column(name, columns) if name else "": tuple(given) for name, given in invalid.items()}
     check_one_unit(name for name in columns if name in chosen)
     unit = next((given for name in columns if name in chosen and (given := column_unit(name))), "")
     for file, header in headers.items():
@@ -101,9 +116,10 @@ def redundant_signals(
             if column == time or column not in chosen:
                 continue
             name = column if column not in places else f"{file.stem}_{column}"
-            places[name] = Place(file.name, column, time)
-            times = tables.times(file, time)
-            samples = in_unit(tables.column(file, column, "a sensor"), column, unit)
+            places[name] = Place(file.name, column, time, (*values.get("", ()), *values.get(column, ())))
+            times, logged = tables.times(file, time), tables.column(file, column, "a sensor")
+            missing = np.isin(logged, invalid_values("A signal", places[name].invalid, 1))
+            samples = in_unit(np.where(missing, np.nan, logged), column, unit)
             try:
                 signals[name] = Signal(times, samples, unit=column_unit(column) and unit, origin=tables.origin)
             except RecordingError as error:
@@ -111,6 +127,17 @@ def redundant_signals(
     if not signals:
         raise RecordingError("There is no column besides the times. Give a file with two or more sensors.")
     return places, signals
+
+
+def without_numbers(tables: Tables) -> list[str]:
+    """Return the columns that are no times and have no number, in the order of the files."""
+    named = [
+        name
+        for file in tables.files()
+        for name in tables.names(file)
+        if name and name not in (*tables.numeric(file), _time_column(tables, file, tables.numeric(file)))
+    ]
+    return list(dict.fromkeys(named))
 
 
 def _column(name: str, columns: Sequence[str]) -> str:

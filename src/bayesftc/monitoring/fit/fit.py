@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,12 +14,16 @@ from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.columns import SensorErrors
 from bayesftc.monitoring.fit.bias import biases, wander
 from bayesftc.monitoring.fit.checks import check_recording
+from bayesftc.monitoring.fit.codes import without_codes
+from bayesftc.monitoring.fit.following import strangers
 from bayesftc.monitoring.fit.moments import median
 from bayesftc.monitoring.fit.motion import Motion, common
 from bayesftc.monitoring.fit.noise import Noise, awake, decompose, disagreement, groups, share_out
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.models import ConstantRate, RandomWalk
 from bayesftc.monitoring.recording import Recording
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,9 @@ class FittedModel:
         Lasting errors.
     moves : bool
         Whether the motion is visible above the noise.
+    strangers : dict of str to float
+        Sensors that do not follow the others, and how far each moves while the others move by 1. They have no effect on the
+        motion, and on the noise of the others. Of two sensors that do not agree both are in it.
     level, spread : float
         Mean and standard deviation of the quantity, in its unit.
     rate : float
@@ -97,6 +105,7 @@ class FittedModel:
     level: float
     spread: float
     rate: float
+    strangers: Mapping[str, float] = field(default_factory=dict)
 
 
 def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel:
@@ -105,7 +114,8 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     The common part of the sensors' changes is the quantity's motion, the rest is noise. Both are estimated from moments of
     differences over several lags, in many short windows. Noise is the median over the windows, so a fault in fewer than half of
     them has no effect. Motion is an upper quantile of the moving windows, so a calm part has no effect. Windows where a sensor
-    does not change at all are left out: it is frozen, or the car is parked.
+    does not change at all are left out: it is frozen, or the car is parked. So are samples of a value that a sensor repeats
+    exactly while the others are far from it: it seems to stand for no sample.
 
     Parameters
     ----------
@@ -138,7 +148,53 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     >>> {name: round(sensor.std, 1) for name, sensor in fitted.sensors.items()}, type(fitted.plant).__name__
     ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
+    recording = without_codes(recording)
     check_recording(recording, recording.y[stretch])
+    strange = strangers(recording.y, stretch)
+    slopes = {recording.sensors[i]: slope for i, slope in strange.items()}
+    others = [i for i in range(len(recording.sensors)) if i not in strange]
+    if not strange or len(others) < 2:  # nobody knows which of two sensors is wrong
+        return replace(_fit(recording, stretch), strangers=slopes)
+    fitted = _fit(_of_sensors(recording, others), stretch)
+    level = median(recording.y[:, others] - [fitted.sensors[recording.sensors[i]].bias for i in others], 1)
+    apart = {i: _stranger(recording, i, level, stretch) for i in strange}
+    sensors = {name: apart[i] if i in apart else fitted.sensors[name] for i, name in enumerate(recording.sensors)}
+    return replace(fitted, sensors=sensors, strangers=slopes)
+
+
+def _of_sensors(recording: Recording, kept: Sequence[int]) -> Recording:
+    """Return the recording of some of its sensors."""
+
+    def of(values: tuple[T, ...]) -> tuple[T, ...]:
+        return tuple(values[i] for i in kept)
+
+    return replace(
+        recording,
+        y=recording.y[:, kept],
+        sensors=of(recording.sensors),
+        loss=of(recording.loss),
+        resolution=of(recording.resolution),
+        replaced=of(recording.replaced),
+        units=of(recording.units),
+    )
+
+
+def _stranger(recording: Recording, i: int, level: Floats, stretch: slice) -> FittedSensor:
+    """Return a sensor that does not follow the others: its whole distance from them counts as noise, so it has little weight."""
+    apart = recording.y[:, i] - level
+    bias = float(np.nanmedian(apart))
+    std = float(np.sqrt(np.nanmean((apart - bias) ** 2)))
+    return FittedSensor(std, bias, *_samples(recording, i, stretch, awake(recording.y[stretch])[:, i]))
+
+
+def _samples(recording: Recording, i: int, stretch: slice, changing: Floats) -> tuple[float, float, float]:
+    """Return the resolution of a sensor, its share of repeated samples while it changes, and that of missing ones."""
+    repeats = _repeats(changing, _width(recording.y[:, i], recording.resolution[i]))
+    return recording.resolution[i], max(repeats, HEALTHY_REPEATS), _typical(np.isnan(recording.y[stretch, i]))
+
+
+def _fit(recording: Recording, stretch: slice) -> FittedModel:
+    """Fit a model to all sensors."""
     dt, bias = float(recording.dt), biases(awake(recording.y[stretch]))
     whole = awake(recording.y - bias)
     y = awake(recording.y[stretch] - bias)
@@ -157,13 +213,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
         std = float(max(single[i].white, widths[i] ** 2 / 12)) ** 0.5
-        sensors[name] = FittedSensor(
-            std,
-            float(bias[i]),
-            recording.resolution[i],
-            max(_repeats(y[:, i], widths[i]), HEALTHY_REPEATS),
-            _typical(np.isnan(recording.y[stretch, i])),
-        )
+        sensors[name] = FittedSensor(std, float(bias[i]), *_samples(recording, i, stretch, y[:, i]))
         lasting = [*single[i].lasting, *([(slow[i], times[i])] if slow[i] > FIT.wanders * single[i].variance else [])]
         errors += [
             SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting if variance

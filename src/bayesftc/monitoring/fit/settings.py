@@ -31,6 +31,26 @@ class FitSettings:
     collide: float = chosen(
         0.1, "share of samples that may belong to the step of a later one: jittering times need short steps"
     )
+    # Codes of missing samples.
+    code: float = chosen(0.02, "least share of a sensor's samples that have the value of a code")
+    code_times: int = chosen(
+        3, "least number of separate times at which it is sent: a sensor freezes once or twice at most"
+    )
+    code_far: float = chosen(
+        5.0, "multiple of the usual distance from the others by which a code is away from them ..."
+    )
+    code_span: float = chosen(0.1, "... and share of the span of the quantity: a resolution or a dead zone is smaller")
+    # Sensors that do not follow the others.
+    follow_parts: tuple[int, ...] = chosen(
+        (8, 16, 32, 64), "parts of a recording: a slow sensor follows over long times only, a drift hides motion there"
+    )
+    leads: float = chosen(
+        0.8, "correlation of two sensors from which they move: four times their noise, or common errors"
+    )
+    follows: float = chosen(0.5, "slope between that of a sensor that follows, 1, and that of one that does not, 0")
+    lags: float = chosen(0.3, "slope from which a sensor follows late, if it is certain: a slow one has less than 1")
+    sure: float = chosen(4.0, "standard errors of a slope, of few windows and at several lengths")
+    mostly: float = chosen(0.6, "share of windows in which one of two sensors must move: more than a fault takes")
     # Windows.
     window: int = chosen(16, "lags in a window, for several independent differences")
     least_window: int = chosen(64, "least samples in a window, for a reliable median")

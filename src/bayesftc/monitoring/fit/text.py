@@ -72,6 +72,10 @@ def as_model_file(
             lines.append(f"column = {_text(place.column)}")
         if place.time != time:
             lines.append(f"time = {_text(place.time)}")
+        if place.invalid:
+            lines.append(
+                f"invalid = [{', '.join(f'{value:.17g}' for value in place.invalid)}]  # these stand for no sample"
+            )
         if units[name]:
             lines.append(f"unit = {_text(units[name])}")
         lines += [

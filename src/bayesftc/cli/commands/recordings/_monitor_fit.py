@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import typer
@@ -17,15 +18,19 @@ from bayesftc.cli import output
 from bayesftc.cosim.errors import ResultFileError
 from bayesftc.monitoring import (
     FittedModel,
+    Place,
     RandomWalk,
     Recording,
     as_model_file,
     fit_model,
     recorded,
-    redundant_signals,
     stretch_of,
 )
+from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.fit.codes import codes
+from bayesftc.monitoring.fit.columns import signals_of, without_numbers
 from bayesftc.monitoring.fit.doubtful import doubtful_sensors, lasting_errors
+from bayesftc.monitoring.fit.units import in_unit
 from bayesftc.monitoring.gaps import in_gaps
 
 MODEL = "model.toml"
@@ -33,11 +38,23 @@ MODEL = "model.toml"
 
 @dataclass(frozen=True)
 class Fit:
-    """The part of a recording that a model is fitted to: times (seconds or dates) and columns, by default everything."""
+    """The part of a recording that a model is fitted to: times (seconds or dates) and columns, by default everything.
+
+    `invalid` has the values that stand for no sample, by column, as in `redundant_signals`.
+    """
 
     start: float | datetime | None = None
     stop: float | datetime | None = None
     sensors: tuple[str, ...] = ()
+    invalid: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+
+class FittedFiles(NamedTuple):
+    """A fitted model, its recording, and notes for the user."""
+
+    model: FittedModel
+    recording: Recording
+    notes: list[str]
 
 
 def as_moment(option: str, text: str | None) -> float | datetime | None:
@@ -54,8 +71,23 @@ def as_moment(option: str, text: str | None) -> float | datetime | None:
     )
 
 
-def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: bool) -> tuple[FittedModel, Recording]:
-    """Fit a model to CSV files or folders, write it, and return it with the recording.
+def as_invalid(given: Sequence[str]) -> dict[str, list[float]]:
+    """Return the values of the option --invalid by column: ``0`` holds for all, ``lidar=0`` for one."""
+    values: dict[str, list[float]] = {}
+    for text in given:
+        name, _, value = text.rpartition("=")
+        try:
+            values.setdefault(name.strip(), []).append(float(value))
+        except ValueError:
+            raise typer.BadParameter(
+                f"{text!r} has no number. Write --invalid 0 for all columns, or --invalid lidar=0 for the column lidar.",
+                param_hint="--invalid",
+            ) from None
+    return values
+
+
+def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: bool) -> FittedFiles:
+    """Fit a model to CSV files or folders, write it, and return it with the recording and notes.
 
     A file that has exactly this model stays as it is, so that a command can be repeated.
 
@@ -64,7 +96,8 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
     ResultFileError
         If the model file exists with another content and `overwrite` is not set, or if it cannot be written.
     """
-    places, signals = redundant_signals(recording, part.sensors)
+    tables = Tables(recording)
+    places, signals = signals_of(tables, part.sensors, part.invalid)
     output.check_folder(model.parent, (model.name,), silent=True)
     samples = recorded(signals)
     stretch = stretch_of(samples, part.start, part.stop)
@@ -77,7 +110,59 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
         )
     with output.staged(model.parent) as stage:
         (stage / model.name).write_text(text, encoding="utf-8")
-    return fitted, samples
+    return FittedFiles(
+        fitted,
+        samples,
+        [*_without_numbers(tables, part), *_codes(samples, tables, places), *_strangers(fitted), *fit_notes(fitted)],
+    )
+
+
+def _without_numbers(tables: Tables, part: Fit) -> Iterator[str]:
+    """Give a note on columns that no one has left out, but that nobody sees in the results."""
+    names = [] if part.sensors else list(map(repr, without_numbers(tables)))
+    if len(names) == 1:
+        yield f"The column {names[0]} has no numbers; it is not monitored."
+    elif names:
+        yield f"The columns {', '.join(names[:-1])} and {names[-1]} have no numbers; they are not monitored."
+
+
+def _codes(recording: Recording, tables: Tables, places: Mapping[str, Place]) -> Iterator[str]:
+    """Give a note for each sensor that seems to record a value in place of a sample."""
+    for name, code in codes(recording).items():
+        others = "the other sensors of its quantity are" if len(recording.sensors) > 2 else "the other sensor is"
+        logged = np.unique(tables.column(tables.find(places[name].file, name), places[name].column, name))
+        converted = in_unit(logged, places[name].column, recording.units[recording.sensors.index(name)])
+        value = f"{logged[np.nanargmin(np.abs(converted - code.value))]:.10g}"
+        option = f"--invalid {shlex.quote(f'{places[name].column}={value}')}"
+        yield (
+            f"{name} is exactly {value} in {code.share:.0%} of its samples, while {others} not near {value}. The noise of {name} "
+            f"is fitted without these samples. If {value} means 'no measurement', add {option}: otherwise the monitor takes them "
+            "for faults."
+        )
+
+
+def _strangers(fitted: FittedModel) -> Iterator[str]:
+    """Give a note for each sensor that does not follow the others, or for two that do not agree."""
+    if len(fitted.sensors) == 2 and fitted.strangers:
+        (one, slope), (other, _) = fitted.strangers.items()
+        yield (
+            f"{one} and {other} do not agree: while one of them moves by 1, the other moves by {_slope(slope)}. At least one of "
+            "them is wrong, or measures another quantity, but two sensors do not show which one. The monitor needs sensors of "
+            "one quantity."
+        )
+        return
+    for name, slope in fitted.strangers.items():
+        yield (
+            f"{name} does not follow the other sensors: while they move by 1, it moves by {_slope(slope)}. Motion and the noise "
+            f"of the others are fitted without {name}, and its whole distance from them counts as noise. If {name} measures "
+            "another quantity, leave it out: name the others with --sensor. If it has failed in most of this recording, fit to a "
+            "stretch without the fault: --from and --to."
+        )
+
+
+def _slope(slope: float) -> str:
+    """Return a slope with two decimals, and without the sign of a zero."""
+    return f"{round(slope, 2) + 0.0:.2g}"
 
 
 def _has(file: Path, text: str) -> bool:
@@ -107,6 +192,7 @@ def fit_notes(fitted: FittedModel) -> list[str]:
         "without faults with --from and --to, or fit a file that has only that stretch. If it measures another "
         "quantity, leave it out: name the others with --sensor."
         for name, ratio in doubtful_sensors(fitted).items()
+        if name not in fitted.strangers
     ]
 
 

@@ -17,9 +17,10 @@ from bayesftc.cli.commands.recordings._faults import Clock, print_faults
 from bayesftc.cli.commands.recordings._monitor_fit import (
     MODEL,
     Fit,
+    FittedFiles,
+    as_invalid,
     as_moment,
     fit_files,
-    fit_notes,
     fitted_summary,
     print_fit,
 )
@@ -31,7 +32,6 @@ from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.monitoring import (
     ActuatorEvent,
     FaultEvent,
-    FittedModel,
     Gap,
     ModelSuspicion,
     Monitor,
@@ -104,6 +104,14 @@ def monitor(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="With --fit: replace the model file if it exists.")
     ] = False,
+    invalid: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--invalid",
+            metavar="VALUE",
+            help="With --fit: a value that stands for no sample, in all columns (0) or in one (lidar=0); repeat it for more.",
+        ),
+    ] = None,
     serve: Beside = False,
     drops: Drops = False,
     host: Host = HOST,
@@ -141,15 +149,17 @@ def monitor(
         raise typer.BadParameter("--overwrite replaces the model file that --fit writes: add --fit, or leave it out.")
     if not fit and (sensors or start is not None or stop is not None):
         raise typer.BadParameter("--from, --to and --sensor choose what to fit: add --fit.")
-    part = Fit(as_moment("--from", start), as_moment("--to", stop), tuple(sensors or ()))
+    if not fit and invalid:
+        raise typer.BadParameter("--invalid is for a fit: add --fit, or write invalid = [...] in the model file.")
+    part = Fit(as_moment("--from", start), as_moment("--to", stop), tuple(sensors or ()), as_invalid(invalid or ()))
     if out is not None:
         output.check_folder(out, FILES, silent=True)
     model = model or (out or Path()) / MODEL
     fitted = None
     if fit:
-        fitted, fitted_to = fit_files(recording, part, model, overwrite=overwrite)
+        fitted = fit_files(recording, part, model, overwrite=overwrite)
         if not (json or quiet):
-            print_fit(fitted, fitted_to, part, model)
+            print_fit(fitted.model, fitted.recording, part, model)
     loaded = load_monitor(model)
     samples = loaded.read(recording)
     if out is not None and not (quiet or json):
@@ -159,24 +169,25 @@ def monitor(
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
     monitored = loaded.run(samples)
     suspicion = None if mismatch and loaded.inputs else suspect_model(loaded, monitored)
+    if fitted and suspicion and fitted.model.strangers.keys() & set(suspicion.sensors):
+        suspicion = None  # a sensor that does not follow the others agrees with everything within its noise
     doubtful = doubtful_alarms(loaded, monitored) if mismatch or suspicion else ()
     numbers = summary(monitored, mismatch, doubtful) | (
-        {} if fitted is None else {"fitted": fitted_summary(fitted, model)}
+        {} if fitted is None else {"fitted": fitted_summary(fitted.model, model)}
     )
-    numbers["notes"] = (
-        [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
-    )
+    notes = [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
+    numbers["notes"] = [*notes, *([] if fitted is None else fitted.notes)]
     if out is not None:
         _write(out, monitored, numbers)
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
-        _print(monitored, numbers, out, doubtful)
+        _print(monitored, numbers, notes, out, doubtful)
     if fitted is not None and not quiet:
-        output.say_notes(fit_notes(fitted))
+        output.say_notes(fitted.notes)
 
 
-def _remedy(monitor: Monitor, fitted: FittedModel | None, suspicion: ModelSuspicion, model: Path) -> str:
+def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspicion, model: Path) -> str:
     """Return a sentence about the fit of a better model; empty for a model with inputs, which is not fitted."""
     if fitted is not None and suspicion.setting == "motion":
         return f"Change it in {model} and give --model {model} without --fit, or fit a stretch with the fastest motion."
@@ -244,6 +255,7 @@ def _write(folder: Path, monitored: Monitored, numbers: dict[str, Any]) -> None:
     picture = io.BytesIO()
     plot_monitored(monitored).savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
     table, text = monitored.to_pandas(), output.as_json(numbers) + "\n"
+    table["t"] = [f"{t:.13g}" for t in monitored.time]  # seconds since 1970 have ten digits before the point
     with output.staged(folder) as stage:
         table.to_csv(stage / PROBABILITIES, index=False, float_format="%.9g", date_format=DATES)
         (stage / FAULTS).write_text(text, encoding="utf-8")
@@ -275,7 +287,13 @@ def _zone(recording: Recording) -> str:
     return f" ({zone})" if zone else ""
 
 
-def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None, doubtful: Sequence[FaultEvent]) -> None:
+def _print(
+    monitored: Monitored,
+    numbers: dict[str, Any],
+    notes: Sequence[str],
+    folder: Path | None,
+    doubtful: Sequence[FaultEvent],
+) -> None:
     console, say = output.sayer()
     recording = monitored.recording
     say(
@@ -311,7 +329,7 @@ def _print(monitored: Monitored, numbers: dict[str, Any], folder: Path | None, d
     else:
         units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
         print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording, doubtful)
-    for note in numbers["notes"]:
+    for note in notes:
         say(f"\n{note}")
     if folder is not None:
         say(f"\nWritten to {folder}: {PROBABILITIES}, {FAULTS}, {FIGURE}")

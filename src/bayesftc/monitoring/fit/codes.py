@@ -1,0 +1,64 @@
+"""Values that a sensor records in place of a sample, such as 0 out of range: often repeated exactly, and far from the others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from bayesftc.cosim.base.numbers import MAD
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.fit.moments import median
+from bayesftc.monitoring.fit.settings import FIT
+from bayesftc.monitoring.recording import Recording
+
+
+class Code(NamedTuple):
+    """A value that seems to stand for a missing sample, and the share of the sensor's samples that have it."""
+
+    value: float
+    share: float
+
+
+def codes(recording: Recording) -> dict[str, Code]:
+    """Return the sensors with a value that seems to stand for a missing sample.
+
+    It is the most frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen
+    sensor repeats a value as well, but once, and values of a coarse resolution are near the others.
+    """
+    level = median(recording.y, 1)
+    span = float(np.subtract(*np.nanquantile(level, [0.95, 0.05])))
+    found = {name: _code(recording.y, i, span) for i, name in enumerate(recording.sensors)}
+    return {name: code for name, code in found.items() if code is not None}
+
+
+def _code(y: Floats, i: int, span: float) -> Code | None:
+    """Return the code of a sensor; None if it has none."""
+    others = median(np.delete(y, i, axis=1), 1) if y.shape[1] > 1 else np.full(len(y), np.nan)
+    both = np.isfinite(y[:, i]) & np.isfinite(others)
+    values, apart = y[both, i], (y[:, i] - others)[both]
+    if not len(values):
+        return None
+    every, counts = np.unique(values, return_counts=True)
+    value, share = float(every[counts.argmax()]), float(counts.max() / len(values))
+    sent = values == value
+    times = int(sent[0]) + int((np.diff(sent.astype(int)) == 1).sum())
+    if share < FIT.code or times < FIT.code_times or sent.all():
+        return None
+    bias = float(np.median(apart[~sent]))
+    usual = MAD * float(np.median(np.abs(apart[~sent] - bias)))
+    away = float(np.quantile(np.abs(apart[sent] - bias), 0.1))
+    return Code(value, share) if away > max(FIT.code_far * usual, FIT.code_span * span) else None
+
+
+def without_codes(recording: Recording) -> Recording:
+    """Return the recording without the samples that seem to stand for no sample."""
+    y = recording.y.copy()
+    for name, code in codes(recording).items():
+        i = recording.sensors.index(name)
+        y[y[:, i] == code.value, i] = np.nan
+    return replace(recording, y=y)
+
+
+__all__ = ["Code", "codes", "without_codes"]

@@ -1,0 +1,138 @@
+"""Whether each sensor follows the others: a column of another quantity, or of noise, does not move with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from bayesftc.cosim.base.numbers import MAD
+from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.fit.moments import mean, median
+from bayesftc.monitoring.fit.noise import awake
+from bayesftc.monitoring.fit.settings import FIT
+
+
+class _Slope(NamedTuple):
+    """How far a sensor moves while others move by 1, as the median over windows, and its standard error."""
+
+    value: float
+    error: float
+
+    @property
+    def follows(self) -> bool:
+        """Whether the sensor certainly moves with the others, if only by a part: it may be slow."""
+        return self.value > max(FIT.lags, FIT.sure * self.error)
+
+    @property
+    def strange(self) -> bool:
+        """Whether it certainly does not."""
+        return self.value + FIT.sure * self.error < FIT.follows
+
+
+def strangers(y: Floats, stretch: slice = slice(None)) -> dict[int, float]:
+    """Return the sensors that do not follow the others, and how far each moves while the others move by 1.
+
+    The motion is what two sensors have in common that agree best, in windows of several lengths: a slow sensor follows over long
+    times only. Drifts, biases and noise make the slopes of the windows scatter about 1, and a fault in fewer than half of the
+    windows does not change their median. A sensor is named only if its slope is certainly small over some time, over none
+    certainly large, and if most sensors follow. Of two sensors both are named, as nobody knows which one is wrong.
+
+    Parameters
+    ----------
+    y : ndarray, steps x sensors
+        Samples.
+    stretch : slice
+        Steps in which the sensors are healthy: one that follows there has failed later, and is not named.
+    """
+    y = awake(y)
+    slopes: dict[int, list[_Slope]] = {}
+    leaders: set[int] = set()
+    for x in (windows for samples in {len(of): of for of in (y, y[stretch])}.values() for windows in _windows(samples)):
+        pair, found = (_of_two if y.shape[1] == 2 else _of_several)(x)
+        leaders |= set(pair)
+        for i, slope in found.items():
+            slopes.setdefault(i, []).append(slope)
+    following = leaders | {i for i, found in slopes.items() if any(slope.follows for slope in found)}
+    strange = {
+        i: float(np.median([slope.value for slope in found]))
+        for i, found in slopes.items()
+        if i not in following and any(slope.strange for slope in found)
+    }
+    return strange if len(strange) < len(following) or y.shape[1] == 2 else {}
+
+
+def _windows(y: Floats) -> Iterator[Floats]:
+    """Give the samples in windows of several lengths (windows x steps x sensors)."""
+    for parts in FIT.follow_parts:
+        if (length := len(y) // parts) >= FIT.least_block:
+            yield y[: parts * length].reshape(parts, length, y.shape[1])
+
+
+def _of_several(x: Floats) -> tuple[tuple[int, ...], dict[int, _Slope]]:
+    """Return the two sensors that agree best, and the slopes of the others against what these two have in common."""
+    pairs = list(combinations(range(x.shape[2]), 2))
+    alike = [_correlation(x[:, :, i], x[:, :, j]) for i, j in pairs]
+    typical = [float(np.nanmedian(of)) if np.isfinite(of).any() else -1.0 for of in alike]
+    best = int(np.argmax(typical))
+    pair, moves = pairs[best], alike[best] > FIT.leads
+    found = {}
+    for i in range(x.shape[2]):
+        if i in pair or moves.sum() < FIT.fewest_windows:
+            continue
+        sensor, first, second = _together(x[moves][:, :, [i, *pair]]).transpose(2, 0, 1)
+        motion = _covariance(first, second)
+        own = (_covariance(sensor, first) + _covariance(sensor, second)) / 2
+        moving = motion > 0.5 * FIT.leads * np.sqrt(_covariance(first, first) * _covariance(second, second))
+        if (slope := _slope(own[moving] / motion[moving])) is not None:
+            found[i] = slope
+    return (pair if moves.sum() >= FIT.fewest_windows else ()), found
+
+
+def _of_two(x: Floats) -> tuple[tuple[int, ...], dict[int, _Slope]]:
+    """Return the slope of two sensors against the one that moves farther, if one of them moves in most windows."""
+    noise = np.array([(MAD * np.nanmedian(np.abs(np.diff(column)))) ** 2 / 2 for column in x.reshape(-1, 2).T])
+    both = _together(x)
+    motion = np.stack([_covariance(both[:, :, i], both[:, :, i]) - noise[i] for i in (0, 1)])
+    far = int(np.argmax(np.nan_to_num(median(motion, 1))))
+    moves = motion[far] > FIT.outstanding**2 * noise[far]
+    if moves.mean() < FIT.mostly:
+        return (), {}
+    slope = _slope(_covariance(both[:, :, 0], both[:, :, 1])[moves] / motion[far, moves])
+    return (), {} if slope is None else {0: slope, 1: slope}
+
+
+def _together(x: Floats) -> Floats:
+    """Return the samples of the steps at which all sensors have one."""
+    return np.where(np.isfinite(x).all(axis=2, keepdims=True), x, np.nan)
+
+
+def _slope(of_windows: Floats) -> _Slope | None:
+    """Return the median over the windows, and its standard error; None of too few windows."""
+    of_windows = of_windows[np.isfinite(of_windows)]
+    if len(of_windows) < FIT.fewest_windows:
+        return None
+    value = float(np.median(of_windows))
+    error = np.sqrt(np.pi / 2 / len(of_windows)) * MAD * float(np.median(np.abs(of_windows - value)))
+    return _Slope(value, float(error))
+
+
+def _covariance(a: Floats, b: Floats) -> Floats:
+    """Return the covariance of two sensors in each window; NaN with too few samples at the same steps."""
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = np.where(both, a, np.nan), np.where(both, b, np.nan)
+    enough = both.sum(axis=1) >= FIT.least_block
+    return np.asarray(np.where(enough, mean((a - mean(a, 1)[:, None]) * (b - mean(b, 1)[:, None]), 1), np.nan))
+
+
+def _correlation(a: Floats, b: Floats) -> Floats:
+    """Return the correlation of two sensors in each window, 0 where one of them does not change."""
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = np.where(both, a, np.nan), np.where(both, b, np.nan)
+    size = np.sqrt(_covariance(a, a) * _covariance(b, b))
+    return np.asarray(np.where(size > 0, _covariance(a, b) / np.where(size > 0, size, 1.0), 0.0 * size))
+
+
+__all__ = ["strangers"]

@@ -1,0 +1,63 @@
+"""Values in place of samples: found where a sensor sends them, and nowhere else."""
+
+import numpy as np
+import pytest
+
+from bayesftc.monitoring import Signal, fit_model, recorded
+from bayesftc.monitoring.fit.codes import codes
+
+N = 3000
+
+
+def altitude(seed, sensors=4):
+    """Three altimeters, or more, of a vehicle that goes up and down; the last one has the least noise."""
+    rng, t = np.random.default_rng(seed), 0.1 * np.arange(N)
+    level = 6 + 2.5 * np.sin(2 * np.pi * t / 50) + np.sin(2 * np.pi * t / 17)
+    return level[:, None] + rng.standard_normal((N, sensors)) * [*[0.3] * (sensors - 2), 0.8, 0.03]
+
+
+def recording(y):
+    return recorded({f"s{i}": Signal(0.1 * np.arange(N), column.round(3)) for i, column in enumerate(y.T)})
+
+
+@pytest.mark.parametrize("code", [0.0, -1.0, 65535.0])
+@pytest.mark.parametrize("sensors", [2, 3, 4])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_value_out_of_range_is_found_and_does_not_count_as_noise(seed, sensors, code):
+    y = altitude(seed, sensors)
+    y[y[:, -1] > 8, -1] = code
+    share = np.mean(y[:, -1] == code)
+    found = codes(recording(y))
+    assert list(found) == [f"s{sensors - 1}"]
+    assert found[f"s{sensors - 1}"] == (code, pytest.approx(share, abs=0.01))
+    missing = np.where(y == code, np.nan, y)
+    expected = [sensor.std for sensor in fit_model(recording(missing)).sensors.values()]
+    np.testing.assert_allclose([sensor.std for sensor in fit_model(recording(y)).sensors.values()], expected, rtol=1e-6)
+
+
+def frozen(y):
+    y[500:900, 0] = y[500, 0]
+
+
+def coarse(y):
+    y[:, 0] = np.round(y[:, 0])
+
+
+def parked(y):
+    y[1000:2500] = 0.0
+
+
+def drifting(y):
+    y[500:, 0] += 0.01 * np.arange(N - 500)
+
+
+def saturated_once(y):
+    y[600:700, 0] = 12.0
+
+
+@pytest.mark.parametrize("change", [lambda y: None, frozen, coarse, parked, drifting, saturated_once])
+def test_what_repeats_otherwise_is_no_code(change):
+    for seed in range(5):
+        y = altitude(seed)
+        change(y)
+        assert codes(recording(y)) == {}

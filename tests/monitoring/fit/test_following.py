@@ -1,0 +1,98 @@
+"""Sensors that do not follow the others are named, healthy and faulty ones are not."""
+
+import numpy as np
+import pytest
+
+from bayesftc.monitoring import Signal, fit_model, recorded
+from bayesftc.monitoring.fit.following import strangers
+
+N = 6000
+T = 0.1 * np.arange(N)
+LEVEL = 6 + 2.5 * np.sin(2 * np.pi * T / 50) + np.sin(2 * np.pi * T / 17)
+
+
+def wandering(rng, std, time_constant):
+    """Return a first-order Gauss-Markov process."""
+    keep = np.exp(-0.1 / time_constant)
+    w, e = np.zeros(N), std * np.sqrt(1 - keep**2) * rng.standard_normal(N)
+    for k in range(1, N):
+        w[k] = keep * w[k - 1] + e[k]
+    return w
+
+
+def flight(rng, level=LEVEL):
+    """Return two barometers, a lidar with a short range, and GNSS, with a drift, a dropout, a jump and a freeze."""
+    y = level[:, None] + rng.standard_normal((N, 4)) * [0.3, 0.3, 0.03, 0.8]
+    for i in (0, 1):
+        y[:, i] += wandering(rng, 0.2, 40)
+    y[3000:, 0] += 0.05 * (T[3000:] - 300)
+    y[(level > 8) | (np.abs(T - 157) < 7), 2] = np.nan
+    y[2200:2250, 3] += 6.0
+    y[4500:4700, 3] = y[4499, 3]
+    return y
+
+
+STRANGE = {
+    "walk": lambda rng: 6 + np.cumsum(0.1 * rng.standard_normal(N)),
+    "noise": lambda rng: 5 * rng.standard_normal(N),
+    "another level": lambda rng: 3 + 0.5 * rng.standard_normal(N),
+}
+SEEDS = [*range(3), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 25))]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("level", [LEVEL, np.full(N, 6.0)])
+def test_healthy_sensors_with_faults_follow(seed, level):
+    y = flight(np.random.default_rng(seed), level)
+    for kept in ([0, 1, 2, 3], [0, 2, 3], [0, 2], [1, 0], [2, 3]):
+        assert strangers(y[:, kept]) == {}
+        assert strangers(y[:, kept], slice(0, 2700)) == {}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("kind", list(STRANGE))
+def test_a_sensor_that_does_not_follow_is_named(seed, kind):
+    rng = np.random.default_rng(seed)
+    y = np.column_stack([flight(rng), STRANGE[kind](rng)])
+    for stretch in (slice(None), slice(0, 2700)):
+        (found,) = strangers(y, stretch).items()
+        assert found == (4, pytest.approx(0.0, abs=0.3))
+    assert list(strangers(y[:, [1, 4]])) == [0, 1]  # of two sensors nobody knows which one is wrong
+
+
+def test_slow_sensors_and_other_gains_follow():
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        x = np.cumsum(0.3 * rng.standard_normal(N))
+        slow = x.copy()
+        for k in range(1, N):
+            slow[k] = 0.95 * slow[k - 1] + 0.05 * x[k]
+        y = np.column_stack([x, x, slow, 0.7 * x]) + 0.1 * rng.standard_normal((N, 4))
+        assert strangers(y) == {}
+
+
+def test_a_sensor_that_fails_after_the_stretch_is_not_named():
+    rng = np.random.default_rng(0)
+    y = LEVEL[:, None] + 0.3 * rng.standard_normal((N, 3))
+    y[2500:, 1] = 3 + 0.3 * rng.standard_normal(N - 2500)
+    assert list(strangers(y)) == [1]
+    assert strangers(y, slice(0, 2500)) == {}
+
+
+def recording(y):
+    there = np.isfinite(y)
+    return recorded({f"s{i}": Signal(T[there[:, i]], y[there[:, i], i].round(3)) for i in range(y.shape[1])})
+
+
+@pytest.mark.parametrize("kind", list(STRANGE))
+def test_the_fit_of_the_others_is_as_without_it(kind):
+    rng = np.random.default_rng(0)
+    y, stretch = flight(rng), slice(0, 2700)
+    alone = fit_model(recording(y), stretch)
+    strange = STRANGE[kind](rng)
+    fitted = fit_model(recording(np.column_stack([y, strange])), stretch)
+    assert list(fitted.strangers) == ["s4"]
+    assert (fitted.plant, fitted.errors) == (alone.plant, alone.errors)
+    own = fitted.sensors["s4"]
+    assert {name: sensor for name, sensor in fitted.sensors.items() if name != "s4"} == alone.sensors
+    assert own.std == pytest.approx(np.std(strange - LEVEL), rel=0.2)
