@@ -100,10 +100,12 @@ def design(
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations.
     disturbance : number, vector or matrix, optional
-        Covariance per sample of an unknown load on each control. See `LinearModel.from_fmu` for these six. They are not
-        for a `LinearModel`. The default noise is 5 % of half the range between a control's limits, or without limits of
-        `acceptable_control`, where one of them is given. A `disturbance` removes the steady error that load or a plant
-        unlike the model would leave.
+        Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
+        model would leave.
+
+        `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`. A `LinearModel`
+        contains them: leave them out with one. Only the default of `noise` differs: here it is 5 % of half the range between a
+        control's limits, or without limits of `acceptable_control`, where one of them is given.
     acceptable_error : number or vector
         For Bryson's rule: the largest acceptable error of each goal output, in its unit.
     acceptable_control : number or vector, optional

@@ -62,7 +62,8 @@ def explanations(judge: Judge) -> list[Explanation]:
     fine = judge.inputs(
         [*_late(judge, coarse), *_early(judge, coarse), *(c for j in controls for c in _limits(judge, j, coarse))]
     )
-    results = coarse + fine + _times(judge) + _pushed(judge) + changes(judge) + offsets(judge)
+    results = coarse + fine + _times(judge) + _pushed(judge)
+    results += changes(judge, results) + offsets(judge)
     best: dict[str, Explanation] = {}
     for x in results:
         if x.kind not in best or x.total > best[x.kind].total:

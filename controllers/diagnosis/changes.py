@@ -5,18 +5,21 @@ difference of two that last to the end. Normal equations of those at all instant
 
 An observer that estimates a load follows it within some samples. The evidence for a load then has narrow peaks at its begin and
 its end, between the instants of a coarse search. The instants at which it is largest are therefore searched as well.
+
+Two loads are tried together where one has evidence. Found one after the other, the first one would cover both: a load of 2 and
+one of -3 some time later look like a single one from the begin of the first to the begin of the second.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.controllers.diagnosis.judge import Explanation, Judge
+from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,84 +38,117 @@ LIKELY = 8
 LEAST_PUSHED = 8
 """Least number of samples of a push."""
 
+ROUNDS = 2
+"""Number of times that each of two loads is fitted anew beside the other, at each width of the fine search."""
 
-def changes(judge: Judge) -> list[Explanation]:
-    """Return the best load that begins during the run, and the best loss of effect; none without a control."""
+AT_ONCE = 5_000
+"""Number of pushes that are fitted at once, for memory."""
+
+
+def changes(judge: Judge, others: Sequence[Explanation] = ()) -> list[Explanation]:
+    """Return the best load that begins during the run, or two, and the best loss of effect; none without a control.
+
+    Two loads are not tried where one number explains all, better than one load: among `others`.
+    """
     model, steps = judge.model, len(judge.recording.u)
     width, last = max(1, steps // (TIMES + 1)), steps - LEAST_PUSHED
     regular = range(width, last + 1, width)
     if not np.any(model.B) or not regular:
         return []
-    instants = sorted({*regular, *(k for k in _likely(judge) if 1 <= k <= last)})
-    coarse = _Pushes(judge, instants)
-    return [
-        _explained(judge, kind, _finer(judge, kind, best, width))
-        for kind in ("onset", "loss")
-        if (best := coarse.best(kind)) is not None
-    ]
+    likely = [k for k in _likely(judge) if 1 <= k <= last]
+    coarse = _Pushes(judge, sorted({*regular, *likely}))
+    results = []
+    for kind in ("onset", "loss"):
+        if (best := coarse.best(kind)) is None:
+            continue
+        results.append(_explained(judge, kind, _finer(judge, kind, best, width)))
+        one = results[-1]
+        if kind == "onset" and one.total > EVIDENCE and not any(_explains(x) and x.total > one.total for x in others):
+            found = coarse.best_two(best.columns, {*regular[::2], *likely})
+            two = [] if found is None else [_explained(judge, kind, _finer(judge, kind, found, 2 * width))]
+            results += [x for x in two if _pays(x, one)]
+    return results
+
+
+def _explains(x: Explanation) -> bool:
+    """Return whether one number explains all."""
+    return x.counts and x.parameters == 1 and max(x.square) < EXPLAINED
+
+
+def _pays(two: Explanation, one: Explanation) -> bool:
+    """Return whether there is enough evidence for a second load beside the first, some of it from every set of sensors."""
+    more = [of_two - of_one for of_two, of_one in zip(two.support, one.support, strict=True)]
+    return sum(more) > EVIDENCE and min(more) > 0.0
 
 
 def _likely(judge: Judge) -> list[int]:
-    """Return the instants with the most evidence for a load that begins there and lasts, apart from each other.
+    """Return the instants with the most evidence for a load that begins there and lasts, each beside those before it.
 
-    The response to a load from an instant on is taken for that from the first sample on, shifted.
+    The response to a load from an instant on is taken for that from the first sample on, shifted. Without those found before,
+    all instants would be near the largest load.
     """
     steps = len(judge.recording.u)
-    loads = judge.pushes(np.repeat(judge.model.matrix("B").T[:, np.newaxis], steps, axis=1))
-    moments, squares = np.zeros((2, loads.shape[1], steps))
+    loads = judge.pushes(np.repeat(judge.model.matrix("B").T[:, np.newaxis], steps, axis=1), whole=True)
+    sets = []
     for k, chosen in enumerate(judge.bank.sensors):
         e = np.zeros((steps, len(chosen)))
         e[judge.masks[k]] = judge.free(judge.base, k, judge.begin)[0].reshape(-1, len(chosen))
         responses = loads[k][:, :, list(chosen)]
-        shifts, errors = (
-            np.fft.rfft(of, 2 * steps, axis=-2) for of in (responses, e)
+        sets.append(
+            (responses, np.conj(np.fft.rfft(responses, 2 * steps, axis=1)), e)
         )  # twice as long: no wrapping around
-        moments += np.fft.irfft(np.conj(shifts) * errors, axis=1)[:, :steps].sum(axis=2)
-        squares += np.cumsum((responses**2).sum(axis=2), axis=1)[:, ::-1]
-    evidence = np.max(moments**2 / np.maximum(squares, 1e-300), axis=0)
+    squares = np.sum([np.cumsum((x**2).sum(axis=2), axis=1)[:, ::-1] for x, *_ in sets], axis=0)
+    squares = np.maximum(squares, 1e-300)
+    free = np.ones(steps, dtype=bool)
     found: list[int] = []
-    while len(found) < LIKELY and np.max(evidence) > 0.0:  # never with NaN, of a plant that is lost
-        found.append(int(np.argmax(evidence)))
-        evidence[max(found[-1] - LEAST_PUSHED, 0) : found[-1] + LEAST_PUSHED + 1] = 0.0
+    while len(found) < LIKELY and free.any():
+        moments = np.sum([
+            np.fft.irfft(shifts * np.fft.rfft(e, 2 * steps, axis=0), axis=1)[:, :steps].sum(axis=2) for _, shifts, e in sets
+        ], axis=0)  # fmt: skip
+        evidence = np.where(free, moments**2 / squares, 0.0)
+        j, at = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
+        if not evidence[j, at] > 0.0:  # nothing left, or NaN, of a plant that is lost
+            break
+        found.append(int(at))
+        free[max(at - LEAST_PUSHED, 0) : at + LEAST_PUSHED + 1] = False
+        for responses, _, e in sets:
+            e[at:] -= moments[j, at] / squares[j, at] * responses[j, : steps - at]
     return found
 
 
 def _finer(judge: Judge, kind: str, best: _Found, width: int) -> _Found:
-    """Return the best push with instants near those of another one, to the sample."""
+    """Return the best pushes with instants near those of others, to the sample."""
     last = len(judge.recording.u) - LEAST_PUSHED
     while width > 1:
         grids = [np.linspace(k - width + 1, k + width - 1, FINE).round().astype(int) for k in best.instants]
         near = {int(k) for k in np.concatenate(grids) if 1 <= k <= last}
-        best = _Pushes(judge, sorted(near | set(best.instants))).best(kind, best.columns) or best
+        pushes = _Pushes(judge, sorted(near | set(best.instants)))
+        if len(best.instants) > 2:
+            best = pushes.moved(best, grids)
+        else:
+            best = pushes.best(kind, best.columns) or best
         width = max(1, 2 * width // (FINE - 1))
     return best
 
 
 @dataclass(frozen=True)
 class _Found:
-    """A push: its instants (begin, and end unless it lasts), its columns, their sizes, and its costs.
+    """One or two pushes: their instants (begin, and end unless the last one lasts), columns, sizes (by push), and costs.
 
-    ``products`` are those of the responses to pushes along B, and to its own.
+    ``loads`` are the pushes along B with the responses most like these: for each push a value for each control.
     """
 
     instants: tuple[int, ...]
     columns: tuple[int, ...]
     sizes: Floats
-    products: Floats
+    loads: Floats
     losses: Floats
     squares: Floats
 
     @property
     def parameters(self) -> int:
         """Number of fitted parameters."""
-        return len(self.instants) + len(self.sizes)
-
-    @property
-    def load(self) -> Floats:
-        """The push along B with the response most like this one: a value for each control."""
-        p = len(self.products) - len(self.sizes)
-        response = self.products[:p, p:] @ self.sizes
-        return np.asarray(_solved(self.products[np.newaxis, :p, :p], response[np.newaxis])[0])
+        return len(self.instants) + self.sizes.size
 
 
 class _Pushes:
@@ -148,26 +184,70 @@ class _Pushes:
             for ends in ([(i,) for i in places], pairs)
             if ends and (push := self._best(np.array(ends), group)) is not None
         ]
+        return self._cheapest(found)
+
+    def best_two(self, columns: tuple[int, ...], among: Container[int]) -> _Found | None:
+        """Return the two loads with the most evidence, one after the other, between some of the instants.
+
+        The second one may last to the end.
+        """
+        places = [i for i, k in enumerate(self.instants) if k in among]
+        found = []
+        for number in (3, 4):
+            chosen = combinations(range(len(places) + 1), number)
+            ends = [
+                (places[i], places[j], *(places[k - 1] for k in rest))  # the second may begin where the first ends
+                for i, j, *rest in chosen
+                if j < len(places)
+            ]
+            ends = [x for x in ends if self._in_order(x)]
+            if ends and (push := self._best(np.array(ends), columns)) is not None:
+                found.append(push)
+        return self._cheapest(found)
+
+    def moved(self, two: _Found, grids: Sequence[NDArray[np.intp]]) -> _Found:
+        """Return two loads of which each in turn has its best instants in its grids, beside the other one."""
+        for first in (0, 2) * ROUNDS:
+            tried = [
+                [self.instants.index(k) for k in ({*map(int, grid)} & {*self.instants}) | {now}]
+                if first <= i < first + 2
+                else [self.instants.index(now)]
+                for i, (grid, now) in enumerate(zip(grids, two.instants, strict=True))
+            ]
+            ends = [x for x in product(*tried) if self._in_order(x)]
+            if ends and (push := self._best(np.array(ends), two.columns)) is not None:
+                two = push
+        return two
+
+    def _apart(self, i: int, j: int) -> bool:
+        """Return whether a push between two of the instants is long enough."""
+        return self.instants[j] - self.instants[i] >= LEAST_PUSHED
+
+    def _in_order(self, x: Sequence[int]) -> bool:
+        return self._apart(x[0], x[1]) and x[2] >= x[1] and (len(x) == 3 or self._apart(x[2], x[3]))
+
+    def _cheapest(self, found: Sequence[_Found]) -> _Found | None:
+        """Return the pushes with the least loss and cost of parameters."""
         counts = [0.5 * np.log(mask.sum()) for mask in self.judge.masks]
         return min(found, key=lambda x: float(x.losses.sum() + x.parameters * sum(counts)), default=None)
 
     def _best(self, ends: NDArray[np.intp], group: tuple[int, ...]) -> _Found | None:
-        """Fit the columns of a group between pairs of instants, or from each of some on; return the push with the least loss.
+        """Fit the columns of a group between pairs of instants, the last one possibly to the end; return the best.
 
         None if they explain nothing finite.
         """
-        places = self.each * ends[:, :, np.newaxis] + np.array([*self.along, *group])
-        rows, columns = places[:, :, :, np.newaxis, np.newaxis], places[:, np.newaxis, np.newaxis]
-        signs, own = np.array([1.0, -1.0])[: ends.shape[1]], slice(len(self.along), None)
-        products = [np.einsum("i,kiajb,j->kab", signs, G[rows, columns], signs) for G, *_ in self.sets]
-        moments = [np.einsum("i,kia->ka", signs, b[places]) for _, b, *_ in self.sets]
+        parts = [self._least(ends[k : k + AT_ONCE], group) for k in range(0, len(ends), AT_ONCE)]
+        return min((x for x in parts if x is not None), key=lambda x: float(x.losses.sum()), default=None)
+
+    def _least(self, ends: NDArray[np.intp], group: tuple[int, ...]) -> _Found | None:
+        signs = _signs(ends.shape[1])
+        products, moments = self._normal(ends, signs, np.array(group))
         whole, right = np.sum(products, axis=0), np.sum(moments, axis=0)
         finite = np.isfinite(whole).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
-        ends, whole = ends[finite], whole[finite]
-        sizes = -_solved(whole[:, own, own], right[finite][:, own])
+        ends, products, moments = ends[finite], products[:, finite], moments[:, finite]
+        sizes = -_solved(whole[finite], right[finite])
         squares = np.array([
-            (c + 2.0 * np.einsum("ka,ka->k", sizes, moment[finite][:, own])
-             + np.einsum("ka,kab,kb->k", sizes, product[finite][:, own, own], sizes)) / n
+            (c + 2.0 * np.einsum("ka,ka->k", sizes, moment) + np.einsum("ka,kab,kb->k", sizes, product, sizes)) / n
             for product, moment, (_, _, c, n) in zip(products, moments, self.sets, strict=True)
         ])  # fmt: skip
         possible = (squares > 0.0).all(axis=0)
@@ -175,8 +255,38 @@ class _Pushes:
             return None
         losses = self.judge.losses(squares)
         i = int(np.argmin(np.where(possible, losses.sum(axis=0), np.inf)))
+        by_push = sizes[i].reshape(signs.shape[1], len(group))
         instants = tuple(self.instants[k] for k in ends[i])
-        return _Found(instants, group, sizes[i], whole[i], losses[:, i], squares[:, i])
+        loads = self._along(ends[i], signs, group, by_push)
+        return _Found(instants, group, by_push, loads, losses[:, i], squares[:, i])
+
+    def _normal(self, ends: NDArray[np.intp], signs: Floats, group: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Return, by set, the products of a group's pushes with each other and with the innovations, for each row of instants."""
+        places = self.each * ends[:, :, np.newaxis] + group
+        rows, columns = places[:, :, :, np.newaxis, np.newaxis], places[:, np.newaxis, np.newaxis]
+        size = signs.shape[1] * len(group)
+        products = [
+            np.einsum("ih,kiajb,jg->khagb", signs, G[rows, columns], signs, optimize=True) for G, *_ in self.sets
+        ]
+        moments = [np.einsum("ih,kia->kha", signs, b[places]) for _, b, *_ in self.sets]
+        return np.reshape(products, (-1, len(ends), size, size)), np.reshape(moments, (-1, len(ends), size))
+
+    def _along(self, ends: NDArray[np.intp], signs: Floats, group: tuple[int, ...], sizes: Floats) -> Floats:
+        """Return the loads along B with the responses most like those of some pushes."""
+        p = len(self.along)
+        loads = []
+        for h, size in enumerate(sizes):
+            products = self._normal(ends[np.newaxis], signs[:, h : h + 1], np.array([*self.along, *group]))[0].sum(
+                axis=0
+            )
+            loads.append(_solved(products[:, :p, :p], products[:, :p, p:] @ size)[0])
+        return np.array(loads)
+
+
+def _signs(instants: int) -> Floats:
+    """Return how pushes are sums of those that last from some instants on (instants x pushes): one push for two instants."""
+    pushes = np.repeat(np.eye((instants + 1) // 2), 2, axis=0)[:instants]
+    return np.asarray(pushes * np.where(np.arange(instants) % 2, -1.0, 1.0)[:, np.newaxis])
 
 
 def _solved(G: Floats, b: Floats) -> Floats:
@@ -190,13 +300,14 @@ def _solved(G: Floats, b: Floats) -> Floats:
 
 
 def _explained(judge: Judge, kind: str, found: _Found) -> Explanation:
-    step = float(judge.model.step)
-    begin, end = found.instants[0] * step, found.instants[1] * step if len(found.instants) > 1 else float("inf")
+    times = [k * float(judge.model.step) for k in found.instants]
+    times += [float("inf")] * (len(times) % 2)
+    values: tuple[float, ...]
     if kind == "onset":
-        values = begin, end, *map(float, found.load)
+        values = tuple(x for h, load in enumerate(found.loads) for x in (*times[2 * h : 2 * h + 2], *map(float, load)))
     else:
         control = found.columns[0] - judge.model.controls - judge.model.plant_states
-        values = begin, end, 1.0 + float(found.sizes[0]), float(control)
+        values = *times, 1.0 + float(found.sizes[0, 0]), float(control)
     return judge.of(kind, [values], (found.losses[:, np.newaxis], found.squares[:, np.newaxis]), found.parameters)[0]
 
 

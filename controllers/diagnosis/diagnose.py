@@ -1,12 +1,12 @@
 """Diagnosis of a wrong model from a recorded run: a comparison of explanations by their predictions of all sensors.
 
 Observers of sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a
-lag or a limit; the plant is faster or slower than the model; a load acts all the time, or begins during the run; the plant has
-other dynamics, or nonlinear ones; noise moves it that the model does not have; all sensors of a quantity have an offset. The
-measure is the likelihood, with a free scale of the innovations (so that noise of another size has no effect), less the cost of
-the parameters (BIC). An explanation counts only with the evidence of *every* set: an error of one set alone is a fault of its
-sensors. Stretches in which sensors of one quantity disagree are left out. The fault probabilities of the precision learner,
-which a wrong model spoils, are therefore not needed.
+lag or a limit; the plant is faster or slower than the model; a load acts all the time, or one or two begin during the run; the
+plant has other dynamics, or nonlinear ones; noise moves it that the model does not have; all sensors of a quantity have an
+offset. The measure is the likelihood, with a free scale of the innovations (so that noise of another size has no effect), less
+the cost of the parameters (BIC). An explanation counts only with the evidence of *every* set: an error of one set alone is a
+fault of its sensors. Stretches in which sensors of one quantity disagree are left out, and sensors that the others contradict
+for long. The fault probabilities of the precision learner, which a wrong model spoils, are therefore not needed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from threadpoolctl import threadpool_limits
 from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
 from bayesftc.controllers.diagnosis.candidates import explanations, noisier, ranked
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
-from bayesftc.controllers.diagnosis.judge import EVIDENCE, Explanation, Judge
+from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
+from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
 from bayesftc.controllers.diagnosis.words import sentence
 from bayesftc.controllers.estimation.observers import observers
@@ -39,6 +40,9 @@ from bayesftc.cosim.judging.signals import ALARM
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from bayesftc.controllers.estimation.observers import Observers
+    from bayesftc.cosim.types import Floats
+
 MOST_SAMPLES = 5_000
 """Largest number of samples, from the start of a run."""
 
@@ -55,9 +59,6 @@ WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
 
 SIMPLEST = 4
 """Rank of a full explanation with one parameter, which ends the search."""
-
-EXPLAINED = 2.0
-"""Mean squared innovation up to which a run counts as explained."""
 
 NEARLY = 5.0
 """Log-likelihood ratio within which a flexible explanation counts as nearly as good; for simple ones it is `EVIDENCE`."""
@@ -89,7 +90,8 @@ class ModelFinding:
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``dt``: the plant's speed relative
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
         ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the first sample (infinity: to
-        the last one), then as ``load``; ``loss``: begin, end, effect relative to the model's, and number of the control;
+        the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin, end, effect relative to the
+        model's, and number of the control;
         ``offset``: a value for each sensor, in its unit, 0 for those without;
         ``noise``: number of the state (-1 for each) and standard deviation in a sample; else empty.
     evidence : float
@@ -317,6 +319,7 @@ def best_explanations(
     last = int(np.flatnonzero(np.isfinite(samples).any(axis=1)).max(initial=-1)) + 1
     if last < LEAST_SAMPLES:
         return []
+    bank, samples = _without(model, bank, samples)
     recording = Recording(
         samples[:last],
         np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[:last]).clip(-LARGEST, LARGEST),
@@ -345,13 +348,38 @@ def best_explanations(
         if near and near[0].kind == "dynamics":  # the simple ones are special cases of it
             near.sort(key=lambda x: x.kind not in SIMPLE)
         rank = max(map(_rank, near), default=-1)
-        if len(tried) == 1 and any(x.kind in WHOLE and x.values[1] == np.inf and _rank(x) for x in near):
+        if len(tried) == 1 and any(x.kind in WHOLE and np.inf in x.values and _rank(x) for x in near):
             return near  # it begins and lasts; a shorter run may end before
         if rank == SIMPLEST:
             return near
         if rank > best:
             fallback, best = near, rank
     return fallback
+
+
+def _without(model: LinearModel, bank: Observers, samples: Floats) -> tuple[Observers, Floats]:
+    """Return observers and samples without sensors that others contradict for long; all if the rest does not see the plant."""
+    faulty = contradicted(model, samples)
+    rest = observers(model, _sets_without(bank.sensors, faulty)) if faulty else None
+    if rest is None:
+        return bank, samples
+    return rest, np.where(np.isin(np.arange(model.sensors), faulty), np.nan, samples)
+
+
+def _sets_without(sets: Sequence[tuple[int, ...]], faulty: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+    """Return sets without faulty sensors; what remains of a set joins the smallest other one, if there are two.
+
+    Alone, a noisy sensor could hide what all others see, because every set must have evidence for an explanation.
+    """
+    whole = [each for each in sets if not set(each) & set(faulty)]
+    parts = [tuple(i for i in each if i not in faulty) for each in sets if set(each) & set(faulty)]
+    for part in filter(None, parts):
+        if len(whole) >= 2:
+            smallest = min(range(len(whole)), key=lambda k: len(whole[k]))
+            whole[smallest] = tuple(sorted({*whole[smallest], *part}))
+        else:
+            whole.append(part)
+    return tuple(whole)
 
 
 def _rank(x: Explanation) -> int:

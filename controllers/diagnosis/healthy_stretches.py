@@ -1,7 +1,8 @@
-"""Stretches of a recording in which the sensors agree with each other, whatever the model."""
+"""Stretches of a recording in which the sensors agree with each other, and sensors that never do, whatever the model."""
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +29,13 @@ LEAST_SHARE = 0.2
 """Share of healthy samples below which nothing is left out, because two sensors disagree all the time."""
 
 MOST_STRETCHES = 6
-"""Largest number of stretches, the longest ones."""
+"""Largest number of stretches, and of gaps, the longest ones."""
+
+LASTING = 0.25
+"""Share of a run from which on a sensor that contradicts the others is left out of all of it."""
+
+LEAST_GAP = 25
+"""Least length of a gap of a sensor, in its usual distances between samples."""
 
 
 def healthy_stretches(model: LinearModel, y: Floats) -> NDArray[np.bool_]:
@@ -37,11 +44,9 @@ def healthy_stretches(model: LinearModel, y: Floats) -> NDArray[np.bool_]:
     The differences between sensors of one quantity are compared with their own median and spread over the run.
     """
     apart = np.zeros(len(y), dtype=bool)
-    rows = model.quantities
-    for i in range(len(rows)):
-        for j in range(i):
-            if np.array_equal(rows[i], rows[j]):
-                apart |= _apart(y[:, i] - y[:, j])
+    for group in model.alike:
+        for i, j in combinations(group, 2):
+            apart |= _apart(y[:, i] - y[:, j])
     wide = apart.copy()
     for k in np.flatnonzero(apart)[:: WINDOW // 2]:
         wide[max(k - WINDOW, 0) : k + 2 * WINDOW] = True
@@ -51,6 +56,40 @@ def healthy_stretches(model: LinearModel, y: Floats) -> NDArray[np.bool_]:
     for start, stop in stretches[:MOST_STRETCHES]:
         healthy[start:stop] = True
     return healthy if healthy.mean() >= LEAST_SHARE else np.ones(len(y), dtype=bool)
+
+
+def contradicted(model: LinearModel, y: Floats) -> tuple[int, ...]:
+    """Return the sensors that at least two others of their quantity contradict for long, where these agree with each other.
+
+    Without all samples of such long stretches, as of a drift, too little of the run would be left.
+    """
+    return tuple(i for group in model.alike if len(group) > 2 for i in _left_out(y, group))
+
+
+def _left_out(y: Floats, group: tuple[int, ...]) -> list[int]:
+    """Return the contradicted sensors of a group: one by one, the one with which most others disagree."""
+    size = len(group)
+    apart = np.zeros((size, size, len(y)), dtype=bool)
+    for a, b in combinations(range(size), 2):
+        apart[a, b] = apart[b, a] = _apart(y[:, group[a]] - y[:, group[b]])
+    left = list(range(size))
+    while (votes := apart[np.ix_(left, left)].sum(axis=1)).size and (votes > 0).any(axis=0).mean() > LASTING:
+        worst = int(np.argmax(votes.sum(axis=1)))
+        if len(left) <= 2 or (votes[worst] >= 2).mean() <= LASTING:
+            return []
+        left.pop(worst)
+    return [group[i] for i in range(size) if i not in left]
+
+
+def after_gaps(y: Floats) -> list[int]:
+    """Return the samples at the end of long gaps of a sensor, before which its observer has lost the state."""
+    gaps: dict[int, int] = {}
+    for column in np.isfinite(y).T:
+        at = np.flatnonzero(column)
+        distances = np.diff(at)
+        for k in np.flatnonzero(distances > LEAST_GAP * np.median(distances)) if len(distances) else ():
+            gaps[int(at[k + 1])] = max(int(distances[k]), gaps.get(int(at[k + 1]), 0))
+    return sorted(sorted(gaps, key=lambda at: -gaps[at])[:MOST_STRETCHES])
 
 
 def _apart(difference: Floats) -> NDArray[np.bool_]:

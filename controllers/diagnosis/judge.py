@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
-from bayesftc.controllers.diagnosis.healthy_stretches import healthy_stretches
+from bayesftc.controllers.diagnosis.healthy_stretches import after_gaps, healthy_stretches
 
 if TYPE_CHECKING:
     from bayesftc.controllers.estimation.observers import Observers
@@ -21,6 +21,9 @@ EVIDENCE = 10.0
 This and the following were chosen on the seeds 1000 to 1023 of ``tests/controllers/diagnosis/wrong_models.py``. The rules for
 left-out stretches and for nearly equal explanations were changed after a look at the seeds 0 to 24, so that only the seeds from
 25 on are unseen."""
+
+EXPLAINED = 2.0
+"""Mean squared innovation up to which a run counts as explained."""
 
 CLOSE = 0.07
 """A gain or a time scale closer to 1 than this counts as right."""
@@ -149,21 +152,22 @@ class Judge:
             for h, (kind, values, _) in enumerate(courses)
         ]
 
-    def pushes(self, pushes: Floats) -> Floats:
-        """Return the responses of the innovations to pushes (H x T x n) of any size."""
+    def pushes(self, pushes: Floats, *, whole: bool = False) -> Floats:
+        """Return the responses of the innovations to pushes (H x T x n) of any size; `whole`: as if no sample were missing."""
         scale = np.maximum(np.abs(pushes).max(axis=(1, 2), keepdims=True), 1e-300)
-        return np.asarray(self._responses(pushes / scale, 0.0) * scale[:, 0, 0][:, None, None])
+        return np.asarray(self._responses(pushes / scale, 0.0, whole=whole) * scale[:, 0, 0][:, None, None])
 
     def offset(self, readings: Floats) -> Floats:
         """Return the response of the innovations to constant readings of the sensors (sets x T x m)."""
         return np.asarray(self._responses(np.zeros((1, *self.moved.shape)), readings)[:, 0])
 
-    def _responses(self, pushes: Floats, readings: Floats | float) -> Floats:
+    def _responses(self, pushes: Floats, readings: Floats | float, *, whole: bool = False) -> Floats:
         """Return the innovations of a plant that begins at zero, for some pushes of its state, and constant readings."""
         silent = replace(
             self.recording,
-            y=np.where(np.isfinite(self.recording.y), readings, np.nan),
+            y=np.where(np.isfinite(self.recording.y) | whole, readings, np.nan),
             mean=np.zeros_like(self.recording.mean),
+            begins=(0,) if whole else self.recording.begins,
         )
         (white,), _ = innovations([self.model], [self.bank], silent, pushes[None])
         return np.asarray(white[:, : len(pushes)])
@@ -204,4 +208,5 @@ def _agreeing(model: LinearModel, recording: Recording) -> Recording:
     """Return a recording without the samples of stretches in which sensors of one quantity disagree."""
     healthy = healthy_stretches(model, recording.y)
     begins = [k for k in range(1, len(healthy)) if healthy[k] and not healthy[k - 1]]
-    return replace(recording, y=np.where(healthy[:, None], recording.y, np.nan), begins=(0, *begins))
+    begins += [k for k in after_gaps(recording.y) if healthy[k - 1]]
+    return replace(recording, y=np.where(healthy[:, None], recording.y, np.nan), begins=(0, *sorted(set(begins))))

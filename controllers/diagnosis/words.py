@@ -228,10 +228,13 @@ def _seconds(time: float) -> str:
 
 
 def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    each = 2 + model.controls
+    loads = [values[k : k + each] for k in range(0, len(values), each)]
+    times = ", and another one ".join(map(_since, loads))
+    changes = ", and then ".join(f"of a change of {_change(load[2:], model, units)}" for load in loads)
     return (
-        f"a load, or an offset of the actuator, acts {_since(values)}. It has about the effect of a change of "
-        f"{_change(values[2:], model, units)}. If such loads belong to normal operation, measure them, or "
-        f"{_estimate('them', model)}."
+        f"a load, or an offset of the actuator, acts {times}. {'It has' if len(loads) == 1 else 'They have'} about the effect "
+        f"{changes}. If such loads belong to normal operation, measure them, or {_estimate('them', model)}."
     )
 
 
@@ -257,9 +260,10 @@ def _dynamics(values: Sequence[float], model: LinearModel) -> str:
 def _unknown(values: Sequence[float], model: LinearModel) -> str:
     return (
         "the plant moves differently from A, B and C of the model, and no simple explanation fits the run: not the sign, gain, "
-        "delay or limit of a control, not dt, not a load, not other linear dynamics. Identify the model anew from a recording in "
-        "which the controls move the plant (LinearModel.identify), or give the model more process noise (noise in design and "
-        "in a scenario)."
+        "delay or limit of a control, not dt, not one or two loads of constant size, not other linear dynamics. There may be "
+        "several causes, such as loads that change and sensor faults: diagnose a shorter run, or the begin of this one "
+        "(diagnose_recording). If the model is wrong there as well, identify it anew from a recording in which the controls move "
+        f"the plant (LinearModel.identify). Against loads that change, {_estimate('them', model)}."
     )
 
 

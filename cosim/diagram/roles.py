@@ -53,7 +53,7 @@ class QuantityRole:
     Attributes
     ----------
     name : str
-        The plant's variable, or ``sensor i`` if a sensor measures a mixture of several.
+        The plant's variable; of a sensor that reads several their sum, such as ``altitude + wander``, or ``sensor i`` of many.
     unit : str or None
         Its unit.
     sensors : tuple of int

@@ -27,6 +27,9 @@ _Visited = dict[tuple[str, str, int], list[str] | None]
 AHEAD = "ahead"
 """The output of a `Preview` that lies ahead."""
 
+MOST_TERMS = 3
+"""Largest number of signals in the name of what a sensor reads; a sensor of more has its number as a name."""
+
 
 def find_sensors(diagram: Diagram) -> Node:
     """Return the node of the sensors."""
@@ -170,15 +173,28 @@ def element_name(port: Port, i: int) -> str:
 
 
 def label_of(diagram: Diagram, sensors: Node, row: tuple[float, ...], sensor: int) -> tuple[str, str | None]:
-    """Return the name and the unit of the quantity that a sensor measures, given its row of the measurement matrix."""
+    """Return the name and the unit of the quantity that a sensor measures, given its row of the measurement matrix.
+
+    The name is that of a signal, or says what the sensor reads of several: ``altitude + 0.5 wander``.
+    """
     nonzero = [j for j, weight in enumerate(row) if weight]
     if len(nonzero) != 1 or row[nonzero[0]] != 1.0:
-        return f"sensor {sensor}", sensors.port("y").unit_of(sensor)
+        terms = [(row[j], diagram.source_of(sensors, sensors.port("u"), j)) for j in nonzero]
+        named = [(weight, element_name(source[0].port, source[1])) for weight, source in terms if source is not None]
+        known = 0 < len(named) == len(terms) <= MOST_TERMS
+        return _sum(named) if known else f"sensor {sensor}", sensors.port("y").unit_of(sensor)
     source = diagram.source_of(sensors, sensors.port("u"), nonzero[0])
     if source is None:
         return f"sensor {sensor}", None
     port = source[0].port
     return element_name(port, source[1]), port.unit_of(source[1]) or sensors.port("y").unit_of(sensor)
+
+
+def _sum(terms: list[tuple[float, str]]) -> str:
+    """Return a sum of signals with their weights as text."""
+    first, *rest = [(weight, name if abs(weight) == 1.0 else f"{abs(weight):.3g} {name}") for weight, name in terms]
+    signs = "".join(f" {'-' if weight < 0.0 else '+'} {text}" for weight, text in rest)
+    return f"{'-' if first[0] < 0.0 else ''}{first[1]}{signs}"
 
 
 def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> None:

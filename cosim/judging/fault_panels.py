@@ -20,6 +20,9 @@ from bayesftc.cosim.types import Floats
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+Marks = dict[int, dict[str, Flags]]
+"""By sensor: what its samples are at which times."""
+
 IGNORED = 100.0
 """Factor above the smallest expected standard deviation of a quantity; beyond it, a weight is below 1/10,000 of the largest."""
 SMALLEST = 0.01
@@ -30,8 +33,12 @@ HATCHED: dict[str, Any] = {"fc": "none", "ec": "0.8", "hatch": "///"}
 """Look of the time of an actuator or process fault."""
 GREY_BAR: dict[str, Any] = {"color": "0.6", "lw": 5, "alpha": 0.5, "solid_capstyle": "butt"}
 """Look of a bar of any colour in a legend."""
-ROW = 0.09
-"""Height of a row of marks, as a share of the panel's."""
+PLAIN, ROW = 1.8, 0.16
+"""Heights in inches of a panel of expected noise or of beta without marks, and of a row of marks above its values."""
+BAR = 0.07
+"""Height in inches of a bar in such a row."""
+CORRECTED: dict[str, Any] = {"facecolor": "white", "hatch": "//////", "lw": 0.8}
+"""Look of a bar for corrected samples; bars for ignored ones are filled."""
 
 
 def deviation_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes], None]]]:
@@ -40,31 +47,48 @@ def deviation_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes],
     for sensor in signals.sensors:
         if sensor.precision is not None:
             units.setdefault(sensor.unit, []).append(sensor)
-    return [(1.8, partial(_draw_deviation, signals=signals, sensors=group, unit=unit)) for unit, group in units.items()]
+    panels: list[tuple[float, Callable[[Axes], None]]] = []
+    for unit, group in units.items():
+        marks = _unused(signals, group)
+        height = PLAIN + ROW * len(marks)
+        draw = partial(_draw_deviation, signals=signals, sensors=group, unit=unit, marks=marks, row=ROW / height)
+        panels.append((height, draw))
+    return panels
 
 
-def _draw_deviation(axis: Axes, *, signals: LoopSignals, sensors: list[SensorSignals], unit: str | None) -> None:
+def _unused(signals: LoopSignals, sensors: list[SensorSignals]) -> Marks:
+    """Return when the samples of each sensor are ignored, corrected or missing; without sensors of which none ever are."""
     expected = {sensor.index: _expected(sensor) for sensor in sensors}
-    drawn, row = [], 0
+    marks = {}
     for sensor in sensors:
-        values = expected[sensor.index]
-        beyond = values > _most(signals, sensor, expected)
+        beyond = expected[sensor.index] > _most(signals, sensor, expected)
         if sensor.alarm is not None:
             beyond &= sensor.alarm  # a healthy sensor may be much noisier than those beside it
-        shown = np.where(beyond, np.nan, values)
-        drawn.append(shown)
-        axis.plot(*thin(signals.time, shown), **_line(signals, sensor))
         missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
         little = (~missing & (sensor.precision == 0)) | beyond
         corrected = little & sensor.corrected  # its precision does not count the samples minus the offset
-        ignored = little & ~corrected
-        row += _mark(axis, signals, sensor, "ignored", row, ignored)
-        row += _mark(axis, signals, sensor, "corrected", row, corrected)
-        row += _mark(axis, signals, sensor, "missing", row, missing)
-    if any(text.endswith(" corrected") for text in axis.get_legend_handles_labels()[1]):
-        axis.plot([], [], **GREY_BAR, label="corrected: the inferred\noffset is subtracted")
+        each = {"ignored": little & ~corrected, "corrected": corrected, "missing": missing}
+        if found := {what: where for what, where in each.items() if where.any()}:
+            marks[sensor.index] = found
+    return marks
+
+
+def _draw_deviation(
+    axis: Axes, *, signals: LoopSignals, sensors: list[SensorSignals], unit: str | None, marks: Marks, row: float
+) -> None:
+    drawn = []
+    for sensor in sensors:
+        its = marks.get(sensor.index, {})
+        unused = np.any([np.zeros(len(signals.time), dtype=bool), *its.values()], axis=0)
+        shown = np.where(unused, np.nan, _expected(sensor))
+        drawn.append(shown)
+        axis.plot(*thin(signals.time, shown), **_line(signals, sensor))
+        if its:
+            _mark(axis, signals, sensor, its, list(marks).index(sensor.index), row)
+    if any("corrected" in its for its in marks.values()):
+        axis.fill_between([], [], edgecolor="0.6", label="corrected: the inferred\noffset is subtracted", **CORRECTED)
     axis.set_ylabel("expected standard\n" + with_unit("deviation", unit))
-    _logarithmic(axis, drawn, (row + 0.5) * ROW if row else 0.0)
+    _logarithmic(axis, drawn, (len(marks) + 0.5) * row if marks else 0.0)
 
 
 def _most(signals: LoopSignals, sensor: SensorSignals, expected: Mapping[int, Floats]) -> float:
@@ -83,25 +107,67 @@ def _expected(sensor: SensorSignals) -> Floats:
     return _given(sensor, expected)
 
 
-def _mark(axis: Axes, signals: LoopSignals, sensor: SensorSignals, what: str, row: int, where: Flags) -> int:
-    """Mark times of a sensor in a row at the top of an axis, with a text; return the number of rows used."""
-    if not where.any():
-        return 0
-    time, height = signals.time, axis.get_xaxis_transform()
-    top, label = 0.97 - ROW * row, f"{signals.sensor_name(sensor.index)} {what}"
-    style: dict[str, Any] = {"color": colour_of(sensor.index), "transform": height, "label": label}
-    if what in ("ignored", "corrected"):  # a bar, with a tick for a single sample, which has no length
-        bar: dict[str, Any] = {"lw": 5, "solid_capstyle": "butt", "marker": "|", "ms": 5}
-        ends = np.array([(time[a], time[b - 1], np.nan) for a, b in periods(where)]).ravel()
-        axis.plot(ends, np.where(np.isnan(ends), np.nan, top), **bar, **style)
-    else:
-        crosses: dict[str, Any] = {"ls": "none", "marker": "x", "ms": 2.5 if what == "missing" else 5}
-        axis.plot(*thin(time[where], np.full(int(where.sum()), top)), **crosses, **style)
-    begin, end = max(periods(where), key=lambda period: period[1] - period[0])
-    width = LETTER * (len(what) + 1) * float(time[-1] - time[0])
-    if time[end - 1] - time[begin] > width:
-        _write(axis, 0.5 * float(time[begin] + time[end - 1]), top, what, colour_of(sensor.index), height)
-    return 1
+def _mark(
+    axis: Axes, signals: LoopSignals, sensor: SensorSignals, marks: Mapping[str, Flags], row: int, share: float
+) -> None:
+    """Mark times of a sensor in a row at the top of an axis, with words; `share` is the height of a row, of the axis' height."""
+    time, across, colour = signals.time, axis.get_xaxis_transform(), colour_of(sensor.index)
+    top, bars = 1.0 - share * (row + 0.5), []
+    for what, where in marks.items():
+        style: dict[str, Any] = {"transform": across, "label": f"{signals.sensor_name(sensor.index)} {what}"}
+        spans = [(float(time[a]), float(time[b - 1])) for a, b in periods(where)]
+        bars += [(a, b, what) for a, b in spans]
+        if what == "corrected":
+            height = share * BAR / ROW
+            lengths = [(a, b - a) for a, b in spans]
+            axis.broken_barh(lengths, (top - 0.5 * height, height), edgecolor=colour, **CORRECTED, **style)
+        elif what == "ignored":  # a bar, with a tick for a single sample, which has no length
+            bar: dict[str, Any] = {"lw": 72 * BAR, "solid_capstyle": "butt", "marker": "|", "ms": 72 * BAR}
+            ends = np.array([(a, b, np.nan) for a, b in spans]).ravel()
+            axis.plot(ends, np.where(np.isnan(ends), np.nan, top), color=colour, **bar, **style)
+        else:
+            crosses: dict[str, Any] = {
+                "ls": "none",
+                "marker": "x",
+                "ms": 2.5 if what == "missing" else 5,
+                "color": colour,
+            }
+            axis.plot(*thin(time[where], np.full(int(where.sum()), top)), **crosses, **style)
+    _name_bars(axis, time, bars, top, colour, across, once=True)
+
+
+def _name_bars(
+    axis: Axes,
+    time: Floats,
+    bars: list[tuple[float, float, str]],
+    y: float,
+    colour: str,
+    transform: Any,
+    *,
+    once: bool = False,
+) -> None:
+    """Write the words of bars in a row: on bars that are long enough, or, where no bar of a word is, beside its longest.
+
+    With `once`, a word stands on its longest bar only. A word without room is left out, and so is that of bars that are hardly
+    to be seen beside longer ones.
+    """
+    first, last = float(time[0]), float(time[-1])
+    letter = 0.8 * LETTER * (last - first)
+    taken = [(a, b) for a, b, _ in bars]
+    visible = min(letter, max((b - a for a, b in taken), default=0.0))
+    for word in dict.fromkeys(word for *_, word in bars):
+        width = letter * (len(word) + 1)
+        longest, *rest = sorted(((a, b) for a, b, of in bars if of == word), key=lambda bar: bar[0] - bar[1])
+        fitting = [(a, b) for a, b in [longest, *rest[: 0 if once else None]] if b - a > width]
+        for a, b in fitting:
+            _write(axis, 0.5 * (a + b), y, word, colour, transform)
+        if fitting or longest[1] - longest[0] < visible:
+            continue
+        sides = (longest[1], longest[1] + width), (longest[0] - width, longest[0])
+        free = (x for x in sides if x[0] >= first and x[1] <= last and not any(a < x[1] and b > x[0] for a, b in taken))
+        if (place := next(free, None)) is not None:
+            taken.append(place)
+            _write(axis, 0.5 * sum(place), y, word, colour, transform)
 
 
 def _write(axis: Axes, x: float, y: float, text: str, colour: str, transform: Any) -> None:
@@ -114,9 +180,9 @@ def _write(axis: Axes, x: float, y: float, text: str, colour: str, transform: An
 def _logarithmic(axis: Axes, drawn: list[Floats], margin: float = 0.0) -> None:
     """Make the axis logarithmic, with further ticks if there would be at most one power of ten.
 
-    ``margin`` is the free share of its height at the top.
+    ``margin`` is the share of its height at the top for marks, which has no ticks: a mark there is no value.
     """
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+    from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
     axis.set_yscale("log")
     axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -127,9 +193,26 @@ def _logarithmic(axis: Axes, drawn: list[Floats], margin: float = 0.0) -> None:
         return
     low, high = 0.8 * values.min(), 1.3 * values.max()
     axis.set_ylim(low, low * (high / low) ** (1.0 / (1.0 - min(margin, 0.8))))
+    subs: tuple[float, ...] = (1.0,)
     if values.max() < 100 * values.min():
-        few = values.max() < 5 * values.min()
-        axis.yaxis.set_major_locator(LogLocator(subs=tuple(np.arange(1.0, 10.0)) if few else (1.0, 2.0, 5.0)))
+        subs = tuple(np.arange(1.0, 10.0)) if values.max() < 5 * values.min() else (1.0, 2.0, 5.0)
+    axis.yaxis.set_major_locator(_ticks_below(high, subs))
+    axis.yaxis.set_minor_locator(_ticks_below(high, tuple(np.arange(2.0, 10.0))))
+    if margin:
+        axis.spines["left"].set_bounds(low, high)
+        axis.axhline(high, color="0.8", lw=0.6, zorder=1)
+
+
+def _ticks_below(top: float, subs: tuple[float, ...]) -> Any:
+    """Return a locator of ticks on a logarithmic axis, without those above a value."""
+    from matplotlib.ticker import LogLocator
+
+    class Below(LogLocator):
+        def tick_values(self, vmin: float, vmax: float) -> Any:
+            ticks = np.asarray(super().tick_values(vmin, vmax))
+            return ticks[ticks <= top]
+
+    return Below(subs=subs)
 
 
 def detection_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes], None]]]:
@@ -192,19 +275,9 @@ def _draw_kinds(axis: Axes, time: Floats, each: SensorSignals | ActuatorSignals,
     kind = np.where(each.probability >= ALARM, np.nan_to_num(each.kind), 0.0)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
     ends = np.append(time, time[-1])
-    sections = [
-        (float(ends[a]), float(ends[b]), _words(each.kinds, kind[a])) for a, b in pairwise(edges) if kind[a] > 0
-    ]
-    axis.broken_barh([(a, b - a) for a, b, _ in sections], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=0, zorder=4)
-    letter = 0.8 * LETTER * float(time[-1] - time[0])
-    for a, b, word in sections:
-        if b - a > letter * (len(word) + 1):
-            _write(axis, 0.5 * (a + b), y, word, colour, axis.transData)
-    if sections and all(b - a <= letter * (len(word) + 1) for a, b, word in sections):
-        a, b, word = max(sections, key=lambda section: section[1] - section[0])
-        right = b + letter * (len(word) + 1) < time[-1]
-        side = {"ha": "left" if right else "right", "va": "center", "fontsize": 7, "zorder": 6}
-        axis.text(b + 0.5 * letter if right else a - 0.5 * letter, y, word, color=colour, **side)  # type: ignore[arg-type]
+    bars = [(float(ends[a]), float(ends[b]), _words(each.kinds, kind[a])) for a, b in pairwise(edges) if kind[a] > 0]
+    axis.broken_barh([(a, b - a) for a, b, _ in bars], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=0, zorder=4)
+    _name_bars(axis, time, bars, y, colour, axis.transData)
 
 
 def _words(kinds: Sequence[str], number: float) -> str:
@@ -218,15 +291,18 @@ def _draw_beta(axis: Axes, signals: LoopSignals) -> None:
     for sensor in rated:
         assert sensor.beta is not None
         axis.plot(*thin(signals.time, _given(sensor, sensor.beta)), **_line(signals, sensor))
-    row = 0
-    for sensor in signals.sensors:
-        if sensor.alarm is not None:
-            row += _mark(axis, signals, sensor, "detected", row, sensor.alarm)
+    detected = [sensor for sensor in signals.sensors if sensor.alarm is not None and sensor.alarm.any()]
+    share = ROW / PLAIN
+    for row, sensor in enumerate(detected):
+        assert sensor.alarm is not None
+        _mark(axis, signals, sensor, {"detected": sensor.alarm}, row, share)
     units = {sensor.unit for sensor in rated}
     unit = units.pop() if len(units) == 1 else None
     axis.set_ylabel(with_unit("beta", f"({unit})²" if unit else None))
     if rated:
-        _logarithmic(axis, [s.beta for s in rated if s.beta is not None], (row + 0.5) * ROW if row else 0.0)
+        _logarithmic(
+            axis, [s.beta for s in rated if s.beta is not None], (len(detected) + 0.5) * share if detected else 0.0
+        )
     else:
         axis.set_yticks([])
         axis.set_ylabel("detected faults")
@@ -272,9 +348,12 @@ def name_faults(axis: Axes, signals: LoopSignals) -> None:
 
 
 def _kind(name: str, of: str, number: str) -> str:
-    """Return the kind of fault in a default name such as ``freeze_1``; any other name is returned unchanged."""
-    kind = name.removeprefix(of).removesuffix(number)
-    return name if kind == name else kind.replace("_", " ")
+    """Return the kind of fault in a default name such as ``freeze_1``, or ``freeze_1_2`` of a second one: ``freeze 2``.
+
+    Any other name is returned unchanged.
+    """
+    default = re.fullmatch(rf"{re.escape(of)}(.+?){number}(_\d+)?", name)
+    return f"{default[1]}{default[2] or ''}".replace("_", " ") if default else name
 
 
 def _given(sensor: SensorSignals, values: Floats) -> Floats:

@@ -54,8 +54,9 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     - for each control the sent signal, its limits, and with a fault in between the signal that the plant received; the same for
       other inputs of the plant with faults;
     - the standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``). While it is more than a
-      hundred times the smallest one of the same quantity, a sensor with an alarm has a bar at the top instead: "ignored", or
-      "corrected" if the controller subtracts an offset that it infers and still uses the sensor. Crosses are missing samples;
+      hundred times the smallest one of the same quantity, a sensor with an alarm has a bar above the values instead: filled for
+      "ignored", or hatched for "corrected" if the controller subtracts an offset that it infers and still uses the sensor.
+      Crosses are missing samples;
     - the fault probability of each sensor and, in black, of each actuator whose faults the controller infers; above it the most
       probable kind of fault during an alarm. Without a probability: beta, with marks for detected faults. Without both there is
       no such panel.

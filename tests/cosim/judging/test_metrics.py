@@ -263,7 +263,7 @@ def test_a_sensor_of_a_mixture():
     loop = two_outputs(matrix=[[1.0, 0.0], [0.5, 2.0]])
     result = loop.simulate(1.0, engine="interpreted")
     position, mixture = loop_signals(loop, result).quantities
-    assert mixture.name == "sensor 1"
+    assert mixture.name == "0.5 position + 2 speed"
     np.testing.assert_allclose(mixture.truth, 0.5 * result["plant.position"] + 2 * result["plant.speed"])
     assert position.name == "position"
 

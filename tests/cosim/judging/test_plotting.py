@@ -170,6 +170,62 @@ def test_a_sensor_whose_offset_is_subtracted_is_not_called_ignored(joint, word):
     assert names(deviation) == ["sensor 0", f"sensor 0 {word}", "sensor 1", *explained]
 
 
+def offset_for_a_while(stop):
+    """Return the run of a car of which a sensor has an offset from the first to another second, and is corrected."""
+    learner = SwitchingPrecision(joint=True)
+    return run_of(cruise_control(learner, cosim.Bias(sensor=0, start=1.0, stop=stop, magnitude=8.0)), 10.0)
+
+
+def test_a_corrected_sensor_has_a_hatched_bar_and_an_ignored_one_a_filled_bar():
+    run = offset_for_a_while(4.0)
+    deviation = panel(plot_run(run), "expected")
+    look = {text: handle for handle, text in zip(*deviation.get_legend_handles_labels(), strict=True)}
+    assert look["sensor 0 corrected"].get_hatch() == look["corrected: the inferred\noffset is subtracted"].get_hatch()
+    assert look["sensor 0 corrected"].get_hatch()
+    ignored = replace(run.sensors[0], corrected_kinds=())
+    deviation = panel(plot_run(replace(run, sensors=(ignored, run.sensors[1]))), "expected")
+    (bar,) = [line for line in deviation.lines if line.get_label() == "sensor 0 ignored"]
+    assert bar.get_linewidth() > 3
+
+
+def test_a_short_bar_has_its_word_beside_it():
+    figure = plot_run(offset_for_a_while(1.4))
+    for axis, word in ((panel(figure, "expected"), "corrected"), (panel(figure, "fault"), "offset")):
+        (text,) = [each for each in axis.texts if each.get_text() == word]
+        assert 1.5 < text.get_position()[0] < 3.0
+
+
+def test_marks_stand_above_the_ticks_of_the_values():
+    deviation = panel(plot_run(offset_for_a_while(4.0)), "expected")
+    deviation.figure.canvas.draw()
+    _, top = deviation.spines["left"].get_bounds()
+    ticks = [*deviation.yaxis.get_majorticklocs(), *deviation.yaxis.get_minorticklocs()]
+    values = np.concatenate(
+        [line.get_ydata() for line in deviation.lines if line.get_label() in ("sensor 0", "sensor 1")]
+    )
+    assert max(*ticks, np.nanmax(values)) <= top < 0.8 * deviation.get_ylim()[1]
+    (mark,) = [each for each in deviation.collections if each.get_label() == "sensor 0 corrected"]
+    lowest = min(path.vertices[:, 1].min() for path in mark.get_paths())  # as a share of the height
+    assert deviation.transAxes.transform((0, lowest))[1] > deviation.transData.transform((0, top))[1]
+
+
+def test_a_second_fault_of_an_input_or_a_sensor_is_numbered_in_words():
+    loop = cosim.closed_loop(
+        plant=cosim.StateSpace(_integrator()),
+        controller=load_scenario("cruise_control").controller,
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count=2, std=1.0),
+        faults=[cosim.Freeze(sensor=0, start=2.0, stop=3.0), cosim.Freeze(sensor=0, start=6.0, stop=7.0)],
+        input_faults={
+            "u": [cosim.Bias(magnitude=2.0, start=1.0, stop=2.0), cosim.Bias(magnitude=1.0, start=4.0, stop=5.0)]
+        },
+        reference=1.0,
+    )
+    named = [text.get_text() for text in plot_run(run_of(loop)).axes[0].texts]
+    assert named == ["u: bias", "sensor 0: freeze", "u: bias 2", "sensor 0: freeze 2"]
+
+
 def test_only_a_sensor_with_an_alarm_and_without_weight_for_its_quantity_is_called_ignored(signals):
     first, second = signals.sensors
     coarse = replace(second, precision=1e-6 * second.precision)  # healthy, with a thousand times the noise

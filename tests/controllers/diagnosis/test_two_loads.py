@@ -1,0 +1,69 @@
+"""Two loads, one after the other, are named apart; also while sensors are faulty."""
+
+import numpy as np
+import pytest
+
+from bayesftc import controllers
+from bayesftc.controllers.diagnosis.words import sentence
+
+STD = np.array([0.1, 0.1, 0.03, 0.2])
+PLAIN = controllers.LinearModel([[1.0, 0.1], [0.0, 0.97]], [[0.005], [0.1]], np.eye(2)[[0] * 4], 1e-6, STD**2, dt=0.1)
+MODEL = PLAIN.with_disturbance(1e-4)
+
+
+def flown(loads, seed, *, faulty):
+    """Return samples and controls of a vehicle, on which loads (begin, end, size) act in place of further control."""
+    rng, x, steps = np.random.default_rng(seed), np.zeros((900, 2)), 900
+    u = np.where(np.arange(steps) % 120 < 60, 0.5, -0.5)[:, np.newaxis]
+    load = np.zeros(steps)
+    for begin, end, size in loads:
+        load[begin:end] += size
+    for k in range(steps - 1):
+        x[k + 1] = (
+            PLAIN.matrix("A") @ x[k] + PLAIN.matrix("B")[:, 0] * (u[k, 0] + load[k]) + 1e-3 * rng.standard_normal(2)
+        )
+    y = x[:, [0] * 4] + STD * rng.standard_normal((steps, 4))
+    if faulty:
+        y[250:, 0] += 0.01 * np.arange(steps - 250)  # a drift for most of the run
+        y[100:160, 2] = np.nan
+        y[720:770, 3] += 2.0
+    return y, u
+
+
+@pytest.mark.parametrize("faulty", [False, True])
+def test_two_loads_are_named_apart(faulty):
+    y, u = flown([(300, 340, 0.8), (500, 900, -1.2)], 1, faulty=faulty)
+    finding = controllers.diagnose_recording(MODEL, y, u)
+    assert finding.kind == "onset"
+    assert finding.values == pytest.approx((30.0, 34.0, 0.8, 50.0, np.inf, -1.2), abs=0.4)
+    assert "s after the first sample, and another one from 5" in finding.sentence
+
+
+@pytest.mark.parametrize("faulty", [False, True])
+def test_one_load_is_one(faulty):
+    finding = controllers.diagnose_recording(MODEL, *flown([(500, 900, -1.2)], 2, faulty=faulty))
+    assert finding.kind == "onset"
+    assert finding.values == pytest.approx((50.0, np.inf, -1.2), abs=0.4)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_faulty_sensors_are_no_loads(seed):
+    assert controllers.diagnose_recording(MODEL, *flown([], seed, faulty=True)) is None
+
+
+def test_the_sentence_has_the_times_and_sizes_of_both():
+    words = sentence("onset", (30.0, 33.0, 2.0, 50.0, float("inf"), -3.0), PLAIN, control_units=("N",))
+    assert (
+        "acts from 30 s to 33 s after the first sample, and another one from 50 s after the first sample on." in words
+    )
+    assert (
+        "They have about the effect of a change of the control by 2 N, and then of a change of the control by -3 N."
+        in words
+    )
+
+
+def test_what_no_explanation_covers_may_still_be_loads():
+    words = sentence("unknown", (), PLAIN)
+    assert "not one or two loads of constant size" in words
+    assert "Against loads that change, estimate them (disturbance in design" in words
+    assert "more process noise" not in words
