@@ -94,9 +94,8 @@ def _likely(judge: Judge) -> list[int]:
         e = np.zeros((steps, len(chosen)))
         e[judge.masks[k]] = judge.free(judge.base, k, judge.begin)[0].reshape(-1, len(chosen))
         responses = loads[k][:, :, list(chosen)]
-        sets.append(
-            (responses, np.conj(np.fft.rfft(responses, 2 * steps, axis=1)), e)
-        )  # twice as long: no wrapping around
+        shifts = np.conj(np.fft.rfft(responses, 2 * steps, axis=1))  # twice as long: no wrapping around
+        sets.append((responses, shifts, e))
     squares = np.sum([np.cumsum((x**2).sum(axis=2), axis=1)[:, ::-1] for x, *_ in sets], axis=0)
     squares = np.maximum(squares, 1e-300)
     free = np.ones(steps, dtype=bool)

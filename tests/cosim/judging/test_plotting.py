@@ -210,17 +210,11 @@ def test_marks_stand_above_the_ticks_of_the_values():
 
 
 def test_a_second_fault_of_an_input_or_a_sensor_is_numbered_in_words():
-    loop = cosim.closed_loop(
-        plant=cosim.StateSpace(_integrator()),
-        controller=load_scenario("cruise_control").controller,
-        control="u",
-        measured="y",
-        sensors=cosim.Sensors(count=2, std=1.0),
+    loop = integrator_loop(
         faults=[cosim.Freeze(sensor=0, start=2.0, stop=3.0), cosim.Freeze(sensor=0, start=6.0, stop=7.0)],
         input_faults={
             "u": [cosim.Bias(magnitude=2.0, start=1.0, stop=2.0), cosim.Bias(magnitude=1.0, start=4.0, stop=5.0)]
         },
-        reference=1.0,
     )
     named = [text.get_text() for text in plot_run(run_of(loop)).axes[0].texts]
     assert named == ["u: bias", "sensor 0: freeze", "u: bias 2", "sensor 0: freeze 2"]
@@ -242,14 +236,8 @@ def test_only_a_sensor_with_an_alarm_and_without_weight_for_its_quantity_is_call
 
 
 def test_missing_samples_are_gaps_and_marks():
-    loop = cosim.closed_loop(
-        plant=cosim.StateSpace(_integrator()),
-        controller=load_scenario("cruise_control").controller,
-        control="u",
-        measured="y",
-        sensors=cosim.Sensors(count=2, std=1.0),
+    loop = integrator_loop(
         faults=[cosim.Dropout(sensor=0, start=2.0, stop=3.0)],
-        reference=1.0,
     )
     signals = run_of(loop, 4.0)
     figure = plot_run(signals)
@@ -266,14 +254,8 @@ def test_missing_samples_are_gaps_and_marks():
 
 
 def test_many_faults_are_not_named_one_by_one():
-    loop = cosim.closed_loop(
-        plant=cosim.StateSpace(_integrator()),
-        controller=load_scenario("cruise_control").controller,
-        control="u",
-        measured="y",
-        sensors=cosim.Sensors(count=2, std=1.0),
+    loop = integrator_loop(
         faults=[cosim.RandomFaults(sensor=i, mean_time_to_fault=0.2, mean_time_to_recovery=0.1) for i in range(2)],
-        reference=1.0,
         input_faults={"u": [cosim.Bias(magnitude=0.1, start=0.5, stop=0.6)]},
     )
     signals = run_of(loop)
@@ -389,14 +371,8 @@ def test_a_result_knows_its_loop_in_every_copy(tmp_path):
 
 @pytest.mark.slow
 def test_a_loop_of_too_many_faults_is_pickled_all_the_same(signals):
-    loop = cosim.closed_loop(
-        plant=cosim.StateSpace(_integrator()),
-        controller=load_scenario("cruise_control").controller,
-        control="u",
-        measured="y",
-        sensors=cosim.Sensors(count=2, std=1.0),
+    loop = integrator_loop(
         faults=[cosim.Freeze(sensor=0, start=1.0, name=f"freeze_{i}") for i in range(990)],
-        reference=1.0,
     )
     result = cosim.Result(np.zeros((1, 1)), {"a.y": (0, ())}, loop.step, parts=loop)
     assert pickle.loads(pickle.dumps(result)).roles is None
@@ -460,3 +436,16 @@ def _integrator():
     import control
 
     return control.ss([[1.0]], [[2e-4]], [[1.0]], 0, 0.02, inputs=["u"], outputs=["y"])
+
+
+def integrator_loop(**parts):
+    """A loop with two sensors and some faults."""
+    return cosim.closed_loop(
+        plant=cosim.StateSpace(_integrator()),
+        controller=load_scenario("cruise_control").controller,
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count=2, std=1.0),
+        reference=1.0,
+        **parts,
+    )
