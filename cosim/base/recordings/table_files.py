@@ -14,6 +14,7 @@ import numpy as np
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, form_of, lines_above
 from bayesftc.cosim.base.recordings.dates import ISO, are_dates, as_seconds
 from bayesftc.cosim.base.recordings.day_first import with_iso_dates
+from bayesftc.cosim.base.recordings.split_times import joined_times
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 
@@ -40,6 +41,9 @@ UNITS_OF_TIME = {name: unit for unit, names in _ALONE.items() for name in names}
 
 TIMES = ("t", "time", "timestamp", "times", "seconds", "millis", "milliseconds", "microseconds")
 """Names of a column of times, in any case, also with a unit (``t_ms``)."""
+
+_STAMP = "stamp"
+"""The word before the unit in a message's time of ROS (``header.stamp.sec``)."""
 
 EPOCH = 1.0e9, 4.1e9
 """Seconds since 1970 of the years 2001 to 2099: times of this size count from there, and others hardly are so large."""
@@ -86,10 +90,15 @@ def since_1970(seconds: Any) -> bool:
 
 
 def time_column(names: Iterable[str]) -> str | None:
-    """Return the first of these columns whose name is one of `TIMES`, alone or with a unit; None if there is none."""
+    """Return the first of these columns whose name is one of `TIMES`, alone or with a unit, or that of a ROS message's time.
+
+    None if there is none.
+    """
     for name in names:
         first, *unit = [word for word in re.split(r"[\W_]+", str(name).lower()) if word] or [""]
         if first in TIMES and (not unit or (len(unit) == 1 and unit[0] in UNITS_OF_TIME)):
+            return name
+        if unit[-1:] == ["sec"] and [first, *unit][-2] == _STAMP:
             return name
     return None
 
@@ -213,6 +222,7 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
 
     try:
         table = pd.read_parquet(path) if Path(path).suffix == ".parquet" else _read_csv(path)
+        table, _ = joined_times(table, list(table.columns))
         return _with_seconds(_with_iso_dates(table, path), path)
     except (OSError, ValueError, ImportError) as error:  # pandas without a package for Parquet raises the last
         message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")

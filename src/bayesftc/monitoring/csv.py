@@ -18,6 +18,7 @@ from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, CsvForm, cells_of, form_of
 from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_seconds, other_date
 from bayesftc.cosim.base.recordings.day_first import iso_of, with_iso_dates
+from bayesftc.cosim.base.recordings.split_times import joined_times
 from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds, since_1970
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
@@ -200,6 +201,8 @@ class Tables:
                 raise RecordingError(
                     f"{fspath(file)} is no CSV table with commas and a first row of names: {reason}."
                 ) from None
+            table, kept = joined_times(table, header)
+            table.columns, header = pd.RangeIndex(len(kept)), [header[i] for i in kept]
             if form.decimal != ".":  # pandas leaves decimal commas in a column with a text
                 for column in table.select_dtypes(exclude=["number", "bool"]).columns:
                     cells = list(table[column])
