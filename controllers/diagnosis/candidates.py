@@ -50,6 +50,9 @@ NOISES = (0.1, 1.0, 10.0, 100.0, 1000.0)
 LEVELS = tuple(np.linspace(0.1, 0.97, 24))
 """Quantiles of the control's size to try as limits in the coarse search."""
 
+EQUAL = 0.1
+"""Difference of two log-likelihood ratios, below the best one, that tells nothing: a tenth in probability."""
+
 Course = tuple[str, tuple[float, ...], "Floats"]
 """A kind, its values, and the assumed controls at the plant."""
 
@@ -72,8 +75,13 @@ def explanations(judge: Judge) -> list[Explanation]:
 
 
 def ranked(found: Iterable[Explanation]) -> list[Explanation]:
-    """Return explanations, the best first; of equal ones, such as a load and an offset of a speed, in the order given."""
-    return sorted(found, key=lambda x: -round(x.total, 6))
+    """Return explanations, the best first; of equal ones, such as a load and an offset of a speed, in the order given.
+
+    Those that nearly equal the best one count as equal to it: a control that hardly varies tells its sign no better than a load.
+    """
+    given = list(found)
+    most = max((x.total for x in given), default=0.0)
+    return sorted(given, key=lambda x: -round(most if x.total > most - EQUAL else x.total, 6))
 
 
 @lru_cache(maxsize=512)  # called again for each shorter part of a recording

@@ -249,28 +249,42 @@ class Result(Mapping[str, Floats]):
     def _explained(self, why: str = f" ({DIAGNOSE} says why)") -> list[str]:
         """Return the notes, with `why` after each that a diagnosis explains."""
         notes = ["stopped early"] if self.stopped else []
-        wrong = [f"model of {block} suspect from t = {time:g} s" for block, time in self._suspect.items()]
+        wrong = [f"model of {block} suspect from t = {self.time[k]:g} s" for block, k in self._suspect.items()]
         return [*notes, *(f"{text}{why}" for text in wrong or self._agreement["model"]), *self._agreement["start"]]
 
     def _sentences(self) -> list[str]:
         """Return the notes as sentences."""
         notes = ["The run stopped early."] if self.stopped else []
-        wrong = [f"The model of {block} is suspect from t = {time:g} s" for block, time in self._suspect.items()]
+        wrong = [
+            f"The model of {block} is suspect from t = {self.time[k]:g} s{self._or_sensors(block, k)}"
+            for block, k in self._suspect.items()
+        ]
         model, start = ([f"{text[0].upper()}{text[1:]}" for text in self._agreement[of]] for of in ("model", "start"))
         cause = f"Sensors may be blamed because of it. {DIAGNOSE} looks for the cause."
         return [*notes, *(f"{text}. {cause}" for text in wrong or model), *(f"{text}." for text in start)]
 
     @cached_property
-    def _suspect(self) -> dict[str, float]:
-        """The time from which on the sensors contradict the model, for each controller or estimator where they do."""
+    def _suspect(self) -> dict[str, int]:
+        """The row from which on the sensors contradict the model, for each controller or estimator where they do."""
         from bayesftc.cosim.judging.signals import ALARM
 
-        times = {}
+        rows = {}
         for name in self:
             block, _, port = name.rpartition(".")
             if port == "model_suspect" and (raised := self[name] >= ALARM).any():
-                times[block] = float(self.time[raised.argmax()])
-        return times
+                rows[block] = int(raised.argmax())
+        return rows
+
+    def _or_sensors(self, block: str, k: int) -> str:
+        """Return the other explanation of contradicting sensors: a few faulty ones leave the check too few healthy ones.
+
+        If all are blamed, the model is the simpler explanation.
+        """
+        from bayesftc.cosim.judging.signals import ALARM
+
+        probability = self.get(f"{block}.fault_probability", np.zeros((k + 1, 0)))[k]
+        several = 1 < np.count_nonzero(probability >= ALARM) < len(probability)
+        return ", unless several sensors failed at about that time" if several else ""
 
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:

@@ -16,9 +16,10 @@ that measure the same (one, if all do, else none), L modes of p actuators and G 
 At each sample every hypothesis is predicted; then offsets begin and end. Ended ones are first merged (the pool), and go from
 there to no offset, or to the offset that a further sensor has meanwhile. Three transitions come later. An offset that jumps joins
 earlier ones after its first sample. The end of a common offset remains a hypothesis for one sample, and the end of a process mode
-for a while (the one more). Beliefs with the same hypothesis are merged by moments, as in an interacting-multiple-model filter
-(Blom and Bar-Shalom 1988); only a vague state of the pool counts less in the hypothesis without a fault (`onsets.py`). Then each
-hypothesis is conditioned on the sensors one after the other, and gets the probability of their samples.
+for a while (the one more). Faults of actuators and the process also begin while a sensor has an offset, which then becomes one of
+its modes (`merges.make_gather`). Beliefs with the same hypothesis are merged by moments, as in an interacting-multiple-model
+filter (Blom and Bar-Shalom 1988); only a vague state of the pool counts less in the hypothesis without a fault (`onsets.py`).
+Then each hypothesis is conditioned on the sensors one after the other, and gets the probability of their samples.
 """
 
 from __future__ import annotations

@@ -32,11 +32,11 @@ class Layout:
     """The sizes and places of a bank.
 
     The memory begins as in the per-sensor form (all sensors, the number of samples, their log density). Then follow the
-    actuators, the hypotheses, the pool, the unmodelled courses, and scratch space. The hypotheses are: no fault; each kind of
-    offset on each sensor; each sensor on an unmodelled course; each group of sensors with the same offset, and its end; each mode
-    of each actuator; each of the process, and the end of such a mode. The settings are those of the per-sensor form, then those
-    of each mode of each actuator and of the process, then of each group, then the haste of young faults, the estimate's gain,
-    and with modes of the process the doubt of the start and the states at samples.
+    actuators, the hypotheses, the pool, the belief before onsets, the unmodelled courses, and scratch space. The hypotheses are:
+    no fault; each kind of offset on each sensor; each sensor on an unmodelled course; each group of sensors with the same offset,
+    and its end; each mode of each actuator; each of the process, and the end of such a mode. The settings are those of the
+    per-sensor form, then those of each mode of each actuator and of the process, then of each group, then the haste of young
+    faults, the estimate's gain, and with modes of the process the doubt of the start and the states at samples.
 
     An offset that jumps is a separate hypothesis for its first sample. Merged at once with earlier ones, which nothing has
     contradicted so far, it would hardly remain a jump.
@@ -150,6 +150,17 @@ class Layout:
     def begins_here(self) -> tuple[bool, ...]:
         """For each kind of offset, whether it begins as this kind, not as its first sample."""
         return tuple(self.fresh[q] or self.becomes.count(q) == 1 for q in range(len(self.kinds)))
+
+    @property
+    def joined(self) -> tuple[bool, ...]:
+        """For each kind of offset, whether an actuator or the process may fail beside it.
+
+        They may if the modes of the sensors in those hypotheses include the offset.
+        """
+        others = self.p * self.actuator_modes + self.process_modes > 0
+        return tuple(
+            others and not fresh and self.other[k] > 0 for fresh, k in zip(self.fresh, self.kinds, strict=True)
+        )
 
     @property
     def modes(self) -> int:
@@ -267,9 +278,14 @@ class Layout:
         return self.first + self.hypotheses * self.length
 
     @property
+    def before(self) -> int:
+        """Place of the belief before a fault of an actuator or the process; see `merges.make_gather`."""
+        return self.pool + self.length
+
+    @property
     def grow(self) -> int:
         """Place of the onsets' probabilities, followed by each hypothesis's density of the samples: logarithm and factor."""
-        return self.pool + self.length
+        return self.before + self.length
 
     @property
     def couples(self) -> int:
@@ -324,8 +340,10 @@ class Layout:
         actuator[[WORKS, LOAD, STEERS, PUSHES]] = 1.0, 0.0, 1.0, 0.0
         hypothesis = np.zeros(self.length)
         hypothesis[self.kept :] = sensors
-        hypotheses = np.tile(hypothesis, (self.hypotheses + 1, 1))  # the last one is the pool
-        hypotheses[:, PROBABILITY] = [1.0, *[LEAST] * self.hypotheses]
-        before = np.zeros(self.scratch - self.grow)
+        hypotheses = np.tile(
+            hypothesis, (self.hypotheses + 2, 1)
+        )  # the last ones are the pool, and the belief before onsets
+        hypotheses[:, PROBABILITY] = [1.0, *[LEAST] * (self.hypotheses + 1)]
+        between = np.zeros(self.scratch - self.grow)
         scratch = np.zeros(max(N * N, COURSE_SCRATCH, 2 * self.m))
-        return np.concatenate([np.tile(actuator, self.p), hypotheses.ravel(), before, scratch])
+        return np.concatenate([np.tile(actuator, self.p), hypotheses.ravel(), between, scratch])

@@ -14,8 +14,12 @@ from bayesftc.controllers.switching.bank.hypothesis import (
     blend_healthy,
 )
 from bayesftc.controllers.switching.bank.layout import Layout
-from bayesftc.controllers.switching.sensor_kernels import FIRST, HEALTHY, LEAST
+from bayesftc.controllers.switching.mode_kernels import AGE, ENTERED, OWN, SIZE, WEIGHT
+from bayesftc.controllers.switching.sensor_kernels import ENDS, FIRST, FIRST_SETTINGS, HEALTHY, LEAST
 from bayesftc.cosim.ops import maximum, minimum
+
+OLD = 0.3
+"""Age of an offset, in its mean durations, at which a sixteenth of its probability counts beside a new fault; later more does."""
 
 
 @cache
@@ -76,6 +80,99 @@ def make_become(layout: Layout) -> Callable[..., None]:
         memory[source] = LEAST + 0.0 * incoming
 
     return become
+
+
+@cache
+def make_describe(layout: Layout) -> Callable[..., None]:
+    """Return the step function that writes the offset of a hypothesis as mode ``k`` of its sensor ``i``, before the prediction.
+
+    The hypothesis itself does not use the modes of this sensor.
+    """
+    n, N, kept, sensor, width, other = (
+        layout.n, layout.n + 2, layout.kept, layout.sensor, layout.width, layout.other,
+    )  # fmt: skip
+
+    def describe(memory, at, i, k):
+        of_sensor, c, cc = at + kept + i * sensor, at + STATE + n, at + STATE + N + n * N + n
+        memory[of_sensor + HEALTHY] = LEAST + 0.0 * memory[at]
+        for mode in range(len(other)):
+            memory[of_sensor + FIRST + mode * width + WEIGHT] = LEAST + 0.0 * memory[at]
+        block = of_sensor + FIRST + k * width
+        memory[block + WEIGHT] = 1.0 + 0.0 * memory[at]
+        memory[block + AGE] = memory[at + OFFSET_AGE] + 1.0
+        memory[block + SIZE], memory[block + OWN] = memory[c], memory[c + 1]
+        memory[block + OWN + 1], memory[block + OWN + 2] = memory[cc], memory[cc + 1]
+        memory[block + OWN + 3] = memory[cc + N + 1]
+
+    return describe
+
+
+@cache
+def make_gather(layout: Layout) -> Callable[..., float]:
+    """Return the step function that writes the belief before a fault of an actuator or the process.
+
+    A sensor may have an offset already when that happens. The belief is therefore that of the hypotheses without a fault and with
+    an offset of one sensor together. The offset becomes a mode of its sensor, as in the hypotheses of the new fault. A young
+    offset counts little, because it may be what the new fault explains.
+    """
+    n, m, none, stride, kept, sensor = (
+        layout.n, layout.m, layout.first, layout.length, layout.kept, layout.sensor,
+    )  # fmt: skip
+    kinds, joined, before = layout.kinds or (0,), layout.joined or (False,), layout.before
+    row_length, width_of_settings = layout.row, layout.width_of_settings
+    K, blend_sensor = len(layout.kinds), make_blend_sensor(layout.width, layout.other)
+
+    def gather(memory, settings, begun):
+        """Return the probability of an offset that counts; the part ``begun`` of it leaves its hypothesis."""
+        for a in range(stride):
+            memory[before + a] = memory[none + a]
+        for i in range(m):
+            for q in range(K):
+                if joined[q]:
+                    at = none + (1 + i * K + q) * stride
+                    ends = settings[i * row_length + FIRST_SETTINGS + kinds[q] * width_of_settings + ENDS]
+                    old = memory[at + OFFSET_AGE] * ends / (memory[at + OFFSET_AGE] * ends + OLD)
+                    old = old * old
+                    share = memory[at] * old * old
+                    memory[at] = maximum(memory[at] - share * begun, LEAST)
+                    memory[before] = memory[before] + share
+                    part = share / memory[before]
+                    blend(memory, before, part, at, n, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+                    for j in range(m):
+                        of_sensor = kept + j * sensor
+                        blend_sensor(memory, before + of_sensor, part, at + of_sensor, 1.0)
+        return memory[before] - memory[none]
+
+    return gather
+
+
+@cache
+def make_receive_new(layout: Layout) -> Callable[..., None]:
+    """Return the step function that merges a fault of an actuator or the process that begins into its hypothesis.
+
+    Offsets of sensors that were there before do not begin with it.
+    """
+    m, K, kinds, joined, before = (
+        layout.m, len(layout.kinds), layout.kinds or (0,), layout.joined or (False,), layout.before,
+    )  # fmt: skip
+    kept, sensor, width, source = layout.kept, layout.sensor, layout.width, before if any(joined) else layout.first
+    receive = make_receive(layout)
+
+    def receive_new(memory, at, incoming, c, cc):
+        remaining = memory[at] / (memory[at] + incoming)
+        for i in range(m):
+            for q in range(K):
+                if joined[q]:
+                    block = at + kept + i * sensor + FIRST + kinds[q] * width
+                    memory[block + ENTERED] = remaining * memory[block + WEIGHT] * memory[block + ENTERED]
+        receive(memory, at, incoming, source, -1, 0.0, c, 0.0, cc, 0.0, 0.0)
+        for i in range(m):
+            for q in range(K):
+                if joined[q]:
+                    block = at + kept + i * sensor + FIRST + kinds[q] * width
+                    memory[block + ENTERED] = memory[block + ENTERED] / memory[block + WEIGHT]
+
+    return receive_new
 
 
 @cache

@@ -19,7 +19,7 @@ from bayesftc.controllers.switching.bank.layout import (
     VARIANCE,
     Layout,
 )  # fmt: skip
-from bayesftc.controllers.switching.bank.merges import make_receive, make_witnessed
+from bayesftc.controllers.switching.bank.merges import make_gather, make_receive, make_receive_new, make_witnessed
 from bayesftc.controllers.switching.mode_kernels import AGE, OWN, SIZE, WEIGHT, expected_jump
 from bayesftc.controllers.switching.sensor_kernels import (
     BEGINS,
@@ -87,6 +87,8 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
     groups, firsts = len(layout.groups), tuple(group[0] for group in layout.groups) or (0,)
     kick = layout.process_settings + layout.kick * PROCESS_SETTINGS
     of_actuators, of_process, receive = layout.actuator_settings, layout.process_settings, make_receive(layout)
+    gather, receive_new, joined = make_gather(layout), make_receive_new(layout), layout.joined or (False,)
+    any_joined = any(joined)
 
     def merge_offsets(e, nominal, memory, settings, stays, left):
         """Return the remaining probabilities of no fault and of the pool."""
@@ -135,7 +137,17 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
             receive(memory, at, incoming, none, -1, 0.0, 0.0, 0.0, settings[kick + MORE] * total, 0.0, 0.0)
         return stays
 
-    def merge_actuators(applied, memory, settings, stays):
+    def begun(memory, settings):
+        """Return the probability that an actuator or the process begins to fail."""
+        total = 0.0 * memory[none]
+        for j in range(p):
+            for q in range(L):
+                total = total + settings[of_actuators + (j * L + q) * ACTUATOR_SETTINGS + BEGIN]
+        for q in range(G):
+            total = total + settings[of_process + q * PROCESS_SETTINGS + STARTS]
+        return total
+
+    def merge_actuators(applied, memory, settings, stays, offsets):
         for j in range(p):
             for q in range(L):
                 at = none + (first_actuator + j * L + q) * stride
@@ -143,16 +155,18 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
                 incoming = memory[grow + first_actuator + j * L + q]
                 stays = stays - incoming
                 c = settings[mode_row + MEAN] + settings[mode_row + FOLLOWS] * applied[j]
-                receive(memory, at, incoming, none, -1, 0.0, c, 0.0, settings[mode_row + VARIANCE], 0.0, 0.0)
+                receive_new(
+                    memory, at, incoming + offsets * settings[mode_row + BEGIN], c, settings[mode_row + VARIANCE]
+                )
         return stays
 
-    def merge_process(sampled, C, Q, nominal, memory, settings, stays):
+    def merge_process(sampled, C, Q, nominal, memory, settings, stays, offsets):
         for q in range(G):
             at, mode_row = none + (process + q) * stride, of_process + q * PROCESS_SETTINGS
-            incoming = memory[grow + process + q]
-            stays = stays - incoming
+            stays = stays - memory[grow + process + q]
+            incoming = memory[grow + process + q] + offsets * settings[mode_row + STARTS]
             part = incoming / (memory[at] + incoming)
-            receive(memory, at, incoming, none, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            receive_new(memory, at, incoming, 0.0, 0.0)
             fades = part * sampled * settings[mode_row + FADES] * measurable(memory, at, n, C, nominal)
             inflate(memory, at, n, plant, part * settings[mode_row + MORE], fades, Q)
         return stays
@@ -179,10 +193,11 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
             blend_sensor(memory, none + kept + j * sensor, part, of_pool, scale)
 
     def merge_onsets(e, sampled, C, Q, nominal, applied, memory, settings):
+        offsets = gather(memory, settings, begun(memory, settings)) if any_joined else 0.0 * memory[none]
         stays, left = merge_offsets(e, nominal, memory, settings, memory[none], memory[pool])
         stays = merge_common(C, Q, memory, settings, merge_lost(memory, stays))
-        stays = merge_actuators(applied, memory, settings, stays)
-        stays = merge_process(sampled, C, Q, nominal, memory, settings, stays)
+        stays = merge_actuators(applied, memory, settings, stays, offsets)
+        stays = merge_process(sampled, C, Q, nominal, memory, settings, stays, offsets)
         merge_pool(C, nominal, memory, maximum(stays, LEAST), maximum(left, LEAST))
 
     return merge_onsets

@@ -36,7 +36,13 @@ from bayesftc.controllers.switching.bank.layout import (
     WORKS,
     Layout,
 )  # fmt: skip
-from bayesftc.controllers.switching.bank.merges import make_become, make_collect, make_receive, make_witnessed
+from bayesftc.controllers.switching.bank.merges import (
+    make_become,
+    make_collect,
+    make_describe,
+    make_receive,
+    make_witnessed,
+)
 from bayesftc.controllers.switching.bank.onsets import make_begin, make_merge_onsets
 from bayesftc.controllers.switching.bank.starts import make_settle
 from bayesftc.controllers.switching.mode_kernels import expected_jump
@@ -127,6 +133,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
     row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     witnessed, collect, become = make_witnessed(layout), make_collect(layout), make_become(layout)
+    describe, joined = make_describe(layout), layout.joined or (False,)
 
     def move_offsets(e, C, nominal, moving, memory, settings):
         for i in range(m):
@@ -142,6 +149,8 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
                     held(e[i], nominal[i, i]), settings[mode_row], settings[mode_row + 3], nominal[i, i]
                 )
                 slope, walk = settings[mode_row + 1] * nominal[i, i], settings[mode_row + 2] * nominal[i, i]
+                if joined[q]:
+                    describe(memory, at, i, kinds[q])
                 move(memory, at, n, 1, 1, Onset(0.0, jump + slope, slope, slope, walk), moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 ends = settings[row + ENDS]

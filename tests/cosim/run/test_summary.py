@@ -190,3 +190,27 @@ def test_an_alarm_of_a_single_step_is_a_finding_with_any_hold():
     assert (run["controller.fault_probability"] > 0.5).all()
     for hold in (None, 0.0, float("inf")):
         assert run.findings(hold=hold)["where"].tolist() == ["sensor 0", "sensor 1"]
+
+
+def test_sensors_that_fail_together_are_named_as_another_explanation_of_a_suspect_model():
+    """Three of four sensors have failed, and the model is right."""
+    car = load_scenario("cruise_control")
+    faults = [
+        cosim.Bias(sensor=0, start=4.0, magnitude=8.0), cosim.Drift(sensor=1, start=4.0, slope=3.0),
+        cosim.Bias(sensor=2, start=8.0, stop=10.0, magnitude=8.0),
+    ]  # fmt: skip
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]] * 4, 1e-3, 1.0, dt=0.02)
+    controller = controllers.BayesianController(model, initial_mean=20.0, u_min=-4000.0, u_max=4000.0)
+    loop = cosim.closed_loop(
+        car.plant,
+        controller,
+        control="force",
+        measured="v",
+        sensors=cosim.Sensors(4, 1.0),
+        faults=faults,
+        reference=20.0,
+    )
+    text = repr(loop.simulate(12.0, seed=1).summary())
+    assert text.startswith(
+        "The model of controller is suspect from t = 8.04 s, unless several sensors failed at about that time."
+    )
