@@ -104,8 +104,8 @@ def design(
         model would leave.
 
         `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`. A `LinearModel`
-        contains them: leave them out with one. Only the default of `noise` differs: here it is 5 % of half the range between a
-        control's limits, or without limits of `acceptable_control`, where one of them is given.
+        contains all but the last: leave them out with one. Only the default of `noise` differs: here it is 5 % of half the range
+        between a control's limits, or without limits of `acceptable_control`, where one of them is given.
     acceptable_error : number or vector
         For Bryson's rule: the largest acceptable error of each goal output, in its unit.
     acceptable_control : number or vector, optional
@@ -166,12 +166,14 @@ def design(
     if isinstance(plant, LinearModel):
         determined: dict[str, object] = {
             "measured": measured, "actuated": actuated, "dt": dt, "at": at, "order": order, "sensors": sensors, "noise": noise,
-            "disturbance": disturbance,
         }  # fmt: skip
         for name, value in determined.items():
             if value is not None:
                 raise ModelError(f"A LinearModel already determines {name}; leave {name}= out.")
         model, H, mean = plant, _goal_rows(plant, goal), np.zeros(plant.states - plant.disturbances)
+        if disturbance is not None and disturbance is not False:
+            model = plant.with_disturbance(disturbance)
+            H = np.insert(H, [len(mean)] * (model.states - plant.states), 0.0, axis=1)
     else:
         check_plant(plant)
         check_by_name(noise=noise, at=at)

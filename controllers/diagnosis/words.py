@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.controllers.models.disturbances import has_loads
 from bayesftc.cosim.judging.signals import ALARM
 
 if TYPE_CHECKING:
@@ -171,8 +172,7 @@ def _change(values: Sequence[float], model: LinearModel, units: Sequence[str | N
 
 def _estimate(load: str, model: LinearModel) -> str:
     """Return how the controller is to estimate a load, which depends on whether its model already has a disturbance."""
-    first = model.states - model.disturbances
-    if np.any(model.matrix("A")[:first, first : model.states - model.constant]):  # errors of sensors move no state
+    if has_loads(model):
         return f"make the disturbance of the model larger ({_DISTURBANCE}), so that its estimate follows {load} sooner"
     return f"estimate {load} ({_DISTURBANCE})"
 

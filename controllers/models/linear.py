@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from bayesftc.controllers.models.checks import ROWS, Matrix, as_covariance, as_matrix, as_numbers, as_vector, frozen
 from bayesftc.controllers.models.delays import Delays, with_delays
-from bayesftc.controllers.models.sensor_errors import with_sensor_errors
+from bayesftc.controllers.models.disturbances import with_loads, with_sensor_errors
 from bayesftc.cosim.base.arguments import NamedArguments
 from bayesftc.cosim.base.html import Printed, settings
 from bayesftc.cosim.base.numbers import counted
@@ -282,11 +282,12 @@ class LinearModel(Printed, NamedArguments):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of all states: those of the plant, else ``x[0]``, ..; of past signals (``u[-1]``); of disturbances."""
+        """Names of all states: of the plant, else ``x[0]``, ..; of past signals (``u[-1]``); disturbances; ``constant``."""
         plant = tuple(f"x[{i}]" for i in range(self.plant_states))
         past = () if self.delays is None else self.delays.labels
-        disturbances = tuple(f"disturbance[{i}]" for i in range(self.disturbances))
-        return (*((*plant, *past) if self.names is None else self.names.states), *disturbances)
+        disturbances = tuple(f"disturbance[{i}]" for i in range(self.disturbances - self.constant))
+        last = ("constant",) * self.constant
+        return (*((*plant, *past) if self.names is None else self.names.states), *disturbances, *last)
 
     @property
     def moving(self) -> LinearModel:
@@ -595,25 +596,15 @@ class LinearModel(Printed, NamedArguments):
         flat control prior, a constant load then leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003). A proper
         control prior moves the control towards the prior mean, which leaves a steady error.
 
+        The disturbances follow the plant's states and its past signals, whatever other changes the model has or gets:
+        `with_disturbance`, `with_sensor_errors`, `with_delays` and `about` may be applied in any order.
+
         Parameters
         ----------
         covariance : number, vector or matrix
             Covariance of the walk per step (p x p), in units of the control.
         """
-        if self.disturbances:
-            raise ModelError(
-                "The model already has a disturbance; apply with_disturbance() once, and before with_sensor_errors()."
-            )
-        if self.delays is not None:
-            raise ModelError("The model has delays; apply with_disturbance() before with_delays().")
-        n, p = self.states, self.controls
-        A = np.block([[self.matrix("A"), self.matrix("B")], [np.zeros((p, n)), np.eye(p)]])
-        B = np.vstack([self.matrix("B"), np.zeros((p, p))])
-        C = np.hstack([self.matrix("C"), np.zeros((self.sensors, p))])
-        Q = np.zeros((n + p, n + p))
-        Q[:n, :n] = self.matrix("process_covariance")
-        Q[n:, n:] = as_covariance("The disturbance's covariance", covariance, p)
-        return replace(self, A=A, B=B, C=C, process_covariance=Q, disturbances=p)
+        return with_loads(self, covariance)
 
     def with_sensor_errors(
         self,
@@ -651,11 +642,11 @@ class LinearModel(Printed, NamedArguments):
         precision learners, `LQGController`, `StateEstimator` and exports need no further setting.
 
         The plant's states stay the first ones of ``x_hat``. Past signals follow (`state_names`: ``u[-1]`` is the control of the
-        sample before), then disturbances. Past signals have no process noise and no goals. Matrices over the states, initial
-        means and initial covariances may leave them out. Past controls then count as known: 0, or the control at the operating
-        point of `about`. Past readings count as equal to the present ones, and as uncertain.
+        sample before), then disturbances and the constant of `about`. Past signals have no process noise and no goals. Matrices
+        over the states, initial means and initial covariances may leave them out. Past controls then count as known: 0, or the
+        control at the operating point of `about`. Past readings count as equal to the present ones, and as uncertain.
 
-        Apply it last: after `with_disturbance` and `about`. Estimated disturbances of the controls act without delay.
+        Estimated disturbances of the controls act without delay.
 
         Parameters
         ----------
@@ -682,8 +673,6 @@ class LinearModel(Printed, NamedArguments):
     def about(self, x: ArrayLike, u: ArrayLike, y: ArrayLike, *, following: ArrayLike | None = None) -> LinearModel:
         """Return this model of deviations from an operating point as a model of values; its last state is the constant 1.
 
-        Apply it last, but before `with_delays`, because all other states stand before the constant.
-
         Parameters
         ----------
         x, u, y : vector
@@ -693,8 +682,9 @@ class LinearModel(Printed, NamedArguments):
         """
         if self.constant:
             raise ModelError("The model is already one of values; apply about() once.")
-        if self.delays is not None:
-            raise ModelError("The model has delays; apply about() before with_delays().")
+        if self.delays is not None:  # past controls count as those of the operating point
+            plain = self.undelayed.about(x, u, y, following=following)
+            return plain.with_delays(self.delays.inputs, self.delays.sensors)
         n, plant = self.states, self.states - self.disturbances
         A, B, C = (self.matrix(name) for name in "ABC")
         x, u, y = (

@@ -171,7 +171,10 @@ def test_a_sensors_own_error_is_no_quantity_of_the_plant():
         (lambda: CAR.with_sensor_errors(1.0, 1.0, sensors=()), "at least one"),
         (lambda: CAR.with_sensor_errors(1.0, 1.0, sensors=(2,)), "sensor=2"),
         (lambda: CAR.with_sensor_errors(1.0, (1.0, 2.0), common=True), "one time_constant"),
-        (lambda: CAR.with_sensor_errors(1.0, 1.0).with_disturbance(), "before with_sensor_errors"),
+        (
+            lambda: CAR.with_disturbance().with_sensor_errors(1.0, 1.0).with_disturbance(),
+            "already estimates a disturbance",
+        ),
     ],
 )
 def test_bad_settings(make, words):

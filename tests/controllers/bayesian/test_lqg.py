@@ -367,13 +367,10 @@ def test_a_mode_that_is_gone_within_a_sample_does_not_hide_another(dt):
 
 def test_constants_come_last():
     model = servo().about([0, 0, 0], [1.0], [0, 0])
-    for again in (
-        lambda: model.about([0, 0, 0], [1], [0, 0]),
-        lambda: model.with_sensor_errors(1.0, 1.0),
-        model.with_disturbance,
-    ):
-        with pytest.raises(ModelError):
-            again()
+    with pytest.raises(ModelError, match="model is already one of values"):
+        model.about([0, 0, 0], [1], [0, 0])
+    for more in (model.with_sensor_errors(1.0, 1.0), model.with_disturbance()):
+        assert more.state_names[-1] == "constant"
     with pytest.raises(ModelError, match="last state is not constant"):
         LinearModel(np.eye(2), [[0], [1]], np.eye(2), 1e-4, 1e-4, dt=0.1, disturbances=1, constant=True)
     with pytest.raises(ModelError, match="into f and g"):

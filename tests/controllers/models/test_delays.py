@@ -203,7 +203,7 @@ def test_a_sensor_fails_and_the_right_model_is_not_blamed(sensor):
 
 def test_disturbance_constant_and_delays_together():
     model = position().with_disturbance(1e-4).about([0.5, 0.0], 0.0, [0.5, 0.5]).with_delays(2, (0, 1))
-    assert model.state_names == ("x[0]", "x[1]", "u[-1]", "u[-2]", "y1[-1]", "disturbance[0]", "disturbance[1]")
+    assert model.state_names == ("x[0]", "x[1]", "u[-1]", "u[-2]", "y1[-1]", "disturbance[0]", "constant")
     controller = LQGController(model, FixedPrecision(), goal_covariance=0.01, initial_mean=[0.5, 0.1])
     np.testing.assert_array_equal(controller.initial_mean, [0.5, 0.1, 0.0, 0.0, 0.5, 0.0, 1.0])
     assert np.abs(controller.closed_loop_poles()).max() < 1.0 - 1e-6
@@ -359,11 +359,12 @@ def test_a_wrong_delay_of_a_design_has_the_name_of_the_argument():
         controllers.design(plant, measured="x", actuated="u", acceptable_error=0.1, sensor_delays=0.1)
 
 
-def test_wrong_orders_of_changes_are_refused():
+def test_changes_that_delays_exclude_are_refused():
     late = cart().with_delays(1)
-    for change in (lambda: late.with_delays(1), late.with_disturbance, lambda: late.about([0, 0], 0, [0, 0, 0])):
-        with pytest.raises(ModelError, match="delays"):
-            change()
+    with pytest.raises(ModelError, match="already has delays"):
+        late.with_delays(1)
+    for more in (late.with_disturbance(), late.about([0, 0], 0, [0, 0, 0])):  # see test_disturbances.py
+        assert more.delays.inputs == (1,)
     with pytest.raises(ModelError, match=r"which a late control does not reach .* Use LQGController"):
         BayesianController(late, control_covariance=1.0)
     with pytest.raises(ModelError, match="The model has delays"):

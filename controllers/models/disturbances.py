@@ -1,0 +1,92 @@
+"""Loads on the controls, and errors of sensors that are correlated in time: additional states, estimated with the plant's.
+
+All states have one order: plant, past signals, loads, errors of sensors, the constant. The order in which a user applies these
+methods therefore does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number, as_vector
+from bayesftc.cosim.elementary import exponential
+from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.cosim.types import Floats
+
+
+def with_loads(model: LinearModel, covariance: Matrix) -> LinearModel:
+    """Return the model with an unknown load on each control; see `LinearModel.with_disturbance`."""
+    if has_loads(model):
+        raise ModelError(
+            "The model already estimates a disturbance of its controls. Apply with_disturbance() once, to the model without one."
+        )
+    p, m = model.controls, model.sensors
+    walk = as_covariance("The disturbance's covariance", covariance, p)
+    first = model.states - model.disturbances
+    return _with_states(model, first, np.eye(p), model.effects, np.zeros((m, p)), walk)
+
+
+def has_loads(model: LinearModel) -> bool:
+    """Return whether some disturbances move the plant: loads do, errors of sensors and the constant do not count."""
+    first = model.states - model.disturbances
+    return bool(np.any(model.matrix("A")[:first, first : model.states - model.constant]))
+
+
+def with_sensor_errors(
+    model: LinearModel,
+    std: float | Sequence[float],
+    time_constant: float | Sequence[float],
+    sensors: Sequence[int] | None,
+    common: bool,
+) -> LinearModel:
+    """Return the model with the errors as further states; see `LinearModel.with_sensor_errors`."""
+    chosen = _chosen(model, sensors)
+    deviations = as_vector("The sensor errors' std", std, len(chosen))
+    if common and np.ndim(time_constant):
+        raise ModelError(f"time_constant is {time_constant!r}; a common error has one time_constant, a number.")
+    times = as_vector("The sensor errors' time_constant", time_constant, len(chosen))
+    for name, values in (("std", deviations), ("time_constant", times)):
+        for value in values:
+            as_number(f"A sensor error has {name}", float(value), above=0)
+    reads = np.zeros((model.sensors, len(chosen)))
+    reads[chosen, range(len(chosen))] = 1.0
+    if common:
+        reads = reads @ (deviations / deviations[0])[:, None]
+        deviations, times = deviations[:1], times[:1]
+    decay = np.array([exponential(-float(model.step) / time) for time in times])
+    last = model.states - model.constant
+    loose = np.zeros((model.states, len(decay)))
+    return _with_states(model, last, np.diag(decay), loose, reads, np.diag(deviations**2 * (1 - decay**2)))
+
+
+def _chosen(model: LinearModel, sensors: Sequence[int] | None) -> list[int]:
+    chosen = list(range(model.sensors)) if sensors is None else list(sensors)
+    for sensor in chosen:
+        as_number("A sensor error has sensor", sensor, least=0, below=model.sensors, whole=True)
+    if not chosen or len(set(chosen)) < len(chosen):
+        raise ModelError(f"Sensor errors have sensors={sensors!r}; name each sensor once, at least one.")
+    return chosen
+
+
+def _with_states(model: LinearModel, at: int, A: Floats, effect: Floats, reads: Floats, Q: Floats) -> LinearModel:
+    """Return the model with k further disturbances before state `at`: their transition, effect on the states, reading, noise."""
+    n, k = model.states, len(A)
+    given, new = [*range(at), *range(at + k, n + k)], range(at, at + k)
+    whole_A, whole_Q = np.zeros((n + k, n + k)), np.zeros((n + k, n + k))
+    whole_A[np.ix_(given, given)], whole_A[np.ix_(given, new)], whole_A[np.ix_(new, new)] = model.matrix("A"), effect, A
+    whole_Q[np.ix_(given, given)], whole_Q[np.ix_(new, new)] = model.matrix("process_covariance"), Q
+    return replace(
+        model,
+        A=whole_A,
+        B=np.insert(model.matrix("B"), [at] * k, 0.0, axis=0),
+        C=np.insert(model.matrix("C"), [at] * k, reads, axis=1),
+        process_covariance=whole_Q,
+        disturbances=model.disturbances + k,
+    )
