@@ -82,7 +82,8 @@ def design(
     goal : str or sequence of str
         Names of the plant's outputs that have a goal, measured or not; by default the measured ones. The name of a vector stands
         for all its elements, ``"y[1]"`` for one; this holds for `measured` and `actuated` as well. For a `LinearModel`: numbers
-        of sensors, or a matrix as in `LQGController`; by default each distinct output.
+        of sensors, or a matrix as in `LQGController`; by default each distinct output. For an `Identification` also columns, or
+        the quantities that it was given.
     measured, actuated : str or sequence of str
         Names of the outputs that sensors measure, and of the inputs that the controller drives. By default all outputs, and all
         inputs without `noise`, of a system of python-control; of an FMU if there is only one. Not for a `LinearModel` or an
@@ -292,6 +293,7 @@ def _ports(
 
 
 def _named(plant: Identification, name: str) -> list[int]:
+    name = plant.quantities.get(name, (name,))[0]  # its sensors measure the same
     matches = elements_of(name, plant.outputs)
     if not matches:
         raise UnknownNameError(f"The identified model has no output {name!r}; {did_you_mean(name, plant.outputs)}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ import numpy as np
 from bayesftc.controllers.identification.excitation import moved_by_outputs, order_of_excitation
 from bayesftc.controllers.identification.gaps import identify_with_gaps
 from bayesftc.controllers.identification.independent_noise import independent_noise
+from bayesftc.controllers.identification.same_quantity import quantities_of, similar
 from bayesftc.controllers.identification.subspace import PASTS, identify_innovations, samples_needed
 from bayesftc.controllers.models.checks import as_number
 from bayesftc.controllers.models.delays import whole_delays
@@ -64,6 +65,8 @@ class Identification:
         Deficiencies of the model, as sentences; empty if there are none.
     time, measured, predicted, simulated, residuals : ndarray
         Held-out data in seconds and in the outputs' units.
+    quantities : mapping of str to tuple of str
+        The columns of each quantity that several outputs measure, as given to `identify`.
 
     Examples
     --------
@@ -93,12 +96,14 @@ class Identification:
     predicted: Floats = field(repr=False)
     simulated: Floats = field(repr=False)
     residuals: Floats = field(repr=False)
+    quantities: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def describe(self) -> str:
         """Return a description of the model and its quality as text."""
         order = self.model.plant_states
         poles = np.linalg.eigvals(self.model.matrix("A")[:order, :order])
         lines = [f"Order {order}, poles {', '.join(f'{p:.4g}' for p in poles)}."]
+        lines += [f"Sensors of {name}: {', '.join(columns)}." for name, columns in self.quantities.items()]
         for i, name in enumerate(self.outputs):
             simulated = "no simulation, because the model is unstable"
             if np.isfinite(self.simulated_fit[i]):
@@ -107,7 +112,8 @@ class Identification:
                 f"{name}: {self.fit[i]:.1f} % explained one sample ahead, {simulated}; residuals white with probability "
                 f"{self.whiteness[i]:.2g}."
             )
-        return Lines("\n".join([*lines, *self.poor]))
+        alike = similar(self.model, self.outputs)
+        return Lines("\n".join([*lines, *self.poor, *[alike] * bool(alike)]))
 
     def plot(self) -> Figure:
         """Return a figure: held-out data, predictions and residuals of each output, and the choice of the order."""
@@ -121,7 +127,7 @@ def identify(
     data: Any,
     *,
     inputs: str | Sequence[str],
-    outputs: str | Sequence[str],
+    outputs: str | Sequence[str] | Mapping[str, str | Sequence[str]],
     order: int | None,
     dt: float | str | Fraction | None,
     time: str | None,
@@ -132,7 +138,8 @@ def identify(
 ) -> Identification:
     """Identify the model of a recording; see `LinearModel.identify`."""
     table = read_table(data, "identify()")
-    names_in, names_out = named_columns(table, inputs, "input"), named_columns(table, outputs, "output")
+    names_in, quantities = named_columns(table, inputs, "input"), quantities_of(table, outputs)
+    names_out = quantities.columns
     found = time or find_times(table, (*names_in, *names_out))
     step = sample_time(table, found, dt)
     u, y = (table[names].to_numpy(dtype=np.float64) for names in (names_in, names_out))
@@ -146,13 +153,24 @@ def identify(
     split = round(len(y) * (1 - share))
     centre = [_centre(rows[:split], names) for rows, names in ((u, names_in), (y, names_out))]
     (u_mean, u_size), (y_mean, y_size) = centre
-    longest = _enough(y, len(names_in), split, share, order, past, names_out)
-    v, z = (u[:split] - u_mean) / u_size, (y[:split] - y_mean) / y_size
+    if quantities.shared:
+        _refuse_alike((y[:split] - y_mean) / y_size, names_out)
+    noise = quantities.noise(y[:split])
+    weights, of = quantities.weights(noise), quantities.of
+    read, fused = quantities.fused(y, weights), quantities.fused_noise(y[:split], noise)
+    longest = _enough(read, len(names_in), split, share, order, past, quantities.names)
+    _refuse_few(y, split, names_out)
+    v = (u[:split] - u_mean) / u_size
     _refuse_alike(v, names_in)
-    _refuse_alike(z, names_out)
+    y_mean, y_size = _centre(read[:split], quantities.names)
+    z = (read[:split] - y_mean) / y_size
+    _refuse_alike(z, quantities.names)
     if _whole(v, z, past) >= GAPS:
         identified = identify_innovations(v, z, order, past, longest)
         C, K, S = y_size[:, None] * identified.C, identified.K / y_size, identified.S * np.outer(y_size, y_size)
+        if quantities.shared:
+            K, S = quantities.innovations(K, S, noise, fused)
+            C = C[of]
         Q, R = independent_noise(identified.A, C, K, S)
         A, B, drift, offset, past, correlations = (
             identified.A,
@@ -163,21 +181,25 @@ def identify(
             identified.correlations,
         )
         yardstick = np.sqrt(np.diag(identified.yardstick)) * y_size
+        if quantities.shared:
+            yardstick = np.sqrt(np.maximum(yardstick[of] ** 2 + noise - fused[of], 0.0))
     else:
         _refuse_gaps(u[:split], names_in)
         noisy, correlations, past = identify_with_gaps(v, z, order, past, longest)
-        A, B, drift, offset, C = noisy.A, noisy.B, noisy.drift, noisy.offset, y_size[:, None] * noisy.C
-        Q, R = noisy.Q, np.diag(noisy.R * y_size**2)
+        A, B, drift, offset, C = noisy.A, noisy.B, noisy.drift, noisy.offset, (y_size[:, None] * noisy.C)[of]
+        Q, R = noisy.Q, np.diag(np.where(quantities.alone, (noisy.R * y_size**2)[of], noise))
         yardstick = np.full(len(names_out), np.inf)
     names = SignalNames(tuple(names_in), tuple(names_out), tuple(f"x[{i}]" for i in range(len(A))))
     moving = LinearModel(A, B / u_size, C, (Q + Q.T) / 2, R, step, names=names)
-    model = moving.about(np.zeros(moving.states), u_mean, y_mean + y_size * offset, following=drift)
+    model = moving.about(np.zeros(moving.states), u_mean, (y_mean + y_size * offset)[of], following=drift)
     doubts = _doubts(v, z, (u[split:] - u_mean) / u_size, len(A), past, names_in)
+    doubts += quantities.deviations(y[:split], weights, noise)
     identification = _validated(
         model, u[split:], y[split:], split, 2 * past, yardstick,
         inputs=tuple(names_in), outputs=tuple(names_out), correlations=correlations, doubts=doubts,
     )  # fmt: skip
-    return replace(identification, model=model.with_delays(input_delays, sensor_delays))
+    model = model.with_delays(input_delays, sensor_delays)
+    return replace(identification, model=model, quantities=quantities.shared)
 
 
 def _undelayed(u: Floats, y: Floats, late: Sequence[int], old: Sequence[int]) -> tuple[Floats, Floats]:
@@ -215,6 +237,10 @@ def _enough(
             f"The recording has {len(y)} samples. {request} need at least {needed}: {learn} for learning, and {held} for tests "
             f"in the last {100 * share:.3g} % of them. Record more{other}."
         )
+    return (len(y) - split - 5 * LAGS) // 2
+
+
+def _refuse_few(y: Floats, split: int, names: Sequence[str]) -> None:
     for name, first, last in zip(
         names, np.isfinite(y[:split]).sum(axis=0), np.isfinite(y[split:]).sum(axis=0), strict=True
     ):
@@ -223,7 +249,6 @@ def _enough(
                 f"The column {name!r} has {first} samples in the part of the recording for learning and {last} samples in the "
                 f"held-out part. Both need {FEW}; record more, or leave the column out."
             )
-    return (len(y) - split - 5 * LAGS) // 2
 
 
 def _whole(u: Floats, y: Floats, past: int | None) -> float:

@@ -505,7 +505,7 @@ class LinearModel(Printed, NamedArguments):
         data: Any,
         *,
         inputs: str | Sequence[str],
-        outputs: str | Sequence[str],
+        outputs: str | Sequence[str] | Mapping[str, str | Sequence[str]],
         order: int | None = None,
         dt: float | str | Fraction | None = None,
         time: str | None = None,
@@ -536,8 +536,12 @@ class LinearModel(Printed, NamedArguments):
         data : Result, path of a CSV file, or pandas.DataFrame
             The recording in evenly spaced rows. An input holds from its row to the next. Empty cells are missing samples; a
             slower sensor has a value in every fifth row, for example.
-        inputs, outputs : str or sequence of str
-            Columns of the controls and of the sensors. The name of a vector signal stands for all its elements.
+        inputs : str or sequence of str
+            Columns of the controls. The name of a vector signal stands for all its elements.
+        outputs : str, sequence of str, or mapping of quantity to these
+            Columns of the sensors, each of a quantity of its own. Redundant sensors have the name of what they measure:
+            ``outputs={"oxygen": ["pO2_A", "pO2_B", "pO2_C"], "temperature": "T"}`` are three sensors of one quantity, and one of
+            another.
         order : int, optional
             Number of states; by default from the singular values (Bauer's criterion).
         dt : float, str or Fraction, optional

@@ -3,7 +3,7 @@ A linear model from a recording
 ===============================
 
 Without an FMU, a linear model is identified from recorded inputs and outputs. Here a servo is excited by noise. The figure
-shows how well the model predicts the samples that were not used for the fit.
+shows how well the model predicts the samples that were not used for the fit. Both sensors measure the speed.
 """
 
 from matplotlib import pyplot as plt
@@ -18,7 +18,7 @@ diagram.connect(voltage["y"], servo["voltage"])
 diagram.connect(servo["speed"], sensors["u"])
 recording = diagram.simulate(60.0, seed=3)  # or the path of a CSV file, or a table of pandas
 
-found = controllers.LinearModel.identify(recording, inputs="voltage.y", outputs="sensors.y")
+found = controllers.LinearModel.identify(recording, inputs="voltage.y", outputs={"speed": "sensors.y"})
 print(found.describe())
 found.plot()
 plt.show()

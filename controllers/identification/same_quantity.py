@@ -1,0 +1,196 @@
+"""Outputs of a recording that measure one quantity: their common reading is identified, and each keeps its own noise.
+
+The common reading is the mean of the present sensors, weighted by their precisions. Of sensors with white noise it contains all
+that they say about the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.run.tables import named_columns
+from bayesftc.cosim.statistics._whiteness import FEW
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from bayesftc.controllers.models.linear import LinearModel
+
+LEAST = 1e-3
+"""Smallest variance of a sensor's noise, as a share of the largest one of its quantity; estimates of less are chance."""
+
+APART = 0.5
+"""Difference between the mean readings of sensors of one quantity, in standard deviations of their noise, that is reported."""
+
+
+@dataclass(frozen=True, eq=False)
+class Quantities:
+    """Which columns measure which quantity.
+
+    Attributes
+    ----------
+    columns : list of str
+        All columns of outputs.
+    names : list of str
+        The quantities; a column without others of its kind is a quantity of its name.
+    of : ndarray of int
+        The number of the quantity of each column.
+    """
+
+    columns: list[str]
+    names: list[str]
+    of: np.ndarray[tuple[int], np.dtype[np.int64]]
+
+    @property
+    def shared(self) -> dict[str, tuple[str, ...]]:
+        """The columns of each quantity that several of them measure."""
+        return {self.names[self.of[places[0]]]: tuple(self.columns[i] for i in places) for places in self._groups()}
+
+    @property
+    def alone(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Whether each column is the only one of its quantity."""
+        return np.asarray(np.bincount(self.of)[self.of] == 1)
+
+    def noise(self, y: Floats) -> Floats:
+        """Return the variance of each sensor's noise from its differences to the others of its quantity; 1 without others."""
+        variances = np.ones(len(self.columns))
+        for places in self._groups():
+            variances[places] = _noise(y[:, places], [self.columns[i] for i in places])
+        return variances
+
+    def weights(self, noise: Floats) -> Floats:
+        """Return the weights of the sensors in the common reading of each quantity (quantities x sensors)."""
+        weights = np.equal.outer(np.arange(len(self.names)), self.of) / noise
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+    def fused(self, y: Floats, weights: Floats) -> Floats:
+        """Return the common reading of each quantity, from the sensors that have a sample; NaN if none has one."""
+        if not self.shared:
+            return y
+        present = np.isfinite(y)
+        total = present @ weights.T
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.where(present, y, 0.0) @ weights.T / np.where(total > 0, total, np.nan))
+
+    def fused_noise(self, y: Floats, noise: Floats) -> Floats:
+        """Return the mean variance of the noise of each common reading, which grows while sensors have no sample."""
+        precisions = np.isfinite(y) @ (np.equal.outer(self.of, np.arange(len(self.names))) / noise[:, None])
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.nanmean(np.where(precisions > 0, 1.0 / precisions, np.nan), axis=0))
+
+    def innovations(self, K: Floats, S: Floats, noise: Floats, fused: Floats) -> tuple[Floats, Floats]:
+        """Return gain and covariance of the innovations of all sensors from those of the common readings, `K` and `S`.
+
+        A sensor's innovation is that of the quantity without the noise of its common reading (`fused`), and its own noise.
+        """
+        alone = np.bincount(self.of) == 1  # then all of the innovation counts as that of the quantity
+        values, vectors = np.linalg.eigh(S - np.diag(np.where(alone, 0.0, fused)))
+        common = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        whole = common[np.ix_(self.of, self.of)] + np.diag(np.where(self.alone, 0.0, noise))
+        return np.asarray(np.linalg.solve(whole, (K @ S)[:, self.of].T).T), whole
+
+    def deviations(self, y: Floats, weights: Floats, noise: Floats) -> list[str]:
+        """Return sentences about sensors whose mean reading is not that of their quantity."""
+        off = y - self.fused(y, weights)[:, self.of]
+        shared = [i for places in self._groups() for i in places]
+        found = [(i, float(np.nanmean(off[:, i]))) for i in shared]
+        return [
+            f"{self.columns[i]}: reads {abs(mean):.3g} {'more' if mean > 0 else 'less'} than the mean of the sensors of "
+            f"{self.names[self.of[i]]}. Subtract that from the column, or name it as another quantity."
+            for i, mean in found
+            if abs(mean) > APART * noise[i] ** 0.5
+        ]
+
+    def _groups(self) -> list[list[int]]:
+        every = (np.flatnonzero(self.of == q).tolist() for q in range(len(self.names)))
+        return [places for places in every if len(places) > 1]
+
+
+def quantities_of(table: pd.DataFrame, outputs: str | Sequence[str] | Mapping[str, str | Sequence[str]]) -> Quantities:
+    """Return the columns of outputs, with the quantities that a mapping names.
+
+    Raises
+    ------
+    ModelError
+        If a column is given twice.
+    """
+    if not isinstance(outputs, Mapping):
+        columns = named_columns(table, outputs, "output")
+        return Quantities(columns, columns, np.arange(len(columns)))
+    if not outputs:
+        raise ModelError("outputs={}; give at least one quantity with its columns.")
+    members = [named_columns(table, columns, "output") for columns in outputs.values()]
+    columns = [column for columns in members for column in columns]
+    twice = [column for column in dict.fromkeys(columns) if columns.count(column) > 1]
+    if twice:
+        raise ModelError(f"The outputs name the column {twice[0]!r} twice; give each column once.")
+    return Quantities(
+        columns, list(map(str, outputs)), np.repeat(np.arange(len(members)), [len(each) for each in members])
+    )
+
+
+def similar(model: LinearModel, columns: Sequence[str]) -> str:
+    """Return a sentence about outputs that move so alike that they may measure one quantity; empty if there are none."""
+    n, C, R = model.plant_states, model.undelayed.matrix("C"), np.diag(model.matrix("sensor_covariance"))
+    groups: list[list[int]] = []
+    for i in range(len(columns)):
+        group = next((group for group in groups if _similar(C[group[0]], C[i], n, R[group[0]] + R[i])), None)
+        if group is None:
+            groups.append([i])
+        else:
+            group.append(i)
+    several = [group for group in groups if len({model.quantity[i] for i in group}) > 1]
+    if not several:
+        return ""
+    names = [columns[i] for i in several[0]]
+    return (
+        f"{', '.join(names)} move alike. If they measure one quantity, name it, so that they count as redundant: "
+        f"outputs={{'quantity': {names}}}."
+    )
+
+
+def _similar(a: Floats, b: Floats, n: int, noise: float) -> bool:
+    """Return whether two rows of C, whose states have unit variance, differ by less than the noise and hardly at all."""
+    difference, size = np.linalg.norm(a[:n] - b[:n]), min(np.linalg.norm(a[:n]), np.linalg.norm(b[:n]))
+    small = APART * noise**0.5
+    return bool(difference < min(small, 0.1 * size) and abs(a[n:] - b[n:]).sum() < small)
+
+
+def _noise(y: Floats, names: Sequence[str]) -> Floats:
+    """Return the variances of the noise of sensors of one quantity, whose pairwise sums are those of their differences.
+
+    The method is that of Grubbs (J. Am. Stat. Assoc. 43, 1948). Two sensors have one difference. What they do not share from
+    sample to sample then divides its variance among them.
+    """
+    pairs = [(i, j) for i in range(len(names)) for j in range(i)]
+    rows, sums = np.zeros((len(pairs), len(names))), np.zeros(len(pairs))
+    for row, (i, j) in enumerate(pairs):
+        difference = y[:, i] - y[:, j]
+        if np.isfinite(difference).sum() < FEW:
+            raise ModelError(
+                f"The columns {names[j]!r} and {names[i]!r} are sensors of one quantity, but fewer than {FEW} rows for learning "
+                "have samples of both. Record more, or name them as two quantities."
+            )
+        rows[row, [i, j]], sums[row] = 1.0, np.nanvar(difference)
+    if len(names) == 2:
+        found = sums[0] * _shares(y)
+    else:
+        found = np.linalg.lstsq(rows, sums, rcond=None)[0]
+    return np.asarray(np.maximum(found, LEAST * found.max()))
+
+
+def _shares(y: Floats) -> Floats:
+    """Return the shares of two sensors in the variance of their difference."""
+    moves = np.diff(y, axis=0)
+    moves = moves[np.isfinite(moves).all(axis=1)]
+    if len(moves) < FEW:
+        return np.full(2, 0.5)
+    V = np.cov(moves.T)
+    own = np.maximum(np.diag(V) - V[0, 1], LEAST * np.trace(V))
+    return np.asarray(own / own.sum())

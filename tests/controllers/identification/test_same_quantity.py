@@ -1,0 +1,112 @@
+"""Redundant columns of a recording: they become sensors of one quantity, with their own noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayesftc.controllers import LinearModel, PoorFitWarning, design
+from bayesftc.cosim.errors import ModelError
+
+A = np.array([[0.9, 0.2], [-0.2, 0.8]])
+B = np.array([[0.1], [0.5]])
+C = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+Q, R = np.array([0.01, 0.02]), np.array([0.1, 0.05, 0.4, 0.2])
+OUTPUTS = {"level": ["a", "b", "c"], "flow": "d"}
+
+
+def record(rows=3000, seed=1):
+    """A recording of the system about readings of 5; its columns a, b and c measure the same."""
+    rng, x, table = np.random.default_rng(seed), np.zeros(2), []
+    for k in range(rows):
+        u = rng.normal(size=1)
+        table.append([0.1 * k, *u, *(5.0 + C @ x + rng.normal(size=4) * np.sqrt(R))])
+        x = A @ x + B @ u + rng.normal(size=2) * np.sqrt(Q)
+    return pd.DataFrame(table, columns=["time", "u", "a", "b", "c", "d"])
+
+
+def check(found, atol=0.03, rtol=0.12, of_process=0.35):
+    model = found.model
+    assert model.alike == ((0, 1, 2), (3,))
+    np.testing.assert_array_equal(model.matrix("C")[0], model.matrix("C")[1])
+    moving = model.moving
+    poles = np.sort_complex(np.linalg.eigvals(moving.matrix("A")))
+    np.testing.assert_allclose(poles, np.sort_complex(np.linalg.eigvals(A)), atol=atol)
+    np.testing.assert_allclose(np.diag(model.matrix("sensor_covariance")), R, rtol=rtol)
+    to_states = moving.matrix("C")[[0, 3]]  # the system's states are the level and the flow
+    process = np.diag(to_states @ moving.matrix("process_covariance") @ to_states.T)
+    np.testing.assert_allclose(process, Q, rtol=of_process)
+
+
+def test_a_known_system_comes_back_with_the_noise_of_each_sensor():
+    found = LinearModel.identify(record(), inputs="u", outputs=OUTPUTS)
+    check(found)
+    assert not found.poor
+    assert found.quantities == {"level": ("a", "b", "c")}
+    assert "Sensors of level: a, b, c." in found.describe()
+    assert "move alike" not in found.describe()
+    by_quantity, by_column = (design(found, goal=goal) for goal in ("level", "b"))
+    assert "4 sensors of 2 quantities" in by_quantity.describe()
+    np.testing.assert_array_equal(by_quantity.goal_matrix, by_column.goal_matrix)
+
+
+def test_sensors_with_gaps_share_them():
+    table, rng = record(), np.random.default_rng(5)
+    for column in "abc":
+        table.loc[rng.random(len(table)) < 0.3, column] = np.nan
+    check(LinearModel.identify(table, inputs="u", outputs=OUTPUTS, order=2), of_process=0.7)
+
+
+@pytest.mark.slow
+def test_slow_sensors_are_bridged():
+    table = record(6000)
+    for column in "abcd":
+        table.loc[table.index % 3 > 0, column] = np.nan
+    check(LinearModel.identify(table, inputs="u", outputs=OUTPUTS, order=2), atol=0.06, rtol=0.3, of_process=0.5)
+
+
+def test_two_sensors_have_their_own_noise():
+    table = record().drop(columns=["a", "d"])
+    model = LinearModel.identify(table, inputs="u", outputs={"level": ["b", "c"]}, order=2).model
+    assert model.alike == ((0, 1),)
+    np.testing.assert_allclose(np.diag(model.matrix("sensor_covariance")), [0.05, 0.4], rtol=0.2)
+
+
+def test_a_quantity_of_one_column_each_changes_nothing():
+    table = record(800)
+    plain = LinearModel.identify(table, inputs="u", outputs=["a", "d"])
+    named = LinearModel.identify(table, inputs="u", outputs={"level": "a", "flow": "d"})
+    for name in ("A", "B", "C", "process_covariance", "sensor_covariance"):
+        np.testing.assert_array_equal(named.model.matrix(name), plain.model.matrix(name))
+    assert "move alike" not in plain.describe()
+
+
+def test_columns_that_move_alike_are_pointed_out():
+    found = LinearModel.identify(record(), inputs="u", outputs=["a", "b", "c", "d"])
+    assert found.model.alike == ((0,), (1,), (2,), (3,))
+    assert "a, b, c move alike." in found.describe()
+    assert "outputs={'quantity': ['a', 'b', 'c']}" in found.describe()
+
+
+def test_a_sensor_that_reads_more_is_named():
+    table = record()
+    table["b"] += 2.0
+    with pytest.warns(PoorFitWarning, match=r"b: reads 0\.\d+ more than the mean of the sensors of level\. Subtract"):
+        LinearModel.identify(table, inputs="u", outputs=OUTPUTS)
+
+
+@pytest.mark.parametrize(
+    ("outputs", "words"),
+    [
+        ({}, "at least one quantity"),
+        ({"level": ["a", "b"], "flow": "b"}, "name the column 'b' twice"),
+        ({"level": ["a", "b", "e"]}, "'a' and 'e' are sensors of one quantity, but fewer than 40 rows"),
+        ({"level": ["a", "f"]}, "follow from each other"),
+    ],
+)
+def test_bad_outputs(outputs, words):
+    table = record(800)
+    table["e"], table["f"] = table["a"].where(table.index % 50 == 0), table["a"]
+    with pytest.raises(ModelError, match=words):
+        LinearModel.identify(table, inputs="u", outputs=outputs)
