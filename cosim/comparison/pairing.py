@@ -16,7 +16,7 @@ from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Source
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
-from bayesftc.cosim.diagram.wiring import find_controller, find_sensors
+from bayesftc.cosim.diagram.wiring import find_controller, find_sensors, is_controller
 from bayesftc.cosim.errors import ModelError
 
 
@@ -64,10 +64,11 @@ def check_pairs(loops: Mapping[str, Diagram]) -> None:
 
 
 def _surroundings(loop: Diagram) -> Iterator[tuple[str, Node]]:
-    """Yield the blocks that must be the same in each loop."""
+    """Yield the blocks that must be the same in each loop: not those inside the controller, which may differ."""
+    inside = tuple(f"{node.name}." for node in loop.nodes if is_controller(node))
     for node in loop.nodes:
         random = any(port.draw is not None for port in node.block.inputs)
-        if random or isinstance(node.block, Fault | Sensors | Source):
+        if (random or isinstance(node.block, Fault | Sensors | Source)) and not node.name.startswith(inside):
             yield node.name, node
 
 

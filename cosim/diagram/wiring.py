@@ -39,13 +39,14 @@ def find_sensors(diagram: Diagram) -> Node:
     return nodes[0]
 
 
+def is_controller(node: Node) -> bool:
+    """Return whether a block has the ports of a controller: inputs ``y`` and ``goal``, and the output ``u``."""
+    return {"y", "goal"} <= {p.name for p in node.inputs} and "u" in {p.name for p in node.outputs}
+
+
 def find_controller(diagram: Diagram) -> Node:
     """Return the node of the controller: the block with inputs ``y`` and ``goal`` and the output ``u``."""
-    nodes = [
-        node
-        for node in diagram.nodes
-        if {"y", "goal"} <= {p.name for p in node.inputs} and "u" in {p.name for p in node.outputs}
-    ]
+    nodes = [node for node in diagram.nodes if is_controller(node)]
     if len(nodes) != 1:
         raise ModelError(
             f"A closed loop has one controller, a block with inputs y and goal and the output u; {diagram!r} has {len(nodes)}."

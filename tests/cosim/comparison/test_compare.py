@@ -27,6 +27,17 @@ def loop_of(precision, **options):
     return cosim.closed_loop(plant, options.pop("controller", controller), **settings | options)
 
 
+def pid_about(rest):
+    """A PID controller of the mean, with its control at rest as a source inside."""
+    inside = cosim.Diagram(dt=0.1)
+    mean = inside.add(cosim.Gain([[0.5, 0.5]]), "mean")
+    pid = inside.add(controllers.PID(1.0, integral_gain=0.5), "pid")
+    offset, total = inside.add(cosim.Constant(rest), "rest"), inside.add(cosim.Sum(), "total")
+    inside.connect(mean["y"], pid["x_hat"])
+    inside.connect([pid["u"], offset["y"]], total["u"])
+    return cosim.Subsystem(inside, inputs={"y": "mean.u", "goal": "pid.goal"}, outputs={"u": "total.y"})
+
+
 @pytest.fixture(scope="module")
 def compared():
     loops = {"fixed": loop_of(FixedPrecision()), "SER": loop_of(SERFDI())}
@@ -108,6 +119,14 @@ REFUSED = [
 def test_what_is_no_pair_is_refused(loops, sentence):
     with pytest.raises(BayesFTCError, match=sentence):
         cosim.compare(loops, duration=1.0, seeds=2)
+
+
+def test_sources_inside_a_controller_may_differ():
+    loops = {"LQG": loop_of(FixedPrecision()), "PID": loop_of(FixedPrecision(), controller=pid_about(0.0))}
+    loops["about 1"] = loop_of(FixedPrecision(), controller=pid_about(1.0))
+    compared = cosim.compare(loops, duration=5.0, seeds=3)
+    assert compared.table["failed"].tolist() == [0, 0, 0]
+    assert compared.table["pairs"].tolist()[1:] == [3, 3]
 
 
 @pytest.mark.parametrize("seeds", [1, [7], np.array([7])])
