@@ -220,6 +220,26 @@ def test_a_gap_is_noted_at_its_begin_and_at_its_end(capsys):
     assert "3.00 s: the gap has ended (since 1.90 s)" in end
 
 
+def test_sensors_with_too_few_samples_are_named(capsys):
+    sensors = {"a": Sensor(std=0.1), "b": Sensor(std=0.1, resolution=0.0), "c": Sensor(std=0.1)}
+    monitor = Monitor(1.0, RandomWalk(std=0.06), sensors)
+    stepper = MonitorStepper(monitor, compiled=False)
+    stepper.prepare()
+    watcher = _Watcher(stepper, monitor, Alarms([]))
+    assert stepper.waits_for == "no sample yet of a, b, c"
+    for k in range(6):
+        samples = np.array([5.0, 5.0 if k % 2 else np.nan, np.nan])
+        watcher.watch(1.0 * k, samples, stepper.advance(samples))
+    said = capsys.readouterr().err
+    assert (
+        "5.00 s: monitoring has not begun; no sample yet of c; a has sent 6 of the first 30 samples; b has sent 3"
+        in said
+    )
+    for _ in range(30):
+        stepper.advance(np.full(3, 5.0))
+    assert stepper.waits_for == ""
+
+
 @pytest.mark.slow
 def test_sensors_that_are_silent_are_named(tmp_path, sent):
     ports = free_ports()

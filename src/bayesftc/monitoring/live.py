@@ -98,6 +98,7 @@ class MonitorStepper(Stepper):
         self._rest, self._gap = RestWatch(len(monitor.sensors)), GapWatch(len(monitor.sensors))
         self._running: Online | None = None
         self._k = -1
+        self._enough = [OPENING if sensor.resolution is not None else FINDING for sensor in monitor.sensors.values()]
 
     def _prepare(self) -> None:
         online = self.estimator.online(compiled=self._compiled)
@@ -124,10 +125,22 @@ class MonitorStepper(Stepper):
     @property
     def silent(self) -> list[str]:
         """The sensors that have sent no sample, as long as monitoring has not begun."""
+        counts = self._sent().items() if self.began is None else ()
+        return [name for name, count in counts if not count]
+
+    @property
+    def waits_for(self) -> str:
+        """Which sensors have sent too few samples for monitoring to begin, as text; empty once it has begun."""
         if self.began is not None:
-            return []
+            return ""
+        counts = zip(self._sent().items(), self._enough, strict=True)
+        few = [f"{name} has sent {n} of the first {need} samples" for (name, n), need in counts if 0 < n < need]
+        return "; ".join([f"no sample yet of {', '.join(self.silent)}"] * bool(self.silent) + few)
+
+    def _sent(self) -> dict[str, int]:
+        """Return the number of samples of each sensor so far."""
         names = list(self._monitor.sensors)
-        return [name for i, name in enumerate(names) if not any(np.isfinite(y[i]) for y, _ in self._opening)]
+        return {name: sum(bool(np.isfinite(y[i])) for y, _ in self._opening) for i, name in enumerate(names)}
 
     def advance(self, inputs: Floats) -> Floats:
         """Judge the samples of a step."""
@@ -163,8 +176,7 @@ class MonitorStepper(Stepper):
         """Return the first step to judge, at which every sensor has sent a sample; None if monitoring cannot begin yet."""
         there = np.isfinite([y for y, _ in self._opening])
         counts = there.sum(axis=0)
-        enough = [OPENING if sensor.resolution is not None else FINDING for sensor in self._monitor.sensors.values()]
-        if (counts < enough).any() and (len(there) < LONGEST or not self._determined(counts > 0)):
+        if (counts < self._enough).any() and (len(there) < LONGEST or not self._determined(counts > 0)):
             return None
         return int(there[:, counts > 0].argmax(axis=0).max(initial=0))
 

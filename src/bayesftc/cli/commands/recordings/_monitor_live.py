@@ -120,9 +120,7 @@ class _Watcher:
         self.samples += np.isfinite(inputs[: len(self.samples)])
         if self.stepper.began is None:
             if time >= PATIENCE and not self.told:
-                self._say(
-                    time, f"monitoring has not begun; no sample yet of {', '.join(self.stepper.silent) or 'none'}"
-                )
+                self._say(time, f"monitoring has not begun; {self.stepper.waits_for}")
                 self.told = True
             return
         if not self._began:
