@@ -303,6 +303,10 @@ WRONG = {
     ),
     "function": (("count = 2", "count = 2\nfunction = 'sin'"), ScenarioError, ["sensors.function", "Python script"]),
     "syntax": (("count = 2", "count = "), ScenarioError, ["no valid TOML", "line 21"]),
+    "decimal comma": (("seed = 1", "seed = 0,5"), ScenarioError, ["no valid TOML", "decimal point: write 0.5 for 0,5."]),
+    "decimal comma in a table": (
+        ("seed = 1", "a = { b = -1,25, c = 2 }"), ScenarioError, ["decimal point: write -1.25 for -1,25."]
+    ),
     "twice": (("seed = 1", "seed = 1\nseed = 2"), ScenarioError, ["no valid TOML", "line 9"]),
     "fmi of a file": (('"CruiseControl"', '"a.fmu"\nfmi = "2.0"'), ScenarioError, ["plant.fmi", "Leave out 'fmi'"]),
     "fmu name": (('"CruiseControl"', '"CruseControl"'), FMUError, ["plant.fmu", "CruiseControl", ".fmu"]),

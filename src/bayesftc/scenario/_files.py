@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -153,12 +154,23 @@ def read_toml(file: Path) -> dict[str, Any]:
         raise ScenarioError(f"The scenario {file} is no text in UTF-8. Save it as UTF-8.") from None
     except tomllib.TOMLDecodeError as error:
         problem = str(error)[0].lower() + str(error)[1:]
-        raise ScenarioError(
-            f"{file} is no valid TOML: {problem}. Texts need quotes, and a key may occur only once."
-        ) from None
+        remedy = _with_point(file, str(error)) or "Texts need quotes, and a key may occur only once."
+        raise ScenarioError(f"{file} is no valid TOML: {problem}. {remedy}") from None
     except ValueError:  # Python limits the digits of integers
         raise ScenarioError(f"{file} is no valid scenario: it has a number of thousands of digits. Round it.") from None
     except RecursionError:
         raise ScenarioError(
             f"{file} is no valid scenario: its lists are nested too deeply. Check the brackets."
         ) from None
+
+
+def _with_point(file: Path, error: str) -> str:
+    """Return what to write instead of a number with a decimal comma, if the error is at one; else nothing."""
+    place = re.search(r"at line (\d+), column (\d+)", error)
+    if place is None:
+        return ""
+    line, column = file.read_text("utf-8-sig").split("\n")[int(place[1]) - 1], int(place[2]) - 1
+    for found in re.finditer(r"=\s*([+-]?\d+,\d+)", line):
+        if found.start() <= column <= found.end():
+            return f"Numbers have a decimal point: write {found[1].replace(',', '.')} for {found[1]}."
+    return ""
