@@ -99,7 +99,9 @@ def test_seconds_stay_seconds(table, tmp_path):
     assert "date" not in pd.read_csv(tmp_path / "out" / "probabilities.csv").columns
 
 
-@pytest.mark.parametrize("moment", ["2026-03-29T08:20", "2026-03-29 08:20:00", "2026-03-29T06:20Z", "1200"])
+@pytest.mark.parametrize(
+    "moment", ["2026-03-29T08:20", "2026-03-29 08:20:00", "29.03.2026 08:20", "2026-03-29T06:20Z", "1200"]
+)
 def test_a_stretch_is_named_by_dates_or_seconds(table, tmp_path, moment):
     log = write(tmp_path, table)[1]
     model = tmp_path / "fitted.toml"
@@ -134,6 +136,12 @@ def test_a_stretch_is_named_by_dates_or_seconds(table, tmp_path, moment):
             "The recording, from 2026-03-29 08:00:00 to 08:49:55, has no samples",
         ),
         ("2026-03-29T08:00:00", "08:20", 2, "'08:20' is neither a number of seconds nor a date. Write --to 12.5"),
+        (
+            "2026-03-29T08:00:00",
+            "31.02.2026",
+            2,
+            "'31.02.2026' is neither a number of seconds nor a date. Write --to 12.5",
+        ),
     ],
 )
 def test_a_moment_that_cannot_be_is_refused(table, tmp_path, dates, moment, code, sentence):

@@ -49,6 +49,15 @@ def with_iso_dates(cells: pd.Series[Any], source: str) -> pd.Series[Any]:
     return written
 
 
+def day_first_date(text: str) -> str | None:
+    """Return a date as ISO 8601 if its day stands first: the numbers have points between them, or the first is above 12."""
+    found = re.fullmatch(_DAY_MONTH_YEAR, text)
+    if found is None or (found["sign"] != "." and int(found["first"]) <= _MONTHS):
+        return None
+    date = f"{found['year']}-{found['second']:0>2}-{found['first']:0>2}"
+    return f"{date} {found['hour']:0>2}{found['rest'].replace(',', '.')}" if found["hour"] else date
+
+
 def iso_of(date: str) -> str:
     """Return a date of another form as ISO 8601, as an example for messages; a date of our own if it can be read in two ways."""
     import pandas as pd
@@ -62,4 +71,4 @@ def iso_of(date: str) -> str:
         return ISO
 
 
-__all__ = ["iso_of", "with_iso_dates"]
+__all__ = ["day_first_date", "iso_of", "with_iso_dates"]

@@ -6,7 +6,7 @@ import pytest
 
 from bayesftc import cosim, monitoring
 from bayesftc.cosim.base.recordings.dates import ISO
-from bayesftc.cosim.base.recordings.day_first import iso_of, with_iso_dates
+from bayesftc.cosim.base.recordings.day_first import day_first_date, iso_of, with_iso_dates
 from bayesftc.cosim.base.recordings.table_files import read_table_file
 from bayesftc.cosim.errors import RecordingError
 
@@ -58,6 +58,22 @@ def test_files_of_the_monitor_and_of_a_fit_are_read(name, tmp_path):
     assert str(signals["a"].origin) == "2026-03-29 00:30:00"
     assert cosim.Table.read(file, "b").times == (0.0, 1.0, 3.0)
     assert list(read_table_file(file).columns) == [name, "a", "b"]
+
+
+@pytest.mark.parametrize(
+    ("text", "date"),
+    [
+        ("13.11.2026 11:30", "2026-11-13 11:30"),
+        (" 3.4.2026 1:05:07,5 ", "2026-04-03 01:05:07.5"),  # with points the day is always first
+        ("13/11/2026", "2026-11-13"),
+        ("03/04/2026 11:30", None),  # could be read in two ways
+        ("04/13/2026", None),
+        ("2026-11-13 11:30", None),
+        ("12.5", None),
+    ],
+)
+def test_one_date_with_the_day_first(text, date):
+    assert day_first_date(text) == date
 
 
 def test_a_refusal_has_the_users_own_date_where_it_is_certain(tmp_path):

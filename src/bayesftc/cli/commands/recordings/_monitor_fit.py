@@ -15,6 +15,8 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
+from bayesftc.cosim.base.announcing import inform
+from bayesftc.cosim.base.recordings.day_first import day_first_date
 from bayesftc.cosim.errors import ResultFileError
 from bayesftc.monitoring import (
     FittedModel,
@@ -64,6 +66,11 @@ def as_moment(option: str, text: str | None) -> float | datetime | None:
     for read in (float, datetime.fromisoformat):
         with suppress(ValueError):
             return read(text.strip())
+    if date := day_first_date(text):
+        with suppress(ValueError):  # no such day
+            moment = datetime.fromisoformat(date)
+            inform(f"{option} {text.strip()} has the day first: it is read as {date}.")
+            return moment
     raise typer.BadParameter(
         f"{text!r} is neither a number of seconds nor a date. Write {option} 12.5, or {option} 2026-05-01T10:00:12 if the times "
         "of the recording are dates.",
