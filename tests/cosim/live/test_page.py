@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.live.kinds import BRIDGES
 from bayesftc.scenario.live import load_wires
 
 PAGES = Path(__file__).resolve().parents[3] / "docs" / "how-to"
@@ -32,8 +33,11 @@ def test_the_files_of_the_page_are_read(tmp_path, text):
             assert wire.bridge.key == str(tmp_path / "certificates" / "controller.key")
 
 
-def test_there_are_seven():
-    assert len(FILES) == 7
+def test_there_are_eight_and_one_of_each_kind():
+    assert len(FILES) == 8
+    assert {kind for text in FILES for kind in re.findall(r'^kind = "(\w+)"', text, re.M)} == {
+        cls.__name__ for cls in BRIDGES
+    }
 
 
 @pytest.mark.parametrize(
