@@ -66,7 +66,7 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
             for name, value, at in (
                 (
                     "gain margin",
-                    f"{margins.gain:.3g} = {20.0 * np.log10(margins.gain):.3g} dB",
+                    f"{margins.gain:.3g} = {20.0 * np.log10(margins.gain):.3g} dB{', the lower limit' * (margins.gain < 1.0)}",
                     margins.phase_crossover,
                 ),
                 ("phase margin", f"{margins.phase:.1f} degrees", margins.gain_crossover),
@@ -76,12 +76,26 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
             if np.isfinite(at) and at > 0.0:
                 axis.axvline(at, color="0.5", lw=0.8, ls=":")
                 dotted = "; dotted: where the margin is read"
-    axes[0].set_title(", ".join(texts), fontsize=9)
+    axes[0].set_title(", ".join(texts) + _stable_gains(margins), fontsize=9)
     axes[0].set_ylabel("gain (dB)")
     axes[1].set_ylabel("phase (degrees)")
     axes[1].set_xlabel(f"frequency (rad/s); dashed: half of the sampling frequency{dotted}")
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
+
+
+def _stable_gains(margins: Margins | None) -> str:
+    """Return a line on the factors of the gain for which the loop is stable; nothing if there are no limits, or no margins."""
+    if margins is None or (margins.lowest_gain == 0.0 and margins.highest_gain == np.inf):
+        return ""
+    low, high = f"{margins.lowest_gain:.3g}", f"{margins.highest_gain:.3g}"
+    if margins.lowest_gain == 0.0:
+        factors = f"less than {high}"
+    elif margins.highest_gain == np.inf:
+        factors = f"more than {low}"
+    else:
+        factors = f"{low} to {high}"
+    return f"\nstable while the gain is {factors} times the designed one"
 
 
 def _shift_phase(gain: Any, axis: Any, margins: Margins | None) -> None:

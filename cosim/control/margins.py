@@ -40,6 +40,9 @@ class Margins(NamedTuple):
         Frequencies in rad/s of the phase margin, where the gain is 1, and of the gain margin, where the phase is -180 degrees.
     modulus : float
         Smallest distance of the loop transfer function from -1.
+    lowest_gain, highest_gain : float
+        The loop is stable while its gain is between these factors of the designed one. One of them is the gain margin. The first
+        one is 0 if no lower gain is a limit, as for most stable plants, and the second one infinite if no higher gain is.
 
     Examples
     --------
@@ -58,6 +61,8 @@ class Margins(NamedTuple):
     gain_crossover: float
     phase_crossover: float
     modulus: float
+    lowest_gain: float = 0.0
+    highest_gain: float = float("inf")
 
     def __repr__(self) -> str:
         return short(self, phase="deg", delay="s", gain_crossover="rad/s", phase_crossover="rad/s")
@@ -105,6 +110,8 @@ def margins_of(loop: Any) -> Margins:
         float(gain_crossover / step),
         float(phase_crossover / step),
         float(min(least.fun, abs(1.0 + values[nearest]), *(abs(1.0 + response(a)) for a in ends), np.inf)),
+        float(max((factor for _, factor in limits if factor < 1.0), default=0.0)),
+        float(min((factor for _, factor in limits if factor > 1.0), default=np.inf)),
     )
 
 

@@ -12,7 +12,8 @@ from bayesftc import controllers, cosim, fmus, monitoring
 def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
     margins = cosim.Margins(2.059427999239328, 35.59179287407551, float("nan"), 11.537691630200618, 22.16851, np.inf)
     assert str(margins) == (
-        "Margins(gain=2.059, phase=35.59 deg, delay=nan s, gain_crossover=11.54 rad/s, phase_crossover=22.17 rad/s, modulus=inf)"
+        "Margins(gain=2.059, phase=35.59 deg, delay=nan s, gain_crossover=11.54 rad/s, phase_crossover=22.17 rad/s, modulus=inf, "
+        "lowest_gain=0, highest_gain=inf)"
     )
     assert margins.gain == 2.059427999239328
     finding = controllers.ModelFinding("late", "B acts late.", (1 / 3, 0.0), 20 / 3, ("dt",))

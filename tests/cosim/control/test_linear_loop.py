@@ -107,6 +107,24 @@ def test_margins_are_those_of_the_loop_made_by_hand():
     assert np.abs(control.feedback(found.gain * broken, 1).poles()).max() == pytest.approx(1.0, abs=1e-6)
 
 
+def test_a_gain_may_have_two_limits():
+    """The pole 1.1 - 0.4 f of an unstable plant is inside the unit circle for f from 0.25 to 5.25."""
+    unstable = control.ss([[1.1]], [[1.0]], [[0.4]], 0, DT)
+    found = margins_of(unstable)
+    assert (found.lowest_gain, found.highest_gain) == pytest.approx((0.25, 5.25))
+    assert found.gain == pytest.approx(0.25)
+    title = bode_figure(unstable, found, "a title", bare_figure()).axes[0].get_title()
+    assert "gain margin 0.25 = -12 dB, the lower limit (at 0 rad/s)" in title
+    assert title.endswith("\nstable while the gain is 0.25 to 5.25 times the designed one")
+    stable = control.ss([[0.9]], [[1.0]], [[0.4]], 0, DT)  # 0.9 - 0.4 f
+    found = margins_of(stable)
+    assert (found.gain, found.lowest_gain, found.highest_gain) == pytest.approx((4.75, 0.0, 4.75))
+    title = bode_figure(stable, found, "a title", bare_figure()).axes[0].get_title()
+    assert title.endswith("\nstable while the gain is less than 4.75 times the designed one")
+    quiet = control.ss([[0.9]], [[1.0]], [[0.0]], 0, DT)
+    assert margins_of(quiet)[-2:] == (0.0, np.inf)
+
+
 @pytest.mark.parametrize("precision", [FixedPrecision(), controllers.GammaPrecision()])
 def test_a_run_from_rest_is_the_step_response(precision):
     """Without noise the belief is right at all times, however its covariance moves."""
