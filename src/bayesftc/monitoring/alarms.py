@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -104,7 +104,7 @@ class FaultEvent:
     kind: str | None = None
     onset: float | None = None
     size: float | None = None
-    continued: bool = False
+    continued: bool = field(default=False, repr=False)
 
     def __repr__(self) -> str:
         return short(self, start="s", end="s", onset="s")
@@ -152,7 +152,7 @@ class ActuatorEvent:
     probability: float
     kind: str
     size: float | None = None
-    continued: bool = False
+    continued: bool = field(default=False, repr=False)
 
     def __repr__(self) -> str:
         return short(self, start="s", end="s")
