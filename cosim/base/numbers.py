@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
-from math import inf, nan
+from math import inf, isfinite, nan
 from numbers import Real
 from typing import Any
 
@@ -15,6 +15,8 @@ from bayesftc.cosim.types import Floats
 
 MAD = 1.4826
 """Standard deviation of normal numbers, relative to the median of their absolute deviations from the middle."""
+MOST_DIGITS = 8
+"""Most digits of a mean beside its interval."""
 
 
 def counted(number: int, one: str) -> str:
@@ -59,6 +61,28 @@ def check_count(owner: object, name: str, most: int | None = None) -> None:
         raise ModelError(f"{type(owner).__name__} has {name}={brief(value)}; it must be {limits}.")
 
 
+def with_half(value: float, half: float) -> str:
+    """Return a mean with half of its interval: two digits of the half, and as many decimals of the mean as these have.
+
+    Without a half (NaN, infinity) or with one of 0 it is the mean with four digits; a mean never has more than eight.
+    """
+    if not (isfinite(half) and half > 0):
+        return f"{value:.4g}" + (" ± 0" if half == 0 else "")
+    decimals = 1 - _exponent(half)
+    largest = _exponent(max(abs(value), half))
+    if largest + decimals >= MOST_DIGITS:
+        return f"{value:.{MOST_DIGITS}g} ± {half:.2g}"
+    if -4 <= largest < MOST_DIGITS:
+        text, of_half = (f"{round(number, decimals):.{max(decimals, 0)}f}" for number in (value, half))
+        return f"{text} ± {of_half}"
+    return f"{value:.{largest + decimals}e} ± {half:.1e}"
+
+
+def _exponent(value: float) -> int:
+    """Return the power of ten of a positive number that is rounded to two digits."""
+    return int(f"{value:.1e}".partition("e")[2])
+
+
 def short(result: Any, **units: str) -> str:
     """Return the ``repr`` of a result: numbers with four digits and their units, arrays by their shape.
 
@@ -84,4 +108,4 @@ def _short(value: Any) -> str:
     return repr(value)
 
 
-__all__ = ["MAD", "check_count", "counted", "real", "reals", "short"]
+__all__ = ["MAD", "check_count", "counted", "real", "reals", "short", "with_half"]

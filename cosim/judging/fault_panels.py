@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
+from bayesftc.cosim.judging.findings import parts_of_device
 from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.judging.panels import LETTER, name_spans, thin
 from bayesftc.cosim.judging.plotting import BLACK, LINES, colour_of
@@ -268,15 +268,13 @@ def draw_detection(axis: Axes, *, signals: LoopSignals) -> None:
 
 
 def _draw_kinds(axis: Axes, time: Floats, each: SensorSignals | ActuatorSignals, y: float) -> None:
-    """Draw a bar for each section of an alarm with one kind, and write the kind on bars that are long enough."""
-    assert each.kind is not None
-    assert each.probability is not None
+    """Draw a bar for each part of an alarm with one kind, and write the kind on bars that are long enough."""
     colour = colour_of(each.index) if isinstance(each, SensorSignals) else BLACK
-    kind = np.where(each.probability >= ALARM, np.nan_to_num(each.kind), 0.0)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(kind)) + 1, [len(kind)]])
-    ends = np.append(time, time[-1])
-    bars = [(float(ends[a]), float(ends[b]), _words(each.kinds, kind[a])) for a, b in pairwise(edges) if kind[a] > 0]
+    ends, listed = np.append(time, time[-1]), parts_of_device(each, time)
+    bars = [(float(ends[p.begin]), float(ends[p.end]), _words(each.kinds, p.kind)) for p in listed if p.kind > 0]
     axis.broken_barh([(a, b - a) for a, b, _ in bars], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=0, zorder=4)
+    if changes := [float(ends[p.begin]) for p in listed if p.begin > p.alarm]:
+        axis.vlines(changes, y - 0.04, y + 0.04, color="white", lw=1.5, zorder=5)
     _name_bars(axis, time, bars, y, colour, axis.transData)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from itertools import combinations, pairwise, zip_longest
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 HOLD, HOLD_SAMPLES = 1.0, 10
 """Seconds, and at least so many samples, below the threshold after which an alarm ends."""
+LASTING = 1 / 8
+"""Share of an alarm by which a change of its kind must be more probable than none.
+
+With a smaller share, an offset that is called a drift only once it has grown is two faults. The same time as for the end of an
+alarm is the least, because a learner distinguishes offset, drift and jump only some samples after the begin.
+"""
 UNITS = {"noise": "x noise", "effect": "of the effect"}
 """Units of sizes that are not in the unit of the sensor or the control."""
 
@@ -43,26 +49,25 @@ MOST = 100
 
 @dataclass(frozen=True)
 class Finding:
-    """A fault that the controller infers or detects: one alarm.
+    """A fault that the controller infers or detects: one alarm, or a part of one whose kind changed for good.
 
     Attributes
     ----------
     where : str
         The sensor, the actuator, or ``"process"``.
     kind : str
-        Most probable kind of fault at the end of the alarm; empty if no kind is more probable than a healthy sensor, because
-        several share the probability, or if the learner distinguishes none.
+        Kind of fault with the largest mean probability; empty if the learner distinguishes none.
     onset : float or None
-        Estimated time of the fault's begin in seconds, never after the begin of the alarm, nor before the end of an earlier one
-        of the same device; None if it is not estimated.
+        Estimated time of the fault's begin in seconds, never after `start`, nor before the end of an earlier alarm of the same
+        device; None if it is not estimated.
     start, end : float
-        Times of the first and the last sample of the alarm, in seconds.
+        Times of the first and the last sample, in seconds.
     size : float or None
-        Size of the fault at the end of the alarm; None if it is not estimated.
+        Size of the fault at the end; None if it is not estimated.
     unit : str
         Unit of the size; ``"x noise"`` for multiples of the sensor's noise, ``"of the effect"`` for the share that is lost.
     probability : float or None
-        Largest fault probability during the alarm; None for a detection without probabilities.
+        Largest fault probability; None for a detection without probabilities.
     """
 
     where: str
@@ -76,7 +81,7 @@ class Finding:
 
 
 def findings(signals: LoopSignals, threshold: float = ALARM, hold: float | None = None) -> list[Finding]:
-    """Return the alarms of a run in the order of their begin.
+    """Return the alarms of a run in the order of their begin, those whose kind changed for good in parts.
 
     Parameters
     ----------
@@ -88,17 +93,14 @@ def findings(signals: LoopSignals, threshold: float = ALARM, hold: float | None 
         Seconds below the threshold after which an alarm ends; by default 1 s, or ten samples if they are more than 0.1 s apart.
     """
     time = signals.time
-    span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
-    step = span / (len(time) - 1) if span else 1.0
-    most = round(min(max(HOLD, HOLD_SAMPLES * step) if hold is None else hold, span) / step)
     found: list[Finding] = []
     for sensor in signals.sensors:
-        found += _of(sensor, signals.sensor_name(sensor.index), time, threshold, most)
+        found += _of(sensor, signals.sensor_name(sensor.index), time, threshold, hold)
     for actuator in signals.actuators:
-        found += _of(actuator, f"actuator {actuator.name}", time, threshold, most)
+        found += _of(actuator, f"actuator {actuator.name}", time, threshold, hold)
     if (p := signals.process) is not None:
         process = ActuatorSignals("process", None, None, p, np.ones_like(p), None, PROCESS_KINDS)
-        found += _of(process, process.name, time, threshold, most)
+        found += _of(process, process.name, time, threshold, hold)
     return sorted(found, key=lambda each: each.start)
 
 
@@ -156,20 +158,119 @@ def onset_of_alarm(onset: float | None, begin: float, earlier: float | None) -> 
     return min(onset if earlier is None else max(onset, earlier), begin)
 
 
-def _of(
-    device: SensorSignals | ActuatorSignals, where: str, time: Floats, threshold: float, hold: int
-) -> Iterator[Finding]:
-    """Give the alarms of a sensor or an actuator."""
-    p, score = device.probability, device.probability
-    if p is None or np.isnan(p).all():  # an explicit detection
-        detected = getattr(device, "detected", None)
-        p, score = None, None if detected is None else detected.astype(np.float64)
+class Part(NamedTuple):
+    """A part of an alarm with one kind of fault (0: unknown), and the begin of the alarm: steps, the end being that after."""
+
+    alarm: int
+    begin: int
+    end: int
+    kind: int
+
+
+def parts_of_device(
+    device: SensorSignals | ActuatorSignals, time: Floats, threshold: float = ALARM, hold: float | None = None
+) -> list[Part]:
+    """Return the parts of all alarms of a sensor or an actuator.
+
+    Parameters
+    ----------
+    device : SensorSignals or ActuatorSignals
+        The device.
+    time : ndarray, shape (steps,)
+        Times of the steps in seconds.
+    threshold, hold
+        As for `findings`.
+    """
+    score = _score(device)
     if score is None:
-        return
+        return []
+    span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
+    step = span / (len(time) - 1) if span else 1.0
+    most, chances = round(min(usual_hold(step) if hold is None else hold, span) / step), _chances(device)
+    found = []
+    for begin, end in alarms(score, threshold, most):
+        listed = [(begin, end, 0)] if chances is None else parts(chances, begin, end, step)
+        found += [Part(begin, *each) for each in listed]
+    return found
+
+
+def usual_hold(step: float) -> float:
+    """Return the seconds below the threshold after which an alarm ends by default, for samples that are `step` seconds apart."""
+    return max(HOLD, HOLD_SAMPLES * step)
+
+
+def parts(chances: Floats, begin: int, end: int, step: float) -> list[tuple[int, int, int]]:
+    """Return the parts of an alarm with one kind of fault each: first step, step after the last, number of the kind.
+
+    Within a part its kind has the largest mean probability of all kinds. There is a further part only where its kind is more
+    probable than that before for so many samples that this is no flicker; see `LASTING`.
+
+    Parameters
+    ----------
+    chances : ndarray, shape (steps, kinds)
+        Probability of each kind of fault.
+    begin, end : int
+        First step of the alarm, and the step after its last.
+    step : float
+        Seconds between two steps.
+
+    Returns
+    -------
+    list of tuple of int
+        The kinds count from 1; 0 is an unknown kind, where all probabilities are 0.
+    """
+    p = np.nan_to_num(chances[begin:end])
+    likeliest = p.argmax(axis=1)
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(likeliest)) + 1])
+    sums = np.add.reduceat(p, edges)
+    ends = [*(begin + edges[1:]).tolist(), end]
+    return [
+        (begin + int(edges[a]), ends[b - 1], kind + 1 if sums[a:b, kind].any() else 0)
+        for a, b, kind in sections(sums, end - begin, step)
+    ]
+
+
+def sections(sums: Floats, samples: int, step: float) -> list[tuple[int, int, int]]:
+    """Return the parts of an alarm as `parts` does, from the sum of the probabilities over each stretch with one likeliest kind.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (stretches, kinds)
+        The sums.
+    samples : int
+        Number of samples of the alarm.
+    step : float
+        Seconds between two samples.
+
+    Returns
+    -------
+    list of tuple of int
+        First stretch, the one after the last, and the index of the kind.
+    """
+    cost = max(usual_hold(step) / step, LASTING * samples)  # of a change, in samples with a probability of 1
+    best, before = sums[0], []
+    for each in sums[1:]:  # the largest sum of probabilities minus costs (Viterbi's algorithm)
+        other = int(best.argmax())
+        changes = best < best[other] - cost
+        before.append(np.where(changes, other, np.arange(len(best))))
+        best = np.where(changes, best[other] - cost, best) + each
+    kinds = [int(best.argmax())]
+    for origin in reversed(before):
+        kinds.append(int(origin[kinds[-1]]))
+    kinds.reverse()
+    edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(kinds)]
+    return [(a, b, kinds[a]) for a, b in pairwise(edges)]
+
+
+def _of(
+    device: SensorSignals | ActuatorSignals, where: str, time: Floats, threshold: float, hold: float | None
+) -> Iterator[Finding]:
+    """Give the alarms of a sensor or an actuator, in parts."""
+    p = device.probability if _score(device) is device.probability else None
     earlier: float | None = None
-    for begin, end in alarms(score, threshold, hold):
-        kind, last = _kind(device, begin, end)
-        size, onset = (_at(getattr(device, name, None), last) for name in ("size", "onset"))
+    for part, following in zip_longest(found := parts_of_device(device, time, threshold, hold), found[1:]):
+        begin, end, kind = part.begin, part.end, part.kind
+        size, onset = (last_of_kind(getattr(device, name, None), device.kind, part) for name in ("size", "onset"))
         scale = device.sizes[kind - 1] if 0 < kind <= len(device.sizes) else "unit"
         if kind > len(device.sizes):  # a file of an earlier version does not say what its size is
             size = None
@@ -183,25 +284,54 @@ def _of(
             "" if size is None else UNITS.get(scale, device.unit or ""),
             None if p is None else float(np.nanmax(p[begin:end])),
         )
-        earlier = float(time[end - 1])
+        if following is None or following.alarm != part.alarm:
+            earlier = float(time[end - 1])
 
 
-def _kind(device: SensorSignals | ActuatorSignals, begin: int, end: int) -> tuple[int, int]:
-    """Return the last kind of fault in an alarm (0 if unknown) and the last step that has it."""
+def _score(device: SensorSignals | ActuatorSignals) -> Floats | None:
+    """Return the fault probability of a device, or its explicit detections; None without both."""
+    if device.probability is not None and not np.isnan(device.probability).all():
+        return device.probability
+    detected: Flags | None = getattr(device, "detected", None)
+    return None if detected is None else detected.astype(np.float64)
+
+
+def _chances(device: SensorSignals | ActuatorSignals) -> Floats | None:
+    """Return the probability of each kind of fault of a device, 0 for harmless kinds; None if it has no kinds.
+
+    If only the most probable kind was recorded, its probability is 1.
+    """
     if device.kind is None:
-        return 0, end - 1
-    harmless = [number for number, scale in enumerate(device.sizes, start=1) if not scale]
-    kinds = device.kind[begin:end]
-    faulty = np.flatnonzero((kinds > 0) & ~np.isin(kinds, harmless))
-    return (int(kinds[faulty[-1]]), begin + int(faulty[-1])) if len(faulty) else (0, end - 1)
+        return None
+    if device.chances is not None:
+        chances = np.array(device.chances[:, 1:])
+    else:
+        number = np.nan_to_num(device.kind)
+        chances = (number[:, None] == np.arange(1, 1 + max(len(device.kinds), int(number.max())))).astype(np.float64)
+    chances[:, [number for number, scale in enumerate(device.sizes) if not scale]] = 0.0
+    return chances
+
+
+def last_of_kind(values: Floats | None, most: Floats | None, part: Part) -> float | None:
+    """Return a size or an onset of a part: the last one of its kind, or None without any.
+
+    Parameters
+    ----------
+    values : ndarray or None
+        The learner's estimate at each step, which is that of the most probable mode of all, healthy included.
+    most : ndarray or None
+        The number of that mode at each step.
+    part : Part
+        The part.
+    """
+    if values is None or most is None:
+        return None
+    rows = part.begin + np.flatnonzero(most[part.begin : part.end] == part.kind)
+    return float(values[rows[-1]]) if len(rows) and np.isfinite(values[rows[-1]]) else None
 
 
 def _name(kinds: Sequence[str], number: int) -> str:
     return "" if number == 0 else kinds[number - 1] if number <= len(kinds) else f"kind {number}"
-
-
-def _at(values: Floats | None, row: int) -> float | None:
-    return float(values[row]) if values is not None and np.isfinite(values[row]) else None
 
 
 def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list[str]]:
@@ -295,6 +425,6 @@ def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str
 
 
 __all__ = [
-    "AGREE", "Finding", "alarms", "alarms_of_all", "blamed_together", "findings", "findings_frame", "never_began",
-    "numbers_of", "plain_findings",
+    "AGREE", "Finding", "Part", "alarms", "alarms_of_all", "blamed_together", "findings", "findings_frame", "last_of_kind",
+    "never_began", "numbers_of", "onset_of_alarm", "parts", "parts_of_device", "plain_findings", "sections", "usual_hold",
 ]  # fmt: skip

@@ -53,6 +53,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
     kind, size, onset = (
         reader.columns(f"fault_{name}", count) if drawn else [None] * count for name in ("kind", "size", "onset")
     )
+    chances = reader.tables("mode_probability", count) if drawn else [None] * count
     sensors = tuple(
         SensorSignals(
             i,
@@ -69,6 +70,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
             onset[i],
             roles.fault_sizes,
             roles.corrected_kinds,
+            chances[i],
         )
         for i, role in enumerate(roles.sensors)
     )
@@ -83,7 +85,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
         sensors,
         faults,
         tuple(_input(reader, role) for role in roles.inputs),
-        _actuators(reader, roles),
+        _actuators(reader, roles, drawn),
         _controls(reader, roles) if drawn else (),
         _process(reader) if drawn else None,
     )
@@ -113,6 +115,12 @@ class _Reader:
         elements: list[Floats | None] = [] if values is None else list(values.reshape(len(values), -1).T)
         return elements if len(elements) == count else [None] * count
 
+    def tables(self, name: str, count: int) -> list[Floats | None]:
+        """Return for each of the `count` devices its rows of an output of the controller; None for each if it has none."""
+        values = self.output(name)
+        fits = values is not None and values.ndim == 3 and values.shape[1] == count
+        return [values[:, i] for i in range(count)] if values is not None and fits else [None] * count
+
     def at(self, place: Place | None) -> Floats | None:
         values = None if place is None else self.signal(place[0])
         return None if values is None or place is None else values.reshape(len(values), -1)[:, place[1]]
@@ -123,11 +131,12 @@ def _input(reader: _Reader, role: InputRole) -> InputSignals:
     return InputSignals(role.name, role.unit, reader.at(role.sent), reader.at(role.received), faults, role.control)
 
 
-def _actuators(reader: _Reader, roles: LoopRoles) -> tuple[ActuatorSignals, ...]:
+def _actuators(reader: _Reader, roles: LoopRoles, drawn: bool) -> tuple[ActuatorSignals, ...]:
     """Return the controller's inference about its actuators; empty if there is none, or if not recorded."""
     probability, kind, size = (
         reader.columns(f"actuator_fault_{name}", len(roles.controls)) for name in ("probability", "kind", "size")
     )
+    chances = reader.tables("actuator_mode_probability", len(roles.controls)) if drawn else [None] * len(roles.controls)
     none: Flags = np.zeros(len(reader.result.time), dtype=bool)
     return tuple(
         ActuatorSignals(
@@ -139,6 +148,7 @@ def _actuators(reader: _Reader, roles: LoopRoles) -> tuple[ActuatorSignals, ...]
             size[j],
             roles.actuator_kinds,
             roles.actuator_sizes,
+            chances[j],
         )
         for j, (role, values) in enumerate(zip(roles.controls, probability, strict=True))
         if values is not None

@@ -49,6 +49,8 @@ class SensorSignals:
         What the size of each kind is in: the ``"unit"`` of the sensor, or multiples of its ``"noise"``; empty for no fault.
     corrected_kinds : tuple of str
         Those of ``kinds`` that the controller estimates and subtracts, so that the sensor is still used.
+    chances : array of shape (steps, 1 + kinds) or None
+        Probability of each kind, healthy first; None if there is no such output, or if not recorded.
     """
 
     index: int
@@ -65,6 +67,7 @@ class SensorSignals:
     onset: Floats | None = None
     sizes: tuple[str, ...] = ()
     corrected_kinds: tuple[str, ...] = ()
+    chances: Floats | None = None
 
     @property
     def corrected(self) -> Flags:
@@ -184,6 +187,8 @@ class ActuatorSignals:
         Names of the modes, from number 1 on.
     sizes : tuple of str
         What the size of each kind is in: the ``"unit"`` of the control, or a share of its ``"effect"``.
+    chances : array of shape (steps, 1 + kinds) or None
+        As for `SensorSignals`.
     """
 
     name: str
@@ -194,6 +199,7 @@ class ActuatorSignals:
     size: Floats | None
     kinds: tuple[str, ...]
     sizes: tuple[str, ...] = ()
+    chances: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,8 @@ ERRORS = "Root-mean-square errors (tracking: true value - reference; belief: est
 PHASES = {"overall": "whole run", "before": "before faults", "during": "during", "after": "after"}
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
-    "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5). Size: at its end."
+    "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
+    "kind. Size: at its end."
 )
 PROCESS_REMARK = (
     " Process: for that time the plant moved more than its model expects, as after a kick or a sudden load. It is no fault of a "
@@ -169,7 +170,7 @@ def findings_table(inferred: Sequence[Mapping[str, Any]]) -> FiguresTable:
         rows.append((each["where"], values, ("{}", *["{:.5g}"] * 3, f"{{:.3g}} {unit}".rstrip(), "{:.3f}")))
     columns = ("kind", "onset (s)", "from (s)", "until (s)", "size", "probability")
     left_out = len(inferred) - len(rows)
-    only = f" The table has the {len(rows)} longest of {len(inferred)} alarms." if left_out else ""
+    only = f" The table has the {len(rows)} longest of {len(inferred)} rows." if left_out else ""
     process = PROCESS_REMARK if any(where == "process" for where, *_ in rows) else ""
     return FiguresTable("findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK + process + only)
 

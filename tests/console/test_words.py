@@ -4,7 +4,9 @@ import re
 
 import pytest
 
+from bayesftc import controllers
 from bayesftc.console.desk.desk import Desk
+from bayesftc.console.desk.inference import Inference
 from bayesftc.console.shown.words import cards
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.scenario import find_scenario
@@ -88,6 +90,16 @@ def test_a_sensor_with_an_offset_is_corrected_only_in_the_joint_form(tmp_path):
     assert other == "using sensor 0, weight 100 %"
     assert variance > 0.97 * alone
     assert size.startswith("+")
+
+
+def test_the_learner_says_which_kinds_are_offsets():
+    class Creeping(controllers.Drifting):
+        pass
+
+    model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-4, 0.01, dt=0.1)
+    learner = controllers.SwitchingPrecision([controllers.Frozen(), controllers.Offset(), Creeping()])
+    assert Inference.of(controllers.StateEstimator(model, learner)).offset_kinds == ("Offset", "Creeping")
+    assert Inference.of(controllers.StateEstimator(model, controllers.GammaPrecision())).offset_kinds == ()
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,13 @@
 """The example of redundant speed sensors: its made-up drive, and that faults are found in it and in the recorded one."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from bayesftc.cli import app
 from bayesftc.examples.redundant_speed_sensors import fit, study, synthetic, watch
 from bayesftc.monitoring import align, load_monitor
 from bayesftc.monitoring.figure import plot_monitored
@@ -147,6 +150,23 @@ def test_the_numbers_of_the_model_are_the_likeliest_of_the_recorded_drive(record
     for name, value in values.items():
         for factor in (0.8, 1.25):
             assert fit.likelihood(fit.changed(monitor, {**values, name: factor * value}), recording) < best + 0.5
+
+
+@pytest.mark.slow
+def test_an_alarm_lasts_beyond_its_fault_where_the_fit_has_slow_errors(tmp_path):
+    """The numbers of docs/tutorials/monitor.md, by its commands."""
+    runner, file, ends = CliRunner(), tmp_path / "model.toml", []
+    drive = tmp_path / "drive.csv"
+    drive.write_text(runner.invoke(app, ["example", "faulty_wheel_speed"]).stdout, encoding="utf-8")
+    for options in (["--fit"], []):
+        done = runner.invoke(app, ["monitor", str(drive), *options, "--model", str(file), "--json"])
+        (found,) = [each for each in json.loads(done.stdout)["faults"] if each["sensor"] == "front_right"]
+        ends.append((round(found["end"], 2), round(found["size"], 2)))
+        head, *errors = file.read_text(encoding="utf-8").split("[[errors]]")
+        slow = ["time_constant = 12.891" in each for each in errors]
+        assert sum(slow) == (4 if options else 0)
+        file.write_text("[[errors]]".join([head, *(each for each, is_slow in zip(errors, slow) if not is_slow)]))
+    assert ends == [(40.0, -0.47), (35.88, 1.23)]
 
 
 @pytest.mark.slow

@@ -382,6 +382,48 @@ def test_an_onset_is_never_after_the_alarm_whose_kind_has_changed():
     assert event.onset == 7.0
 
 
+def test_an_alarm_whose_kind_changes_has_an_event_for_each_kind_live_as_well():
+    """An offset is followed by a drift; neither flickers of a few samples nor a gap of the alarm make further events."""
+    n, modes = 120, (Offset(), Drifting())
+    recording = Recording(5.0, Fraction(1), ("a",), np.zeros((n, 1)), np.zeros((n, 1)), (0.01,), (0.0,), (0,), ("m",))
+    drifts = (np.arange(n) >= 60) ^ np.isin(np.arange(n), [20, 21, 80, 81, 119])
+    blamed = ((np.arange(n) >= 10) & ~np.isin(np.arange(n), [30, 31])).astype(float)
+    signals = {
+        "fault_probability": blamed[:, None],
+        "mode_probability": np.stack([1 - blamed, blamed * ~drifts, blamed * drifts], axis=1)[:, None],
+        "fault_size": (1.0 + np.arange(n))[:, None],
+        "fault_onset": np.where(drifts, 58.0, 8.0)[:, None],
+    }
+    first, second = events = list(sensor_events(recording, signals, modes, Alarm()))
+    assert (first.kind, first.start, first.end, first.onset, first.size) == ("Offset", 15.0, 64.0, 13.0, 60.0)
+    assert (second.kind, second.start, second.end, second.onset, second.size) == ("Drifting", 65.0, 124.0, 63.0, 119.0)
+    assert (first.continued, second.continued) == (False, True)
+    watch = AlarmWatch(["a"], modes, Fraction(1), Alarm())
+    rows = [{name: signals[name][k] for name in AlarmWatch.signals} for k in range(n)]
+    begun = [event for k, row in enumerate(rows) for event, ended in watch.feed(float(k), row) if not ended]
+    assert [event.start for event in begun] == [10.0]
+    later = {"start": 5.0, "end": 5.0, "onset": 5.0}  # the recording begins at 5 s
+    moved = [replace(each, **{name: getattr(each, name) + s for name, s in later.items()}) for each in watch.close()]
+    assert moved == events
+
+
+def test_a_live_alarm_that_flickers_for_a_long_time_needs_little_memory(monkeypatch):
+    monkeypatch.setattr("bayesftc.monitoring.watching.MOST_STRETCHES", 20)
+    watch = AlarmWatch(["a"], (Offset(), Drifting()), Fraction(1), Alarm())
+    for k in range(600):
+        drifts = (k >= 300) ^ (k % 5 == 0)
+        row = {
+            "fault_probability": [1.0],
+            "mode_probability": [[0.0, not drifts, drifts]],
+            "fault_size": [k],
+            "fault_onset": [0.0],
+        }
+        list(watch.feed(float(k), {name: np.array(values, dtype=float) for name, values in row.items()}))
+    first, second = watch.close()
+    assert (first.kind, second.kind, second.size) == ("Offset", "Drifting", 599.0)
+    assert first.end == pytest.approx(300, abs=60)  # with 20 stretches, each has a tenth of the alarm or more
+
+
 @pytest.mark.parametrize(("name", "unit"), [("header.stamp", 10**9), ("stamp", 1)])
 def test_times_since_1970_are_dates(tmp_path, name, unit):
     start = 1_777_885_920

@@ -78,7 +78,9 @@ class Alarms:
             self.counts[name_of(event)] += 1
         if self.shown:
             kind = f", {event.kind}" if event.kind else ""
-            if ended:
+            if ended and event.continued:
+                text = f"its kind was {event.kind} from {event.start:.2f} s on"
+            elif ended:
                 text = f"the alarm has ended (since {event.start:.2f} s{kind})"
             else:
                 text = f"alarm, fault probability {event.probability:.3f}{kind}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
-from bayesftc.cosim.judging.findings import alarms, onset_of_alarm
+from bayesftc.cosim.judging.findings import Part, alarms, last_of_kind, onset_of_alarm, parts
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.gaps import Gap
 from bayesftc.monitoring.recording import Recording
@@ -62,25 +62,26 @@ class Alarm:
 
 @dataclass(frozen=True)
 class FaultEvent:
-    """An alarm of a sensor.
+    """An alarm of a sensor, or a part of one whose kind changed for good.
 
     Attributes
     ----------
     sensor : str
         Name of the sensor.
     start, end : float
-        Start and end of the alarm, in seconds of the recording.
+        Start and end, in seconds of the recording.
     probability : float
-        Largest fault probability during the alarm.
+        Largest fault probability.
     kind : str or None
-        Most probable fault mode at the end of the alarm, if the learner has modes.
+        Fault mode with the largest mean probability, if the learner has modes.
     onset : float or None
-        Estimated start of the fault, in seconds of the recording, never after the start of the alarm, nor before the end of an
-        earlier alarm of the sensor. The learner estimates only the onset of the last kind, and the kind may have changed during
-        the alarm.
+        Estimated start of the fault, in seconds of the recording, never after `start`, nor before the end of an earlier alarm of
+        the sensor.
     size : float or None
-        Size of the fault at the end of the alarm: an offset in the sensor's unit; for `Noisier` and `Unmodelled`, the innovations
-        as a multiple of the nominal noise.
+        Size of the fault at the end: an offset in the sensor's unit; for `Noisier` and `Unmodelled`, the innovations as a
+        multiple of the nominal noise.
+    continued : bool
+        Whether it is a later part of an alarm, which had another kind before.
 
     Examples
     --------
@@ -103,6 +104,7 @@ class FaultEvent:
     kind: str | None = None
     onset: float | None = None
     size: float | None = None
+    continued: bool = field(default=False, repr=False)
 
     def __repr__(self) -> str:
         return short(self, start="s", end="s", onset="s")
@@ -110,20 +112,22 @@ class FaultEvent:
 
 @dataclass(frozen=True)
 class ActuatorEvent:
-    """An alarm of an actuator, or of the process where its input acts.
+    """An alarm of an actuator, or of the process where its input acts, or a part of one whose kind changed for good.
 
     Attributes
     ----------
     actuator : str
         Name of the input.
     start, end : float
-        Start and end of the alarm, in seconds of the recording.
+        Start and end, in seconds of the recording.
     probability : float
-        Largest fault probability during the alarm.
+        Largest fault probability.
     kind : str
-        Most probable actuator mode at the end of the alarm.
+        Actuator mode with the largest mean probability.
     size : float or None
-        Size of the fault at the end of the alarm: for `LostEffect` the lost share, otherwise in the input's unit.
+        Size of the fault at the end: for `LostEffect` the lost share, otherwise in the input's unit.
+    continued : bool
+        As for `FaultEvent`.
 
     Examples
     --------
@@ -148,6 +152,7 @@ class ActuatorEvent:
     probability: float
     kind: str
     size: float | None = None
+    continued: bool = field(default=False, repr=False)
 
     def __repr__(self) -> str:
         return short(self, start="s", end="s")
@@ -156,7 +161,7 @@ class ActuatorEvent:
 def sensor_events(
     recording: Recording, signals: Mapping[str, Floats], modes: Sequence[FaultMode], alarm: Alarm
 ) -> Iterator[FaultEvent]:
-    """Give the alarms of each sensor. A fault that lasts over a gap of the recording is one alarm.
+    """Give the alarms of each sensor, in parts if the kind changed. A fault that lasts over a gap of the recording is one alarm.
 
     Parameters
     ----------
@@ -170,15 +175,17 @@ def sensor_events(
         Conditions of an alarm.
     """
     last: FaultEvent | None = None
+    earlier: float | None = None  # end of the alarm before
     gaps, hold = recording.gaps, time_at(alarm.hold, float(recording.dt))
     for event in _each(recording, signals, modes, alarm):
         if last is not None and _goes_on(last, event, gaps, hold):
             probability = max(last.probability, event.probability)
-            last = replace(event, start=last.start, onset=last.onset, probability=probability)
+            last = replace(event, start=last.start, onset=last.onset, probability=probability, continued=last.continued)
             continue
         if last is not None:
             yield last
-        earlier = last.end if last is not None and last.sensor == event.sensor else None
+        if not event.continued:
+            earlier = last.end if last is not None and last.sensor == event.sensor else None
         last = replace(event, onset=onset_of_alarm(event.onset, event.start, earlier))
     if last is not None:
         yield last
@@ -198,19 +205,21 @@ def _goes_on(event: FaultEvent, later: FaultEvent, gaps: Sequence[Gap], hold: fl
 def _each(
     recording: Recording, signals: Mapping[str, Floats], modes: Sequence[FaultMode], alarm: Alarm
 ) -> Iterator[FaultEvent]:
-    time, faulty = recording.time, [k for k, mode in enumerate(modes, start=1) if mode.is_fault]
-    for sensor, span, begin, end, i in _spans(recording, recording.sensors, signals["fault_probability"], alarm):
+    first, p = float(recording.time[0]), signals["fault_probability"]
+    of_modes = signals["mode_probability"] if modes else None
+    for sensor, span, part, i in _spans(recording, recording.sensors, p, of_modes, modes, alarm):
         if not modes:
             yield FaultEvent(sensor, *span)
             continue
-        kind, last = _kind(signals["mode_probability"][begin:end, i], faulty)
-        size, onset = (float(signals[name][begin + last, i]) for name in ("fault_size", "fault_onset"))
+        most = signals["mode_probability"][:, i].argmax(axis=1)
+        size, onset = (last_of_kind(signals[name][:, i], most, part) for name in ("fault_size", "fault_onset"))
         yield FaultEvent(
             sensor,
             *span,
-            kind=type(modes[kind - 1]).__name__,
-            onset=float(time[0]) + onset if np.isfinite(onset) else None,
-            size=size if np.isfinite(size) else None,
+            kind=name_of_kind(modes, part.kind) or None,
+            onset=None if onset is None else first + onset,
+            size=size,
+            continued=part.begin > part.alarm,
         )
 
 
@@ -232,28 +241,39 @@ def actuator_events(
     modes : sequence of ActuatorMode
         The learner's modes.
     """
-    faulty = list(range(1, 1 + len(modes)))
-    for name, span, begin, end, j in _spans(recording, names, signals["actuator_fault_probability"], alarm):
-        kind, last = _kind(signals["actuator_mode_probability"][begin:end, j], faulty)
-        size = float(signals["actuator_fault_size"][begin + last, j])
-        yield ActuatorEvent(name, *span, kind=type(modes[kind - 1]).__name__, size=size if np.isfinite(size) else None)
+    p, of_modes = signals["actuator_fault_probability"], signals["actuator_mode_probability"]
+    for name, span, part, j in _spans(recording, names, p, of_modes, modes, alarm):
+        size = last_of_kind(signals["actuator_fault_size"][:, j], of_modes[:, j].argmax(axis=1), part)
+        yield ActuatorEvent(
+            name, *span, kind=name_of_kind(modes, part.kind), size=size, continued=part.begin > part.alarm
+        )
+
+
+def fault_chances(of_modes: Floats, modes: Sequence[FaultMode | ActuatorMode]) -> Floats:
+    """Return the probability of each mode that is a fault from those of all, healthy first; 0 for harmless modes."""
+    faulty = [getattr(mode, "is_fault", True) for mode in modes]
+    return np.where(faulty, of_modes[..., 1:], 0.0)
+
+
+def name_of_kind(modes: Sequence[object], number: int) -> str:
+    """Return the name of a mode from its number, counted from 1; empty for 0."""
+    return type(modes[number - 1]).__name__ if number else ""
 
 
 def _spans(
-    recording: Recording, names: Sequence[str], probability: Floats, alarm: Alarm
-) -> Iterator[tuple[str, tuple[float, float, float], int, int, int]]:
-    """Give for each alarm: name; start, end, largest probability; first step, step after the last; column."""
+    recording: Recording,
+    names: Sequence[str],
+    probability: Floats,
+    of_modes: Floats | None,
+    modes: Sequence[FaultMode | ActuatorMode],
+    alarm: Alarm,
+) -> Iterator[tuple[str, tuple[float, float, float], Part, int]]:
+    """Give for each part of an alarm: name; start, end, largest probability; its steps and kind; column."""
     time, step = recording.time, float(recording.dt)
     hold = round(time_at(alarm.hold, step) / step)
     for i, name in enumerate(names):
+        chances = None if of_modes is None else fault_chances(of_modes[:, i], modes)
         for begin, end in alarms(probability[:, i], alarm.threshold, hold):
-            largest = float(probability[begin:end, i].max())
-            yield name, (float(time[begin]), float(time[end - 1]), largest), begin, end, i
-
-
-def _kind(p: Floats, faulty: Sequence[int]) -> tuple[int, int]:
-    """Return the most probable fault mode at an alarm's end, and the last step at which it is the most probable mode."""
-    kind = faulty[int(p[-1, faulty].argmax())]
-    # The learner's size and onset at a step belong to the most probable mode of all, which can be another one.
-    of_kind = np.flatnonzero(p.argmax(axis=1) == kind)
-    return kind, int(of_kind[-1]) if len(of_kind) else len(p) - 1
+            for a, b, kind in [(begin, end, 0)] if chances is None else parts(chances, begin, end, step):
+                span = float(time[a]), float(time[b - 1]), float(np.nanmax(probability[a:b, i]))
+                yield name, span, Part(begin, a, b, kind), i

@@ -86,7 +86,9 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
     axes[len(quantities)].plot([], [], ".", color="0.4", label="samples minus\nbelief")
     for axis in (*axes[: len(quantities) + 1], axes[-1]):
         legend(axis)
-    name_spans(axes[0], time, names, f"shaded: {len(names)} alarms, in the colour of their sensor")
+    events: tuple[FaultEvent | ActuatorEvent, ...] = (*monitored.events, *monitored.actuator_events)
+    count = sum(not event.continued for event in events)
+    name_spans(axes[0], time, names, f"shaded: {count} alarms, in the colour of their sensor")
     if many:
         for i, axis in enumerate(axes[len(quantities) : -1]):
             kinds = [(s.start, s.end, s.kind, s.colour) for s in spans if s.kind and s.sensor == i]

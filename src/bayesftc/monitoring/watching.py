@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar
 
@@ -11,16 +12,27 @@ import numpy as np
 from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
-from bayesftc.cosim.judging.findings import onset_of_alarm
+from bayesftc.cosim.judging.findings import onset_of_alarm, sections
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.alarms import ACTUATOR_SIGNALS, ActuatorEvent, Alarm, FaultEvent
+from bayesftc.monitoring.alarms import (
+    ACTUATOR_SIGNALS,
+    ActuatorEvent,
+    Alarm,
+    FaultEvent,
+    fault_chances,
+    name_of_kind,
+)
+
+MOST_STRETCHES = 1000
+"""Most stretches with one likeliest kind of fault that are kept of an alarm; of more, neighbours become one."""
 
 
 class AlarmWatch:
     """Watches fault probabilities step by step.
 
     An alarm begins at the first step with a probability of at least the threshold. It has ended when the probability has been
-    below for longer than `Alarm.hold`; its end is the last step above, as in a recording.
+    below for longer than `Alarm.hold`; its end is the last step above, as in a recording. If its kind changed for good, it ends
+    as several events, its parts.
 
     Parameters
     ----------
@@ -58,11 +70,10 @@ class AlarmWatch:
     ):
         self._names, self._modes = tuple(sensors), tuple(modes)
         self._alarm = alarm or Alarm()
-        self._faulty = [k for k, mode in enumerate(modes, start=1) if getattr(mode, "is_fault", True)]
-        self._hold = round(time_at(self._alarm.hold, float(step)) / float(step))
-        self._open: dict[int, Any] = {}
+        self._step = float(step)
+        self._hold = round(time_at(self._alarm.hold, self._step) / self._step)
+        self._open: dict[int, _Open] = {}
         self._ended: dict[int, float] = {}
-        self._below = np.zeros(len(self._names), dtype=np.int64)
 
     def feed(self, time: float, signals: Mapping[str, Floats]) -> Iterator[tuple[Any, bool]]:
         """Give the alarms that begin or end at a step, and whether they have ended.
@@ -77,45 +88,125 @@ class AlarmWatch:
         above = signals[self.signals[0]] >= self._alarm.threshold
         if not (above.any() or self._open):
             return
-        for i in map(int, np.flatnonzero(above)):
-            begun = self._open.get(i)
-            self._open[i] = self._event(i, time, signals, begun)
-            self._below[i] = 0
-            if begun is None:
-                yield self._open[i], False
-        for i in [i for i in self._open if not above[i]]:
-            self._below[i] += 1
-            if self._below[i] > self._hold:
-                ended = self._open.pop(i)
-                self._ended[i] = ended.end
-                yield ended, True
+        for i in sorted({*map(int, np.flatnonzero(above)), *self._open}):
+            begins = i not in self._open
+            alarm = self._open.setdefault(i, _Open())
+            alarm.add(self._stretch(i, time, signals), bool(above[i]))
+            if begins:
+                yield next(self._events(i, alarm)), False
+            if alarm.below > self._hold:
+                yield from self._end(i)
 
     def close(self) -> Iterator[Any]:
         """Give the alarms that have not ended, with the last step above the threshold as their end."""
-        yield from self._open.values()
-        self._open.clear()
+        for i in list(self._open):
+            for event, _ in self._end(i):
+                yield event
 
-    def _event(self, i: int, time: float, signals: Mapping[str, Floats], begun: Any) -> FaultEvent | ActuatorEvent:
+    def _end(self, i: int) -> Iterator[tuple[Any, bool]]:
+        events = list(self._events(i, self._open.pop(i)))
+        self._ended[i] = events[-1].end
+        for event in events:
+            yield event, True
+
+    def _stretch(self, i: int, time: float, signals: Mapping[str, Floats]) -> _Stretch:
+        """Return a stretch of one step of a sensor or an actuator."""
         probability, of_modes, *rest = (signals.get(name) for name in self.signals)
         assert probability is not None
         p = float(probability[i])
-        span = (time, time, p) if begun is None else (begun.start, time, max(p, begun.probability))
         if not self._modes or of_modes is None:
-            return self._made(i, span, None, ())
+            return _Stretch(time, time, 1, p, np.zeros(1))
         modes = of_modes.reshape(len(self._names), -1)[i]
-        kind = self._faulty[int(modes[self._faulty].argmax())]
+        chances = fault_chances(modes, self._modes)
+        # Size and onset belong to the most probable mode of all, which can be another one.
+        is_most = modes.argmax() == 1 + chances.argmax()
         numbers = [None if values is None or not np.isfinite(values[i]) else float(values[i]) for values in rest]
-        if modes.argmax() != kind and begun is not None:  # size and onset belong to another mode
-            numbers = [begun.size, getattr(begun, "onset", None)][: len(numbers)]
-        return self._made(i, span, type(self._modes[kind - 1]).__name__, numbers)
+        return _Stretch(time, time, 1, p, chances, tuple(numbers) if is_most else ())
+
+    def _events(self, i: int, alarm: _Open) -> Iterator[FaultEvent | ActuatorEvent]:
+        """Give the parts of an alarm."""
+        listed = alarm.stretches
+        samples = sum(each.samples for each in listed)
+        for a, b, k in sections(np.array([each.sums for each in listed]), samples, self._step):
+            part = listed[a:b]
+            span = part[0].start, part[-1].end, max(each.probability for each in part)
+            kind = name_of_kind(self._modes, k + 1) if any(each.sums[k] for each in part) else ""
+            numbers = next((each.numbers for each in reversed(part) if each.numbers and each.kind == k), ())
+            yield self._made(i, span, kind, numbers, a > 0)
 
     def _made(
-        self, i: int, span: tuple[float, float, float], kind: str | None, numbers: Sequence[float | None]
+        self, i: int, span: tuple[float, float, float], kind: str, numbers: Sequence[float | None], continued: bool
     ) -> FaultEvent | ActuatorEvent:
         size, onset = numbers or (None, None)
-        return FaultEvent(
-            self._names[i], *span, kind=kind, onset=onset_of_alarm(onset, span[0], self._ended.get(i)), size=size
+        onset = onset_of_alarm(onset, span[0], self._ended.get(i))
+        return FaultEvent(self._names[i], *span, kind=kind or None, onset=onset, size=size, continued=continued)
+
+
+@dataclass(frozen=True)
+class _Stretch:
+    """Steps of an alarm with one likeliest kind of fault: times, number of samples, largest fault probability.
+
+    ``sums`` has for each kind the sum of its probability, ``numbers`` the last size and onset of the likeliest kind.
+    """
+
+    start: float
+    end: float
+    samples: int
+    probability: float
+    sums: Floats
+    numbers: tuple[float | None, ...] = ()
+
+    @property
+    def kind(self) -> int:
+        """The index of the likeliest kind."""
+        return int(self.sums.argmax())
+
+    def __add__(self, later: _Stretch) -> _Stretch:
+        """Return both as one stretch."""
+        sums = self.sums + later.sums
+        of_kind = [each.numbers for each in (later, self) if each.numbers and each.kind == sums.argmax()]
+        return _Stretch(
+            self.start,
+            later.end,
+            self.samples + later.samples,
+            max(self.probability, later.probability),
+            sums,
+            of_kind[0] if of_kind else (),
         )
+
+
+class _Open:
+    """An alarm that has not ended: its stretches up to the last step above the threshold, and the number of steps since."""
+
+    def __init__(self) -> None:
+        self.stretches: list[_Stretch] = []
+        self.below = 0
+        self._since: list[_Stretch] = []
+
+    def add(self, step: _Stretch, above: bool) -> None:
+        """Add a step."""
+        self._since.append(step)
+        self.below = 0 if above else self.below + 1
+        if not above:
+            return
+        for each in self._since:
+            if self.stretches and self.stretches[-1].kind == each.kind:
+                self.stretches[-1] += each
+            else:
+                self.stretches.append(each)
+        self._since.clear()
+        if len(self.stretches) > MOST_STRETCHES:  # an alarm can last for months
+            self._make_fewer()
+
+    def _make_fewer(self) -> None:
+        """Make one stretch of short neighbours, so that there are at most half as many as allowed."""
+        least = 2 * sum(each.samples for each in self.stretches) / MOST_STRETCHES
+        listed, self.stretches = self.stretches, []
+        for each in listed:
+            if self.stretches and self.stretches[-1].samples < least:
+                self.stretches[-1] += each
+            else:
+                self.stretches.append(each)
 
 
 class ActuatorWatch(AlarmWatch):
@@ -147,6 +238,8 @@ class ActuatorWatch(AlarmWatch):
     signals = tuple(f"actuator_{name}" for name in ACTUATOR_SIGNALS)
 
     def _made(
-        self, i: int, span: tuple[float, float, float], kind: str | None, numbers: Sequence[float | None]
+        self, i: int, span: tuple[float, float, float], kind: str, numbers: Sequence[float | None], continued: bool
     ) -> FaultEvent | ActuatorEvent:
-        return ActuatorEvent(self._names[i], *span, kind=kind or "", size=numbers[0] if numbers else None)
+        return ActuatorEvent(
+            self._names[i], *span, kind=kind, size=numbers[0] if numbers else None, continued=continued
+        )

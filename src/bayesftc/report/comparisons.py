@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from bayesftc.cosim.base.numbers import with_half
 from bayesftc.report.levels import MOST_COMPARED, Pair, compared_levels, pair, ranked
 from bayesftc.report.tables import ROWS, Table, mean_text, p_text, text_of
 
@@ -23,7 +24,7 @@ def overall(contents: Contents) -> Table | None:
     rows = []
     for each in pairs:
         value, half = each.difference.value, each.half
-        text = f"{value:.4g}" + (f" ± {half:.2g}" if half == half else "")
+        text = with_half(value, half)
         rows.append([_minus(each), str(each.points), str(each.difference.runs), text, p_text(each.p)])
     paired, apart = (any(each.paired is way for each in pairs) for way in (True, False))
     how = [
@@ -52,8 +53,7 @@ def in_cells(contents: Contents) -> Table | None:
         [
             *(text_of(row[name]) for name in by),
             f"{text_of(row['first'])} − {text_of(row['second'])}",
-            f"{row['difference']:.4g}"
-            + (f" ± {row['high'] - row['difference']:.2g}" if row["high"] == row["high"] else ""),
+            with_half(row["difference"], row["high"] - row["difference"]),
             f"{row['effect']:.3g}" if row["effect"] == row["effect"] else "–",
             p_text(row["p_corrected"]),
         ]
@@ -86,7 +86,7 @@ def sentences(contents: Contents) -> list[str]:
     if not beside[0].certain:
         return [head + _undecided(beside[0]), *_cells(contents, beside[0])]
     sure = [each for each in beside if each.certain]
-    by = [f"by {each.difference.value:.3g} ± {each.half:.2g} with {text_of(each.first)}" for each in sure]
+    by = [f"by {with_half(each.difference.value, each.half)} with {text_of(each.first)}" for each in sure]
     more = by[0] if len(by) == 1 else f"{', '.join(by[:-1])} and {by[-1]}"
     return [f"{head}. It is higher {more}.", *_cells(contents, beside[0])]
 

@@ -7,6 +7,7 @@ import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.cosim.base.numbers import with_half
 from bayesftc.report.levels import estimate
 
 if TYPE_CHECKING:
@@ -160,11 +161,10 @@ def mean_text(mean: Estimate, runs: int | None = None, positive: bool = False) -
     """Return a mean, half of its interval or both bounds, and its number of runs if this is not `runs`."""
     if not mean.runs:
         return "–"
-    half, text = mean.half(), f"{mean.value:.4g}"
+    half = mean.half()
+    text = with_half(mean.value, half)
     if positive and half > mean.value:
-        text += " ({:.2g} to {:.2g})".format(*mean.bounds(positive))
-    elif half == half:
-        text += f" ± {half:.2g}"
+        text = f"{mean.value:.4g} ({{:.2g}} to {{:.2g}})".format(*mean.bounds(positive))
     return text if runs in {None, mean.runs} else f"{text} (n = {mean.runs})"
 
 

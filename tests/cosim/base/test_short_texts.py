@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from bayesftc import controllers, cosim, fmus, monitoring
+from bayesftc.cosim.base.numbers import with_half
 
 
 def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
@@ -25,6 +26,25 @@ def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
     assert repr(event) == (
         "FaultEvent(sensor='wheel', start=3.333 s, end=20 s, probability=1, kind='Frozen', onset=3.3 s, size=None)"
     )
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        (12.4446, 0.0123, "12.445 ± 0.012"),
+        (0.5, 0.0996, "0.50 ± 0.10"),
+        (-1.23456, 2.0, "-1.2 ± 2.0"),
+        (12345.6, 234.5, "12350 ± 230"),
+        (3.21e-7, 4.56e-9, "3.210e-07 ± 4.6e-09"),
+        (1.5e9, 2.5e7, "1.500e+09 ± 2.5e+07"),
+        (1.0 / 3.0, 1e-16, "0.33333333 ± 1e-16"),
+        (0.0, 0.05, "0.000 ± 0.050"),
+        (1.23456, np.nan, "1.235"),
+        (1.23456, 0.0, "1.235 ± 0"),
+    ],
+)
+def test_a_mean_has_as_many_decimals_as_two_digits_of_its_interval(value, half, text):
+    assert with_half(value, half) == text
 
 
 def motion(x, u, x_next):

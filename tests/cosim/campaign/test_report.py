@@ -11,6 +11,7 @@ pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
 pytest.importorskip("jinja2", reason="reports need the extra 'campaign'")
 
 from bayesftc import cosim
+from bayesftc.cosim.base.numbers import with_half
 from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Outcome, Plan
 from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.errors import StoreError
@@ -166,7 +167,7 @@ def test_means_are_those_of_pandas_and_their_intervals_students(stored):
     for mass, precision, runs, text in rows:
         values = cells.get_group((float(mass), precision))
         half = stats.t.interval(0.95, len(values) - 1, values.mean(), stats.sem(values))[1] - values.mean()
-        assert (runs, text) == ("12", f"{values.mean():.4g} ± {half:.2g}")
+        assert (runs, text) == ("12", with_half(values.mean(), half))
 
 
 def test_levels_are_compared_over_all_points_as_seeds_have_them(stored):
@@ -183,16 +184,17 @@ def test_levels_are_compared_over_all_points_as_seeds_have_them(stored):
         test = stats.ttest_rel(table[first], table[second])
         half = test.confidence_interval(1 - 0.05 / 3)[1] - (table[first] - table[second]).mean()
         assert (combinations, runs) == ("2", "24")
-        assert difference == f"{(table[first] - table[second]).mean():.4g} ± {half:.2g}"
+        assert difference == with_half((table[first] - table[second]).mean(), half)
         corrected = min(1.0, 3 * test.pvalue)
         assert p == ("< 0.001" if corrected < 0.001 else f"{corrected:.3f}")
     # And in each combination, as Holm corrects all of them.
     head, *rows = page.tables["Comparison in each combination"]
     runs = store.table().set_index(["mass", "precision", "seed"])["rmse"]
-    tests = {}
+    tests, apart = {}, {}
     for mass, pair, *_ in rows:
         first, second = pair.split(" − ")
         tests[mass, pair] = stats.ttest_rel(runs[float(mass), first], runs[float(mass), second])
+        apart[mass, pair] = (runs[float(mass), first] - runs[float(mass), second]).mean()
     order = sorted(tests, key=lambda key: tests[key].pvalue)
     worst, corrected = 0.0, {}
     for i, key in enumerate(order):
@@ -200,8 +202,8 @@ def test_levels_are_compared_over_all_points_as_seeds_have_them(stored):
         corrected[key] = worst
     for mass, pair, difference, _, p in rows:
         assert p == ("< 0.001" if corrected[mass, pair] < 0.001 else f"{corrected[mass, pair]:.3f}")
-        first, second = pair.split(" − ")
-        assert difference.startswith(f"{(runs[float(mass), first] - runs[float(mass), second]).mean():.4g} ±")
+        half = tests[mass, pair].confidence_interval().high - apart[mass, pair]
+        assert difference == with_half(apart[mass, pair], half)
 
 
 @pytest.mark.slow
@@ -400,7 +402,9 @@ def test_the_first_sentence_says_what_the_tests_carry(stored):
     mean = store.table().groupby("precision")["rmse"].mean()
     assert mean.idxmin() == "switching"
     assert f"rmse is lowest with precision = switching, {mean['switching']:.4g} on average. It is higher " in text
-    assert f"by {mean['gamma'] - mean['switching']:.3g} ± " in text
+    (shown,) = re.findall(r"by ([\d.]+) ± [\d.]+ with gamma", text)
+    exact = mean["gamma"] - mean["switching"]
+    assert shown == f"{exact:.{len(shown.partition('.')[2])}f}"
     assert re.search(r"It is higher by [\d.]+ ± [\d.]+ with gamma and by [\d.]+ ± [\d.]+ with fixed\.", text)
     assert "switching and gamma are tested at each of the 2 values of mass (5 %, corrected for several tests)." in text
     assert "switching is significantly lower at 2 of them." in text
@@ -452,7 +456,8 @@ def test_levels_with_noise_of_their_own_are_compared_as_independent(stored):
     page = read(report(stored(points, (range(10), range(100, 110)), {"rmse": values})))
     ((_, _, _, difference, p),) = page.tables["Comparison"][1:]
     test = stats.ttest_ind(values[:10], values[10:], equal_var=False)
-    assert difference.startswith(f"{values[:10].mean() - values[10:].mean():.4g} ± ")
+    mean = values[:10].mean() - values[10:].mean()
+    assert difference == with_half(mean, test.confidence_interval().high - mean)
     assert p == ("< 0.001" if test.pvalue < 0.001 else f"{test.pvalue:.3f}")
     assert "independent runs" in page.words
 
@@ -468,6 +473,8 @@ def test_one_seed_tells_nothing_of_noise(stored):
 
 
 def test_failures_come_first_with_their_reason_and_are_counted_nowhere_else(stored):
+    from scipy import stats
+
     store = precisions(stored, failed=(0, 1, 40))
     page = read(report(store))
     assert page.headings[1] == "3 of 72 runs failed"
@@ -475,9 +482,10 @@ def test_failures_come_first_with_their_reason_and_are_counted_nowhere_else(stor
     assert row[:3] == ["3", "2", "The plant gave <NaN> & stopped."]
     assert row[3] == f"bayesftc replay {store.path} 0"
     first = page.tables["Results"][1]
-    mean = store.table()["rmse"][2:12].mean()
+    left = store.table()["rmse"][2:12]
+    half = stats.t.ppf(0.975, 9) * stats.sem(left)
     assert first[2:4] == ["12", "2"]
-    assert re.fullmatch(rf"{mean:.4g} ± .* \(n = 10\)", first[4])
+    assert first[4] == f"{with_half(left.mean(), half)} (n = 10)"
 
 
 def test_a_campaign_whose_runs_have_all_failed(stored):
@@ -510,7 +518,7 @@ def test_no_factor(stored):
     values = np.random.default_rng(0).normal(size=9) + 5.0
     words = read(report(stored([{}], 9, {"rmse": values}))).words
     half = stats.t.ppf(0.975, 8) * stats.sem(values)
-    assert f"rmse is {values.mean():.4g} ± {half:.2g} on average over 9 runs." in words
+    assert f"rmse is {with_half(values.mean(), half)} on average over 9 runs." in words
 
 
 def test_a_metric_that_is_nan_here_and_there_or_everywhere(stored):

@@ -5,7 +5,30 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesftc.cosim.judging.findings import findings, onset_of_alarm
+from bayesftc.cosim.judging.fault_panels import draw_detection
+from bayesftc.cosim.judging.findings import findings, onset_of_alarm, parts
+from bayesftc.cosim.judging.signals import LoopSignals, SensorSignals
+
+FROZEN, OFFSET, DRIFTING = np.eye(4)[1:]
+
+
+def course(*stretches):
+    """Return the probabilities of the modes, healthy first, from rows and the number of samples of each."""
+    return np.concatenate([np.tile(row, (count, 1)) for row, count in stretches])
+
+
+def loop(chances, onset=None, recorded=True):
+    """Return the signals of a loop of one sensor from the probabilities of its modes at each second."""
+    kind, n = chances.argmax(axis=1).astype(float), len(chances)
+    sensor = SensorSignals(
+        0, np.zeros(n), np.zeros(n, bool), np.ones(n), None, 1.0 - chances[:, 0], None, kind,
+        ("Frozen", "Offset", "Drifting"), "m", kind, onset, ("unit",) * 3, (), chances if recorded else None,
+    )  # fmt: skip
+    return LoopSignals(np.arange(float(n)), (), (sensor,), {})
+
+
+def rows(signals):
+    return [(found.kind, found.start, found.end) for found in findings(signals)]
 
 
 @pytest.mark.parametrize(
@@ -20,9 +43,68 @@ def test_the_alarms_of_a_run_do_not_begin_inside_the_one_before():
     blamed = np.isin(np.arange(40), [3, 4, 30, 31])
     sensor = SimpleNamespace(
         index=0, unit="m", probability=blamed.astype(float), kind=blamed.astype(int), kinds=("Offset",), sizes=("unit",),
-        onset=np.full(40, 2.0), size=np.full(40, 1.0),
+        chances=None, onset=np.full(40, 2.0), size=np.full(40, 1.0),
     )  # fmt: skip
     run = SimpleNamespace(
         time=np.arange(40.0), sensors=[sensor], actuators=[], process=None, sensor_name=lambda i: f"sensor {i}"
     )
     assert [(found.onset, found.start, found.end) for found in findings(run)] == [(2.0, 3.0, 4.0), (4.0, 30.0, 31.0)]
+
+
+@pytest.mark.parametrize(
+    ("stretches", "expected"),
+    [
+        ([(OFFSET, 60), (FROZEN, 60)], [(0, 60, 2), (60, 120, 1)]),
+        ([(OFFSET, 12), (DRIFTING, 88)], [(0, 100, 3)]),  # an offset that grows
+        ([(DRIFTING, 88), (OFFSET, 12)], [(0, 100, 3)]),  # not the last kind
+        ([(OFFSET, 14), (DRIFTING, 86)], [(0, 14, 2), (14, 100, 3)]),
+        ([(OFFSET, 9), (FROZEN, 10)], [(0, 19, 1)]),  # ten samples distinguish nothing
+        ([(OFFSET, 4), (DRIFTING, 3)] * 20, [(0, 140, 2)]),  # flicker
+        ([(OFFSET, 50), (FROZEN, 50), (OFFSET, 50)], [(0, 50, 2), (50, 100, 1), (100, 150, 2)]),
+        (
+            [(0.4 * OFFSET + 0.6 * DRIFTING, 60), (OFFSET, 40)],
+            [(0, 100, 2)],
+        ),  # the largest mean, with a small advantage before
+        ([(0.0 * OFFSET, 30)], [(0, 30, 0)]),
+    ],
+)
+def test_a_kind_that_changes_for_good_divides_an_alarm(stretches, expected):
+    assert parts(course(*stretches)[:, 1:], 0, sum(n for _, n in stretches), 1.0) == expected
+
+
+def test_each_kind_of_an_alarm_has_its_own_row_onset_and_bar():
+    healthy = np.array([1.0, 0.0, 0.0, 0.0])
+    chances = course((healthy, 20), (OFFSET, 60), (FROZEN, 60), (healthy, 60))
+    onset = np.where(np.arange(200) < 80, 15.0, np.where(np.arange(200) < 100, 60.0, 79.5))  # at first 20 s too early
+    signals = loop(chances, onset)
+    assert rows(signals) == [("Offset", 20.0, 79.0), ("Frozen", 80.0, 139.0)]
+    assert rows(loop(chances, onset, recorded=False)) == rows(signals)
+    assert [found.onset for found in findings(signals)] == [15.0, 79.5]
+    assert [found.size for found in findings(signals)] == [2.0, 1.0]
+    assert bars_of(signals) == [(20.0, 80.0), (80.0, 140.0)]
+
+
+def test_the_bar_of_an_alarm_has_the_kind_of_its_row():
+    signals = loop(course((OFFSET, 10), (DRIFTING, 180), (OFFSET, 10)))
+    assert rows(signals) == [("Drifting", 0.0, 199.0)]
+    assert bars_of(signals) == [(0.0, 199.0)]
+
+
+def test_an_alarm_has_its_likeliest_kind_also_where_no_kind_is_more_probable_than_healthy():
+    signals = loop(course(([0.4, 0.05, 0.3, 0.25], 30)))
+    (found,) = findings(signals)
+    assert (found.kind, found.onset, found.size) == (
+        "Offset",
+        None,
+        None,
+    )  # the learner's numbers are those of a healthy sensor
+
+
+def bars_of(signals):
+    from matplotlib.figure import Figure
+
+    axis = Figure().subplots()
+    draw_detection(axis, signals=signals)
+    bars, *changes = axis.collections
+    assert [x for line in changes for (x, _), _ in line.get_segments()] == [f.start for f in findings(signals)[1:]]
+    return [tuple(path.get_extents().intervalx) for path in bars.get_paths()]

@@ -20,12 +20,15 @@ class Inference:
         Whether samples minus an inferred offset still inform the state. Otherwise a sensor with an offset is ignored.
     controls : bool
         Whether it is a controller, which can compensate; a monitor cannot.
+    offset_kinds : tuple of str
+        Kinds of sensor faults that are an offset.
     """
 
     learner: str = ""
     has_probability: bool = True
     corrects: bool = False
     controls: bool = True
+    offset_kinds: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, block: Any) -> Inference:
@@ -36,6 +39,7 @@ class Inference:
             getattr(precision, "why_no_probability", None) is None,
             getattr(block, "corrects_offsets", False),
             any(port.name == "u" for port in block.outputs),
+            tuple(getattr(precision, "offset_kinds", ())),
         )
 
 

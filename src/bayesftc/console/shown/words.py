@@ -27,7 +27,6 @@ PAST = {
     "LostEffect": "lost effect",
     "StuckActuator": "stuck",
 }
-OFFSETS = ("Offset", "Drifting", "Ramping")
 NOISES = ("Noisier", "Burst")
 CERTAIN = 0.95
 """The lowest fault probability at which the rest of the belief is too little to mention."""
@@ -82,7 +81,7 @@ def _sensor(lane: AnyLane, row: Floats, i: int, t: float) -> dict[str, Any]:
     unit = f" {role.unit}" if role.unit else ""
     when = "" if since is None else f" since {since:.4g} s"
     card |= {"state": "faulty", "kind": PAST.get(kind, kind), "since": since}
-    if kind in OFFSETS and size is not None:
+    if kind in lane.inference.offset_kinds and size is not None:
         card["size"] = f"{size:+.3g}{unit}"
         correction = f"correcting {device} by {-size:+.3g}{unit}"
         words = f"{correction if lane.inference.corrects else _ignoring(device, chance, card['weight'])}{when}"
@@ -177,7 +176,8 @@ def _weight(lane: AnyLane, row: Floats, i: int) -> float | None:
 
 def _is_corrected(lane: AnyLane, row: Floats, i: int) -> bool:
     """Return whether the samples of a sensor are used without its inferred offset."""
-    return lane.inference.corrects and _is_faulty(lane, row, i) and _kind(lane, row, i, "") in OFFSETS
+    offset = _kind(lane, row, i, "") in lane.inference.offset_kinds
+    return lane.inference.corrects and offset and _is_faulty(lane, row, i)
 
 
 def _is_faulty(lane: AnyLane, row: Floats, i: int) -> bool:

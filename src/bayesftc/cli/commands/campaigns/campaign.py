@@ -16,6 +16,7 @@ import typer
 from bayesftc._interrupt import Interrupted
 from bayesftc.cli import output
 from bayesftc.cli.options import Json, Quiet
+from bayesftc.cosim.base.numbers import with_half
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -206,8 +207,7 @@ def _shown(value: Any) -> str:
 def _interval(cell: Mapping[str, float] | None) -> str:
     if cell is None or cell["mean"] != cell["mean"]:
         return output.DASH
-    half = cell["high"] - cell["mean"]
-    return f"{cell['mean']:.4g} ± {half:.2g}" if half == half else f"{cell['mean']:.4g}"
+    return with_half(cell["mean"], cell["high"] - cell["mean"])
 
 
 def _beginning(runs: int, before: int, store: Path) -> str:

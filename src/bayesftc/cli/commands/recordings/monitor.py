@@ -208,7 +208,7 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Seque
             "rate": (count + recording.replaced[i]) / seconds,
             "replaced": recording.replaced[i],
             "mean_probability": float(monitored.fault_probability[:, i].mean()),
-            "alarms": sum(event.sensor == name for event in monitored.events),
+            "alarms": sum(event.sensor == name and not event.continued for event in monitored.events),
         }
     return {
         "start": float(monitored.time[0]),
@@ -219,7 +219,7 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Seque
         "actuators": {
             name: {
                 "mean_probability": float(monitored.actuator_fault_probability[:, j].mean()),
-                "alarms": sum(event.actuator == name for event in monitored.actuator_events),
+                "alarms": sum(event.actuator == name and not event.continued for event in monitored.actuator_events),
             }
             for j, name in enumerate(monitored.actuators)
         },
