@@ -271,10 +271,20 @@ def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | 
     walk = RandomWalk(float(motion.variance / (lag * dt)) ** 0.5)
     if not motion.seen:
         return walk, motion, rate
-    lag, bend = _motion(y, noise, 2)
-    if bend.variance >= FIT.smooth * common(y, lag, 1, noise[lag]).variance:
+    near = common(y, lag, 2, 3 * noise[lag])
+    far, bend = _motion(y, noise, 2)
+    turns = motion.variance >= noise[lag] and near.variance < FIT.smooth * motion.variance
+    ratio = bend.variance / common(y, far, 1, noise[far]).variance
+    if not turns and ratio >= FIT.smooth:
         return walk, motion, rate
-    return ConstantRate(float(1.5 * bend.variance / (lag * dt) ** 3) ** 0.5), motion, rate
+    std = _bend(bend, far * dt)
+    # A turn seems a random walk over lags as long as itself; noise may hide how fast its rate changes.
+    return ConstantRate(max(std, _bend(near, lag * dt)) if ratio >= FIT.abrupt else std), motion, rate
+
+
+def _bend(motion: Motion, seconds: float) -> float:
+    """Return the standard deviation of the change of the rate in one second, from second differences over a lag."""
+    return float(np.sqrt(1.5 * motion.variance / seconds**3))
 
 
 def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[tuple[int, int], Noise]]:
