@@ -62,6 +62,9 @@ class Monitor:
         By default that of `monitor_recording`.
     own_loss : bool
         Whether a `SwitchingPrecision` takes its loss from the sensors' rates.
+    joint : bool
+        Without `precision`: whether sensors are judged together. Two that agree then outvote a third one that drifts slowly, even
+        if it is more precise. By default each is judged by itself.
     alarm : Alarm
         Conditions of an alarm.
     time : str
@@ -99,6 +102,7 @@ class Monitor:
     initial_mean: float | Sequence[float] | None = None
     initial_std: float | Sequence[float] | None = None
     invalid: Sequence[float] = ()
+    joint: bool = False
 
     @property
     def _input_errors(self) -> bool:
@@ -259,7 +263,7 @@ class Monitor:
             "healthy_repeats": tuple(sensor.repeats for sensor in self.sensors.values()),
         }
         if self.precision is None:
-            return default_precision(recording.loss, *defaults.values())
+            return default_precision(recording.loss, *defaults.values(), joint=self.joint)
         if not isinstance(self.precision, SwitchingPrecision):
             return self.precision
 

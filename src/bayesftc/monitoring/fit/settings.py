@@ -113,6 +113,17 @@ class FitSettings:
     rare: float = chosen(
         0.9, "quantile in the whole recording, up to the noise: a fault in a tenth of it has no effect"
     )
+    # A change to the end of the recording.
+    explained: float = chosen(
+        0.5,
+        "share of the motion of two sensors' difference that one change must explain: of errors that wander for a tenth of "
+        "the recording it is at most 0.35",
+    )
+    clearly: float = chosen(
+        0.7,
+        "this share for the best of the others: 0.58 for errors that wander for half the recording, 0.75 to 0.95 for faults",
+    )
+    least_before: int = chosen(4, "least parts of the recording before the change, for a reliable median")
     # A fault in the stretch.
     doubtful: float = chosen(5.0, "multiple of its noise above which a sensor's lasting errors may be a fault")
     outstanding: float = chosen(3.0, "multiple of the others' lasting errors from which those of one sensor stand out")

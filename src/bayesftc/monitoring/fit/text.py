@@ -59,6 +59,11 @@ def as_model_file(
         "",
         f"dt = {float(recording.dt):.10g}  # sample time in s",
         f"time = {_text(time)}  # the column of times",
+        *(
+            ["joint = true  # sensors are judged together: one has moved away from the others"]
+            if fitted.changes
+            else []
+        ),
         "",
         "[model]",
         *_plant(fitted, recording.units[0] if len(set(recording.units)) == 1 else ""),
