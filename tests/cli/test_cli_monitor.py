@@ -473,6 +473,31 @@ def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, end, sente
     )
 
 
+def test_headings_that_pass_north_count_on(tmp_path):
+    """The fit says so and writes it into the model file; without it the monitor names the line that is missing."""
+    rng, t = np.random.default_rng(0), 1.0 * np.arange(600)
+    heading = 30.0 * np.sin(2 * np.pi * t / 300)
+    y = {name: heading + std * rng.standard_normal(600) for name, std in (("a", 0.3), ("b", 0.5), ("c", 0.5))}
+    y["c"][500:] += 8.0
+    pd.DataFrame({"t": t, **{name: column % 360 for name, column in y.items()}}).to_csv(
+        tmp_path / "ship.csv", index=False
+    )
+    model = tmp_path / "model.toml"
+    command = ["monitor", str(tmp_path / "ship.csv"), "--json", "--model", str(model)]
+    report = json.loads(RUNNER.invoke(app, [*command, "--fit", "--to", "490"]).stdout)
+    assert "jump by about 360 up and down, as an angle does" in " ".join(report["notes"])
+    assert [(fault["sensor"], fault["kind"], round(fault["size"])) for fault in report["faults"]] == [
+        ("c", "Offset", 8)
+    ]
+    line = "period = 360  # an angle, which begins anew after a full turn\n"
+    assert model.read_text().count(line) == 3
+    again = json.loads(RUNNER.invoke(app, command).stdout)
+    assert (again["faults"], again["notes"]) == (report["faults"], [])
+    model.write_text(model.read_text().replace(line, ""))
+    (note,) = json.loads(RUNNER.invoke(app, command).stdout)["notes"][-1:]
+    assert f"If they are angles, add period = 360 below each of their sensors in {model}" in note
+
+
 @pytest.mark.slow
 def test_the_recording_of_the_readme_fits_its_model(tmp_path):
     drive = tmp_path / "drive.csv"

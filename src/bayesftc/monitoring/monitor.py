@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
@@ -176,7 +176,14 @@ class Monitor:
 
         return (
             {
-                name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit or column_unit(s.column or name))
+                name: signal(
+                    name,
+                    s,
+                    "sensor",
+                    resolution=s.resolution,
+                    period=s.period,
+                    unit=s.unit or column_unit(s.column or name),
+                )
                 for name, s in self.sensors.items()
             },
             {
@@ -299,13 +306,25 @@ class Monitor:
         columns = recording.y.T[seen]
         first = np.array([_first(column, std) for column, std in zip(columns, np.sqrt(np.diag(noise)), strict=True)])
         inverse = np.linalg.pinv(C[:, :plant])
-        mean = inverse @ first if self.initial_mean is None else as_vector("initial_mean", self.initial_mean, plant)
+        mean = inverse @ first
+        if self.initial_mean is not None:
+            mean = as_vector("initial_mean", self.initial_mean, plant).copy()
+            mean[0] += self._whole_turns(first - C[:, :plant] @ mean, np.flatnonzero(seen))
         if self.initial_std is None:
             errors = C[:, plant:] @ covariance[plant:, plant:] @ C[:, plant:].T + noise
             covariance[:plant, :plant] = FLAT * FLAT * inverse @ errors @ inverse.T
         else:
             covariance[:plant, :plant] = np.diag(as_vector("initial_std", self.initial_std, plant) ** 2)
         return tuple(map(float, mean)), (covariance + covariance.T) / 2
+
+    def _whole_turns(self, apart: Floats, seen: Iterable[int]) -> float:
+        """Return how far the belief must move, by full turns, to be near the first samples of an angle."""
+        sensors = list(self.sensors.values())
+        periods = np.array([sensors[i].period for i in seen])
+        if not (angles := periods > 0).any():
+            return 0.0
+        period = float(periods[angles][0])
+        return period * float(np.rint(np.median(apart[angles]) / period))
 
 
 def _first(samples: Floats, std: float) -> float:

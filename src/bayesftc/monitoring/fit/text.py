@@ -81,6 +81,8 @@ def as_model_file(
             lines.append(
                 f"invalid = [{', '.join(f'{value:.17g}' for value in place.invalid)}]  # these stand for no sample"
             )
+        if place.period:
+            lines.append(f"period = {place.period:.10g}  # an angle, which begins anew after a full turn")
         if units[name]:
             lines.append(f"unit = {_text(units[name])}")
         lines += [

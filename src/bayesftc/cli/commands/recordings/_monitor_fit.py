@@ -18,9 +18,11 @@ from bayesftc.cli import output
 from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.day_first import day_first_date
+from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import ResultFileError
 from bayesftc.monitoring import (
     FittedModel,
+    Monitor,
     Place,
     RandomWalk,
     Recording,
@@ -123,6 +125,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
         samples,
         [
             *_without_numbers(tables, part),
+            *_angles(places),
             *_codes(samples, tables, places),
             *_strangers(fitted),
             *_changes(fitted, samples, stretch),
@@ -138,6 +141,28 @@ def _without_numbers(tables: Tables, part: Fit) -> Iterator[str]:
         yield f"The column {names[0]} has no numbers; it is not monitored."
     elif names:
         yield f"The columns {', '.join(names[:-1])} and {names[-1]} have no numbers; they are not monitored."
+
+
+def _angles(places: Mapping[str, Place]) -> Iterator[str]:
+    """Give a note that the columns are angles, whose samples count on after a full turn."""
+    period = next(iter(places.values())).period
+    if period:
+        yield (
+            f"The samples jump by about {period:.4g} up and down, as an angle does after a full turn. The fit and the monitor "
+            f"count on instead: each sensor has period = {period:.10g} in the model file. If the columns are no angles, delete "
+            "these lines there and give --model without --fit."
+        )
+
+
+def turns_note(monitor: Monitor, recording: Recording, model: Path) -> list[str]:
+    """Return a note if samples look like those of an angle, but the model file does not say so."""
+    period = 0.0 if any(sensor.period for sensor in monitor.sensors.values()) else find_period(recording.y.T)
+    if not period:
+        return []
+    return [
+        f"The samples jump by about {period:.4g} up and down, as an angle does after a full turn. If they are angles, add "
+        f"period = {period:.10g} below each of their sensors in {model}: the monitor then counts on instead."
+    ]
 
 
 def _codes(recording: Recording, tables: Tables, places: Mapping[str, Place]) -> Iterator[str]:
