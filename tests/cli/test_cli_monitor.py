@@ -418,31 +418,84 @@ def test_a_right_model_is_not_warned_of_even_if_a_sensor_fails(pumped):
     assert "Offset" in done.stdout
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(
-    ("begin", "sentence"), [(30.0, "fit to a stretch without the fault"), (36.0, "errors of b last")]
-)
-def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, sentence):
-    """The model of a stretch with a fault expects the fault, and its alarm ends too early."""
+def tank(tmp_path, begin, end=60.0):
+    """A minute of three sensors of a level, of which the second has an offset for a part; the command that fits a model to it."""
     rng = np.random.default_rng(0)
     t = 0.1 * np.arange(600)
     level = 20.0 + np.cumsum(0.02 * rng.standard_normal(600))
-    y = {name: level + 0.1 * rng.standard_normal(600) + 2.0 * (name == "b") * (t >= begin) for name in "abc"}
+    failed = (t >= begin) & (t < end)
+    y = {name: level + 0.1 * rng.standard_normal(600) + 2.0 * (name == "b") * failed for name in "abc"}
     pd.DataFrame({"t": t, **y}).to_csv(tmp_path / "tank.csv", index=False)
-    command = ["monitor", str(tmp_path / "tank.csv"), "--fit", "--model"]
+    return ["monitor", str(tmp_path / "tank.csv"), "--fit", "--model"]
+
+
+@pytest.mark.parametrize("begin", [35.2, 36.0, 45.0])
+def test_an_offset_that_lasts_to_the_end_is_not_learnt(tmp_path, begin):
+    """A fit to a recording takes it for a fault, says so, and the monitor finds it, also without a stretch."""
+    command = [*tank(tmp_path, begin), str(tmp_path / "model.toml")]
+    report = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)
+    (note,) = report["notes"]
+    about, size = re.match(r"From about ([\d.]+) s on, b is ([\d.]+) above its place among the other", note).groups()
+    assert begin - 1.6 < float(about) <= begin  # in parts of 1.6 s
+    assert float(size) == pytest.approx(2.0, abs=0.1)
+    assert f"If it was healthy until then, fit with --to {float(about):.10g}. If it has been healthy since" in note
+    (fault,) = report["faults"]
+    assert (fault["sensor"], fault["kind"], fault["end"]) == ("b", "Offset", pytest.approx(59.9))
+    assert fault["start"] - begin < 1.0
+    healthy = json.loads(RUNNER.invoke(app, [*command, "--json", "--overwrite", "--to", about]).stdout)
+    assert healthy["notes"] == []
+    assert [fault["sensor"] for fault in healthy["faults"]] == ["b"]
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(
+    ("begin", "end", "sentence"),
+    [(30.0, 60.0, "fit to a stretch without the fault"), (24.0, 42.0, "errors of b last")],
+)
+def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, end, sentence):
+    """The model of a stretch with a fault expects the fault, and its alarm ends too early."""
+    command = tank(tmp_path, begin, end)
     whole = RUNNER.invoke(app, [*command, str(tmp_path / "whole.toml")])
     assert sentence in " ".join(whole.output.split())
     assert "--from and --to" in " ".join(whole.output.split())
     assert "If it measures another quantity, leave it out: name the others with --sensor." in " ".join(
         whole.output.split()
     )
-    healthy = RUNNER.invoke(app, [*command, str(tmp_path / "healthy.toml"), "--to", "29"])
+    healthy = RUNNER.invoke(app, [*command, str(tmp_path / "healthy.toml"), "--to", f"{min(begin, 30) - 1:g}"])
     assert healthy.exit_code == 0
     assert "errors of b" not in healthy.output
-    assert "to 59.90" in healthy.output
+    assert f"to {end - 0.1:.2f}" in healthy.output
     assert "Biases, repeats and missing come from the stretch" in healthy.output
     first = (tmp_path / "healthy.toml").read_text().splitlines()[0]
-    assert first == "# Fitted by bayesftc monitor --fit to 0 to 59.9 s, with healthy sensors from 0 to 29 s."
+    assert (
+        first
+        == f"# Fitted by bayesftc monitor --fit to 0 to 59.9 s, with healthy sensors from 0 to {min(begin, 30) - 1:g} s."
+    )
+
+
+def test_headings_that_pass_north_count_on(tmp_path):
+    """The fit says so and writes it into the model file; without it the monitor names the line that is missing."""
+    rng, t = np.random.default_rng(0), 1.0 * np.arange(600)
+    heading = 30.0 * np.sin(2 * np.pi * t / 300)
+    y = {name: heading + std * rng.standard_normal(600) for name, std in (("a", 0.3), ("b", 0.5), ("c", 0.5))}
+    y["c"][500:] += 8.0
+    pd.DataFrame({"t": t, **{name: column % 360 for name, column in y.items()}}).to_csv(
+        tmp_path / "ship.csv", index=False
+    )
+    model = tmp_path / "model.toml"
+    command = ["monitor", str(tmp_path / "ship.csv"), "--json", "--model", str(model)]
+    report = json.loads(RUNNER.invoke(app, [*command, "--fit", "--to", "490"]).stdout)
+    assert "jump by about 360 up and down, as an angle does" in " ".join(report["notes"])
+    assert [(fault["sensor"], fault["kind"], round(fault["size"])) for fault in report["faults"]] == [
+        ("c", "Offset", 8)
+    ]
+    line = "period = 360  # an angle, which begins anew after a full turn\n"
+    assert model.read_text().count(line) == 3
+    again = json.loads(RUNNER.invoke(app, command).stdout)
+    assert (again["faults"], again["notes"]) == (report["faults"], [])
+    model.write_text(model.read_text().replace(line, ""))
+    (note,) = json.loads(RUNNER.invoke(app, command).stdout)["notes"][-1:]
+    assert f"If they are angles, add period = 360 below each of their sensors in {model}" in note
 
 
 @pytest.mark.slow

@@ -93,6 +93,24 @@ def test_it_finds_what_is_in_the_recording_of_the_same_samples():
 
 
 @pytest.mark.slow
+def test_an_angle_counts_on_as_in_a_recording():
+    y = rows() - 4.0  # through 0
+    monitor = Monitor(DT, RandomWalk(std=0.1), sensors(period=6.0))
+    live, monitored = run(MonitorStepper(monitor, compiled=False), y % 6.0), recorded(monitor, y)
+    begin = 2 * (OPENING - 1)  # the slow sensor has sent nine samples by then
+    np.testing.assert_allclose(live["fault_probability"][begin:], monitored.fault_probability[begin:], atol=1e-6)
+    assert {event.sensor for event in monitored.events} == {"b"}
+
+
+@pytest.mark.parametrize("turn", [-12.0, 0.0, 6.0])
+def test_the_belief_about_an_angle_begins_on_the_turn_of_its_samples(turn):
+    y = rows()[:60]
+    monitor = Monitor(DT, RandomWalk(std=0.1), sensors(period=6.0), initial_mean=float(y[0, 0]) + turn, initial_std=0.1)
+    live = run(MonitorStepper(monitor, compiled=False), y)
+    assert live["x_hat"][-1] == pytest.approx(y[-10:, 0].mean(), abs=0.3)
+    assert np.nanmax(live["fault_probability"]) < 0.1
+
+
 def test_times_count_from_the_first_step_also_before_the_first_samples():
     monitor, y, silent = Monitor(DT, RandomWalk(std=0.06), sensors()), rows(), 57
     stepper = MonitorStepper(monitor, compiled=False)

@@ -582,6 +582,10 @@ def monitor_resolution(folder):
             r"'precision.process_modes\[0\].kind' is 'NoiserProcess'.* did you mean 'NoisierProcess'",
         ),
         ((MODEL, "dt = 1.0\n[model]\nkind = 'RandomWalk'\nstd = 1.0\n[sensors]\n"), "has no sensor"),
+        (
+            (MODEL, f"joint = true\n{MODEL}[precision]\nkind = 'SwitchingPrecision'\n"),
+            r"joint.* without \[precision\] only",
+        ),
     ],
 )
 def test_mistakes_in_the_file_are_named_with_their_place(change, words, tmp_path):
@@ -589,6 +593,22 @@ def test_mistakes_in_the_file_are_named_with_their_place(change, words, tmp_path
     with pytest.raises(BayesFTCError, match=words) as caught:
         load_monitor(file)
     assert str(file) in str(caught.value)
+
+
+@pytest.mark.parametrize("joint", [False, True])
+def test_two_sensors_that_agree_outvote_a_more_precise_one_if_judged_together(joint, tmp_path):
+    rng, t = np.random.default_rng(0), 1.0 * np.arange(600)
+    y = np.cumsum(0.2 * rng.standard_normal(600))[:, None] + [0.2, 0.5, 0.5] * rng.standard_normal((600, 3))
+    y[200:, 0] += 0.01 * (t[200:] - 200.0)  # the most precise one drifts slowly
+    pd.DataFrame({"t": t, **dict(zip("abc", y.T, strict=True))}).to_csv(tmp_path / "data.csv", index=False)
+    sensors = "".join(f"[sensors.{name}]\nstd = {0.2 if name == 'a' else 0.5}\n" for name in "abc")
+    model = "[model]\nkind = 'RandomWalk'\nstd = 0.2\n"
+    (tmp_path / "model.toml").write_text(
+        f"dt = 1.0\n{'joint = true' if joint else ''}\n{model}{sensors}", encoding="utf-8"
+    )
+    monitor = load_monitor(tmp_path / "model.toml")
+    found = monitor.run(monitor.read([tmp_path / "data.csv"]))
+    assert ("a" in {event.sensor for event in found.events}) == joint
 
 
 def test_states_that_no_sensor_reads_need_a_beginning(tmp_path):

@@ -67,6 +67,9 @@ class Sensor(Column):
         Share of samples that equal the one before while the sensor is healthy, as with slow sensors or a faster logger.
     reads : sequence of float, optional
         Its row of C, one number per state; by default it measures the first state.
+    period : float
+        Full turn of an angle, such as 360 for a heading in degrees; 0 for other quantities. Its samples count on where they begin
+        anew, on the turn of the other sensors with this period.
     unit : str
         Its unit, for figures and tables. Samples of a column whose name ends in another unit, as in ``h [cm]``, are converted.
 
@@ -84,10 +87,12 @@ class Sensor(Column):
     resolution: float | None = None
     repeats: float = HEALTHY_REPEATS
     reads: Sequence[float] | None = None
+    period: float = 0.0
     unit: str = ""
 
     def __post_init__(self) -> None:
         check_number(self, "std", above=0)
+        check_number(self, "period", least=0)
         check_number(self, "repeats", least=0, below=1)
 
 

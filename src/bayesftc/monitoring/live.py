@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesftc.controllers.learning.resolution import find_resolution
+from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.live.steppers import Stepper
@@ -96,6 +97,7 @@ class MonitorStepper(Stepper):
         self._smoothed: list[deque[float]] = [deque(maxlen=window) for window in windows]
         self._opening: deque[tuple[Floats, Floats]] = deque(maxlen=LONGEST)
         self._rest, self._gap = RestWatch(len(monitor.sensors)), GapWatch(len(monitor.sensors))
+        self._turns = Turns(sensor.period for sensor in monitor.sensors.values())
         self._running: Online | None = None
         self._k = -1
         self._enough = [OPENING if sensor.resolution is not None else FINDING for sensor in monitor.sensors.values()]
@@ -149,7 +151,8 @@ class MonitorStepper(Stepper):
         for i, invalid in enumerate(self._invalid):
             if np.isin(inputs[i], invalid):
                 values[i] = np.nan
-        y, u = values[: len(self._monitor.sensors)], self._averaged(values[len(self._monitor.sensors) :])
+        y = self._turns.place(values[: len(self._monitor.sensors)])
+        u = self._averaged(values[len(self._monitor.sensors) :])
         if self._running is not None:
             return self._judge(self._running, y, u)
         self._opening.append((y, u))

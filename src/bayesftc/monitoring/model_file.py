@@ -19,7 +19,7 @@ from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import as_table, build, build_one_of
 
-SECTIONS = ("dt", "time", "invalid", "model", "sensors", "inputs", "errors", "precision", "alarm")
+SECTIONS = ("dt", "time", "invalid", "joint", "model", "sensors", "inputs", "errors", "precision", "alarm")
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,14 @@ class Head:
         The column of the time stamps, in seconds.
     invalid : sequence of float
         Values that devices record in place of a sample, for all sensors and inputs.
+    joint : bool
+        Without ``[precision]``: whether sensors are judged together, so that two that agree outvote a third one.
     """
 
     dt: float | str
     time: str = "t"
     invalid: Sequence[float] = ()
+    joint: bool = False
 
 
 def load_monitor(path: str | os.PathLike[str]) -> Monitor:
@@ -97,7 +100,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     for name in ("dt", "model", "sensors"):
         if name not in content:
             raise root.error(f"lacks {name!r}. A model file needs dt = ..., [model] and [sensors.<name>].")
-    head: Head = build(Head, {key: content[key] for key in ("dt", "time", "invalid") if key in content}, root)
+    head: Head = build(Head, {key: content[key] for key in ("dt", "time", "invalid", "joint") if key in content}, root)
     table = dict(as_table(content["model"], root / "model"))
     start: Start = build(
         Start, {key: table.pop(key) for key in ("initial_mean", "initial_std") if key in table}, root / "model"
@@ -106,6 +109,8 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     errors = content.get("errors", [])
     if not isinstance(errors, list):
         raise (root / "errors").error("must be a list of tables. Write [[errors]], with two brackets, above each.")
+    if "joint" in content and "precision" in content:
+        raise (root / "joint").error("holds without [precision] only. Move it into [precision].")
     precision, own_loss = _precision(content.get("precision"), root / "precision")
     monitor = Monitor(
         dt=head.dt,
@@ -118,6 +123,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
         alarm=build(Alarm, content.get("alarm", {}), root / "alarm"),
         time=head.time,
         invalid=head.invalid,
+        joint=head.joint,
         initial_mean=start.initial_mean,
         initial_std=start.initial_std,
     )

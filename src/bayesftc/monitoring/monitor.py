@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
@@ -62,6 +62,9 @@ class Monitor:
         By default that of `monitor_recording`.
     own_loss : bool
         Whether a `SwitchingPrecision` takes its loss from the sensors' rates.
+    joint : bool
+        Without `precision`: whether sensors are judged together. Two that agree then outvote a third one that drifts slowly, even
+        if it is more precise. By default each is judged by itself.
     alarm : Alarm
         Conditions of an alarm.
     time : str
@@ -99,6 +102,7 @@ class Monitor:
     initial_mean: float | Sequence[float] | None = None
     initial_std: float | Sequence[float] | None = None
     invalid: Sequence[float] = ()
+    joint: bool = False
 
     @property
     def _input_errors(self) -> bool:
@@ -172,7 +176,14 @@ class Monitor:
 
         return (
             {
-                name: signal(name, s, "sensor", resolution=s.resolution, unit=s.unit or column_unit(s.column or name))
+                name: signal(
+                    name,
+                    s,
+                    "sensor",
+                    resolution=s.resolution,
+                    period=s.period,
+                    unit=s.unit or column_unit(s.column or name),
+                )
                 for name, s in self.sensors.items()
             },
             {
@@ -259,7 +270,7 @@ class Monitor:
             "healthy_repeats": tuple(sensor.repeats for sensor in self.sensors.values()),
         }
         if self.precision is None:
-            return default_precision(recording.loss, *defaults.values())
+            return default_precision(recording.loss, *defaults.values(), joint=self.joint)
         if not isinstance(self.precision, SwitchingPrecision):
             return self.precision
 
@@ -295,13 +306,25 @@ class Monitor:
         columns = recording.y.T[seen]
         first = np.array([_first(column, std) for column, std in zip(columns, np.sqrt(np.diag(noise)), strict=True)])
         inverse = np.linalg.pinv(C[:, :plant])
-        mean = inverse @ first if self.initial_mean is None else as_vector("initial_mean", self.initial_mean, plant)
+        mean = inverse @ first
+        if self.initial_mean is not None:
+            mean = as_vector("initial_mean", self.initial_mean, plant).copy()
+            mean[0] += self._whole_turns(first - C[:, :plant] @ mean, np.flatnonzero(seen))
         if self.initial_std is None:
             errors = C[:, plant:] @ covariance[plant:, plant:] @ C[:, plant:].T + noise
             covariance[:plant, :plant] = FLAT * FLAT * inverse @ errors @ inverse.T
         else:
             covariance[:plant, :plant] = np.diag(as_vector("initial_std", self.initial_std, plant) ** 2)
         return tuple(map(float, mean)), (covariance + covariance.T) / 2
+
+    def _whole_turns(self, apart: Floats, seen: Iterable[int]) -> float:
+        """Return how far the belief must move, by full turns, to be near the first samples of an angle."""
+        sensors = list(self.sensors.values())
+        periods = np.array([sensors[i].period for i in seen])
+        if not (angles := periods > 0).any():
+            return 0.0
+        period = float(periods[angles][0])
+        return period * float(np.rint(np.median(apart[angles]) / period))
 
 
 def _first(samples: Floats, std: float) -> float:

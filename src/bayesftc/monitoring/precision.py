@@ -18,13 +18,17 @@ from bayesftc.controllers.switching.learner import SwitchingPrecision
 
 
 def default_precision(
-    loss: Sequence[float], resolution: Sequence[float], repeats: float | Sequence[float] = HEALTHY_REPEATS
+    loss: Sequence[float],
+    resolution: Sequence[float],
+    repeats: float | Sequence[float] = HEALTHY_REPEATS,
+    *,
+    joint: bool = False,
 ) -> SwitchingPrecision:
     """Return the default learner of a monitor: every kind of fault once in an hour, and harmless bursts of noise.
 
     The faults of a recording are not known, so offsets may be large and drifts fast. Times are in seconds and sizes in the
-    sensors' standard deviations, so the learner fits any quantity. It is the per-sensor form: in a recorded drive, the joint
-    form also suspected sensors that share errors with the faulty one.
+    sensors' standard deviations, so the learner fits any quantity. It is the per-sensor form by default: in a recorded drive, the
+    joint form also suspected sensors that share errors with the faulty one.
 
     Parameters
     ----------
@@ -34,6 +38,8 @@ def default_precision(
         Resolution of each sensor, in its unit.
     repeats : float or sequence of float
         Share of the samples that a healthy sensor repeats, for all or for each.
+    joint : bool
+        Whether sensors are judged together: two that agree then outvote a third one that drifts slowly.
 
     Returns
     -------
@@ -56,4 +62,4 @@ def default_precision(
         DroppedOut(**rare),
         Burst(scale=5.0),
     )
-    return SwitchingPrecision(modes, loss=tuple(loss), joint=False, outages=True)
+    return SwitchingPrecision(modes, loss=tuple(loss), joint=joint, outages=True)

@@ -15,6 +15,7 @@ from bayesftc.controllers.models.checks import check_number
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
+from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
@@ -58,6 +59,9 @@ class Signal:
         Values that a device records in place of a sample, such as ``[-9999, 65535]``. They are left out.
     origin : datetime, optional
         The instant of time 0, if the times are known as dates.
+    period : float
+        Full turn of a sensor of an angle, such as 360 for a heading in degrees: its samples then count on where they begin
+        anew. 0 if it measures no angle. Sensors with the same period measure the same angle.
 
     Raises
     ------
@@ -84,6 +88,7 @@ class Signal:
     unit: str = ""
     invalid: Sequence[float] = ()
     origin: datetime | None = None
+    period: float = 0.0
 
     def __repr__(self) -> str:
         return short(self, delay="s", smooth="s")
@@ -101,6 +106,7 @@ class Signal:
         for name in ("bias", "delay"):
             check_number(self, name)
         check_number(self, "smooth", least=0)
+        check_number(self, "period", least=0)
         check_number(self, "resolution", optional=True, least=0)
         usable = np.abs(values) <= LARGEST  # not if NaN
         kept = usable & ~np.isin(values, invalid_values("A signal", self.invalid, 1))
@@ -210,7 +216,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
 
     Nothing is interpolated: a sensor without a sample near a step has none at that step. An input holds each sample from its
     time stamp until the next one; a time stamp that lies closer to a step than rounding (a twentieth of a step) counts as at it.
-    Its value at a step is the mean of this course from the step to the next.
+    Its value at a step is the mean of this course from the step to the next. Samples of an angle (`Signal.period`) are put on the
+    turn that is nearest to the last ones of its sensors.
 
     Parameters
     ----------
@@ -262,6 +269,9 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         y[at[inside], i] = values[inside]
         replaced.append(int(inside.sum() - np.isfinite(y[:, i]).sum()))
         loss.append(expected_loss(time, step))
+    turns = Turns(signal.period for signal in sensors.values())
+    if turns.needed:
+        y = np.array([turns.place(row) for row in y])
     ends: Floats = np.arange(1.0, steps + 1.0) * float(step)
     u = np.zeros((steps, max(len(inputs), 1)))
     for j, signal in enumerate(inputs.values()):

@@ -140,6 +140,33 @@ def test_smooth_motion_has_a_rate(rate):
     np.testing.assert_allclose([s.std for s in fitted.sensors.values()], 0.05, rtol=0.1)
 
 
+def turning(seed):
+    """Return a ship's heading (20 min, five courses) as three compasses measure it, once a second."""
+    rng, heading, rate, y = np.random.default_rng(seed), 40.0, 0.0, []
+    for course in np.repeat([40.0, 70.0, 55.0, 120.0, 90.0], [200, 300, 200, 300, 200]):
+        rudder = np.clip(0.5 * (course - heading) - 8.0 * rate, -15.0, 15.0) + 0.5 * rng.standard_normal()
+        rate += (0.12 * rudder - rate) / 12.0
+        heading += rate
+        y.append(heading)
+    return np.array(y)[:, None] + [0.3, 1.5, 0.5] * rng.standard_normal((1200, 3))
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("seed", range(201, 209))
+def test_turns_are_no_faults(seed):
+    """Over lags as long as a turn, a heading seems a random walk; the drift of a compass then explains each turn as well."""
+    y = turning(seed)
+    t = 1.0 * np.arange(len(y))
+    found, fitted = watched({f"s{i}": Signal(t, column) for i, column in enumerate(y.T)})
+    assert isinstance(fitted.plant, ConstantRate)
+    assert 0.08 < fitted.plant.std < 0.3  # the rate changes by 0.15 a second as a turn begins
+    assert not found.events
+    y[720:, 2] += 3.0  # in a turn
+    found, _ = watched({f"s{i}": Signal(t, column) for i, column in enumerate(y.T)}, (0.0, 700.0))
+    assert {event.sensor for event in found.events} == {"s2"}
+    assert 0.0 <= found.events[0].start - 720.0 < 60.0
+
+
 def test_biases_resolution_repeats_and_gaps_are_found():
     rng = np.random.default_rng(5)
     y = level(6000, 1.0, 0.01, rng)[:, None] + 0.1 * rng.standard_normal((6000, 3)) + [0.0, 0.5, -1.0]

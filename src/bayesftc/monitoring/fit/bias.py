@@ -1,8 +1,10 @@
-"""Slow differences between redundant sensors: constant biases and wandering biases."""
+"""Slow differences between redundant sensors: constant biases, wandering biases, and a change that lasts to the end."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtri
@@ -56,3 +58,92 @@ def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
     of = [[k for k, pair in enumerate(pairs) if i in pair] for i in range(sensors)]
     lower = [float(np.quantile(variance[k], 0.5, method="lower")) / 2 for k in of]
     return np.array(lower), np.array([np.median(lasting[k]) for k in of])
+
+
+class Change(NamedTuple):
+    """A change of a sensor against the others that lasts to the end of a recording."""
+
+    size: float
+    """Difference at the end from that at the beginning, in the unit of the sensor."""
+    begin: int
+    """The step at which it begins."""
+    sudden: bool
+    """Whether it is a step; if not, it grows steadily."""
+
+
+class _Course(NamedTuple):
+    """The best change in the difference of two sensors, and how much of the difference's motion it explains."""
+
+    change: Change
+    explained: float
+
+
+def changes(y: Floats, noise: Sequence[float]) -> dict[int, Change]:
+    """Return the sensors that have moved away from the others, by a step or steadily, and not returned.
+
+    The difference of two sensors has a median in each of many parts of the recording. An error that wanders about a mean is
+    explained by a single change only to a small part. A sensor has moved if this explains its differences from most others, while
+    those others agree with each other. Two sensors do not show which of them has moved.
+
+    Parameters
+    ----------
+    y : ndarray, steps x sensors
+        Samples.
+    noise : sequence of float
+        Standard deviation of each sensor's noise: less than a few of it are no change.
+    """
+    sensors = y.shape[1]
+    courses = {pair: _course(y[:, pair[0]] - y[:, pair[1]]) for pair in combinations(range(sensors), 2)}
+    apart = {pair: course for pair, course in courses.items() if course and course.explained > FIT.explained}
+    count = [sum(i in pair for pair in apart) for i in range(sensors)]
+    moved = [i for i in range(sensors) if count[i] == max(count) and count[i] > (sensors - 1) / 2]
+    rest = set(range(sensors)) - set(moved)
+    if len(rest) < 2 or any(rest.issuperset(pair) for pair in apart):
+        return {}
+    found = {}
+    for i in moved:
+        pair = max((pair for pair in apart if i in pair), key=lambda pair: apart[pair].explained)
+        change = apart[pair].change
+        change = change._replace(size=change.size * (1 if pair[0] == i else -1))
+        if apart[pair].explained > FIT.clearly and abs(change.size) > FIT.outstanding * noise[i]:
+            found[i] = change
+    return found
+
+
+def unmoved(y: Floats, changes: Mapping[int, Change], stretch: slice) -> Floats:
+    """Return the samples without those of each moved sensor since its change, or before a step if the stretch is after it.
+
+    If too few samples of the stretch would remain, they stay.
+    """
+    kept = y.copy()
+    for i, change in changes.items():
+        after = change.sudden and stretch.indices(len(y))[0] >= change.begin
+        column = kept[:, i].copy()
+        column[slice(0, change.begin) if after else slice(change.begin, None)] = np.nan
+        if np.isfinite(column[stretch]).sum() >= FIT.least_before * FIT.least_block:
+            kept[:, i] = column
+    return kept
+
+
+def _course(apart: Floats) -> _Course | None:
+    """Return the best change in a difference of two sensors; None with too few samples."""
+    length = max(len(apart) // FIT.parts, FIT.least_block)
+    levels = median(apart[: len(apart) // length * length].reshape(-1, length), 1)
+    there = np.flatnonzero(np.isfinite(levels))
+    levels = levels[there]
+    if len(levels) < 2 * FIT.fewest_windows:
+        return None
+    total = float(np.abs(levels - np.median(levels)).sum())
+    best = _Course(Change(0.0, 0, sudden=True), 0.0)
+    for k in range(FIT.least_before, int(FIT.rare * len(levels)) + 1):
+        before, after = float(np.median(levels[:k])), levels[k:]
+        since = np.arange(len(after)) + 0.5
+        step, slope = float(np.median(after)) - before, float(np.median((after - before) / since))
+        for size, shape, sudden in ((step, step, True), (slope * len(after), slope * since, False)):
+            left = float(np.abs(levels[:k] - before).sum() + np.abs(after - before - shape).sum())
+            if total > 0 and 1 - left / total > best.explained:
+                best = _Course(Change(size, int(there[k]) * length, sudden), 1 - left / total)
+    return best
+
+
+__all__ = ["Change", "biases", "changes", "unmoved", "wander"]

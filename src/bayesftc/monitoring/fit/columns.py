@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
@@ -16,6 +16,7 @@ from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
 from bayesftc.cosim.base.recordings.day_first import iso_of
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
+from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables
@@ -34,6 +35,8 @@ class Place:
         Its file, its column and the column of its times.
     invalid : tuple of float
         Values that stand for no sample.
+    period : float
+        Full turn of an angle; 0 for other quantities.
 
     Examples
     --------
@@ -45,13 +48,14 @@ class Place:
     ...     _ = file.write_text("time,T_1,T_2\n0.0,20.1,20.0\n0.1,20.2,20.1\n")
     ...     places, signals = monitoring.redundant_signals([file])
     >>> places["T_2"]
-    Place(file='tank.csv', column='T_2', time='time', invalid=())
+    Place(file='tank.csv', column='T_2', time='time', invalid=(), period=0.0)
     """
 
     file: str
     column: str
     time: str
     invalid: tuple[float, ...] = ()
+    period: float = 0.0
 
 
 def redundant_signals(
@@ -126,6 +130,9 @@ def signals_of(
                 raise RecordingError(f"{file}, the column {column!r}: {error}") from None
     if not signals:
         raise RecordingError("There is no column besides the times. Give a file with two or more sensors.")
+    if period := find_period(np.asarray(signal.values) for signal in signals.values()):
+        places = {name: replace(place, period=period) for name, place in places.items()}
+        signals = {name: replace(signal, period=period) for name, signal in signals.items()}
     return places, signals
 
 

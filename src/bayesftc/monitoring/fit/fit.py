@@ -12,7 +12,7 @@ from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.columns import SensorErrors
-from bayesftc.monitoring.fit.bias import biases, wander
+from bayesftc.monitoring.fit.bias import Change, biases, changes, unmoved, wander
 from bayesftc.monitoring.fit.checks import check_recording
 from bayesftc.monitoring.fit.codes import without_codes
 from bayesftc.monitoring.fit.following import strangers
@@ -80,6 +80,9 @@ class FittedModel:
     strangers : dict of str to float
         Sensors that do not follow the others, and how far each moves while the others move by 1. They have no effect on the
         motion, and on the noise of the others. Of two sensors that do not agree both are in it.
+    changes : dict of str to Change
+        Sensors that have moved away from the others and not returned, with the size, the first step, and whether the change is
+        sudden. Their biases and lasting errors come from the time before, as do those of a stretch in it.
     level, spread : float
         Mean and standard deviation of the quantity, in its unit.
     rate : float
@@ -106,6 +109,7 @@ class FittedModel:
     spread: float
     rate: float
     strangers: Mapping[str, float] = field(default_factory=dict)
+    changes: Mapping[str, Change] = field(default_factory=dict)
 
 
 def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel:
@@ -124,7 +128,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     stretch : slice
         Steps in which the sensors are healthy; by default all. Biases come from it. Motion comes from the whole recording: a calm
         stretch does not show it, and no fault of a single sensor looks like it. Noise, up to twice that of the stretch, and
-        wandering biases, up to the size of the noise, also come from the whole recording.
+        wandering biases, up to the size of the noise and to those of most sensors, also come from the whole recording.
 
     Returns
     -------
@@ -195,9 +199,7 @@ def _samples(recording: Recording, i: int, stretch: slice, changing: Floats) -> 
 
 def _fit(recording: Recording, stretch: slice) -> FittedModel:
     """Fit a model to all sensors."""
-    dt, bias = float(recording.dt), biases(awake(recording.y[stretch]))
-    whole = awake(recording.y - bias)
-    y = awake(recording.y[stretch] - bias)
+    dt, whole, y = float(recording.dt), awake(recording.y), awake(recording.y[stretch])
     widths = [_width(recording.y[:, i], resolution) for i, resolution in enumerate(recording.resolution)]
     floor = float(np.median(widths)) ** 2 / 12
     apart = {lag: disagreement(whole, lag) for lag in _lags(whole)}
@@ -209,7 +211,11 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
         single = [
             everywhere.within(here.variance, FIT.louder**2) for everywhere, here in zip(single, of_stretch, strict=True)
         ]
-    slow, times = _wandering(y, whole, single)
+    moved = changes(whole, [of.variance**0.5 for of in single])
+    kept = unmoved(whole, moved, stretch)
+    y = np.where(np.isfinite(kept[stretch]), y, np.nan)
+    bias = biases(y)
+    slow, times = _wandering(y - bias, kept - bias, single)
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
         std = float(max(single[i].white, widths[i] ** 2 / 12)) ** 0.5
@@ -223,9 +229,10 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
         errors += [
             SensorErrors(float(v) ** 0.5, constant * dt, names, common=True) for v, constant in of_pair.lasting if v
         ]
-    level = median(whole, 1)
+    level = median(kept - bias, 1)
     middle, spread = float(np.nanmedian(level)), float(np.nanstd(level))
-    return FittedModel(plant, sensors, tuple(errors), motion.seen, middle, spread, rate)
+    by_name = {recording.sensors[i]: change for i, change in moved.items()}
+    return FittedModel(plant, sensors, tuple(errors), motion.seen, middle, spread, rate, changes=by_name)
 
 
 def _half(apart: Floats) -> float:
@@ -271,10 +278,20 @@ def _plant(y: Floats, noise: dict[int, float], dt: float) -> tuple[RandomWalk | 
     walk = RandomWalk(float(motion.variance / (lag * dt)) ** 0.5)
     if not motion.seen:
         return walk, motion, rate
-    lag, bend = _motion(y, noise, 2)
-    if bend.variance >= FIT.smooth * common(y, lag, 1, noise[lag]).variance:
+    near = common(y, lag, 2, 3 * noise[lag])
+    far, bend = _motion(y, noise, 2)
+    turns = motion.variance >= noise[lag] and near.variance < FIT.smooth * motion.variance
+    ratio = bend.variance / common(y, far, 1, noise[far]).variance
+    if not turns and ratio >= FIT.smooth:
         return walk, motion, rate
-    return ConstantRate(float(1.5 * bend.variance / (lag * dt) ** 3) ** 0.5), motion, rate
+    std = _bend(bend, far * dt)
+    # A turn seems a random walk over lags as long as itself; noise may hide how fast its rate changes.
+    return ConstantRate(max(std, _bend(near, lag * dt)) if ratio >= FIT.abrupt else std), motion, rate
+
+
+def _bend(motion: Motion, seconds: float) -> float:
+    """Return the standard deviation of the change of the rate in one second, from second differences over a lag."""
+    return float(np.sqrt(1.5 * motion.variance / seconds**3))
 
 
 def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[tuple[int, int], Noise]]:
@@ -311,7 +328,10 @@ def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[
     A single sensor whose model has no wandering bias would be suspected when the others wander.
     """
     (inside, _), (everywhere, times) = wander(y, FIT.usual), wander(whole, FIT.rare)
-    variances = np.maximum(inside, np.minimum(everywhere, [noise.variance for noise in errors]))
+    most: Floats = np.array([noise.variance for noise in errors])
+    if len(y) < len(whole):  # what only one sensor has outside the stretch is more likely its fault
+        most = np.minimum(most, np.median(everywhere))
+    variances = np.maximum(inside, np.minimum(everywhere, most))
     typical = float(np.median(variances))
     return np.maximum(variances, typical).tolist(), [float(np.median(times[variances >= typical]))] * len(errors)
 

@@ -2,8 +2,8 @@
 
 They were made with the recorded drive of ``docs/tutorials/monitor.md`` in view: a wheel that fails in braking at 31.5 s, and
 a stretch of five calm seconds (`louder`, `rare`). Those for codes and for sensors that do not follow were made with simulated
-flights of ten minutes at 10 Hz; of the wheels of the recorded drive, healthy and faulty, they name none. The others were not
-tested on other recordings.
+flights of ten minutes at 10 Hz; of the wheels of the recorded drive, healthy and faulty, they name none. The one for turns
+(`abrupt`) was made with simulated headings of a ship, 20 minutes at 1 Hz. The others were not tested on other recordings.
 """
 
 from __future__ import annotations
@@ -80,6 +80,11 @@ class FitSettings:
         0.7,
         "ratio of the variances of second and first differences: 2 for a random walk; below this value there is a rate",
     )
+    abrupt: float = chosen(
+        0.3,
+        "this ratio, at the lag of the visible second differences, from which the rate may change sooner: turns had 0.38 to 1, "
+        "lasting rates below 0.2",
+    )
     # Noise and lasting errors.
     alike: float = chosen(
         0.75, "share of the difference from others below which two sensors have common errors, as on an axle"
@@ -108,6 +113,17 @@ class FitSettings:
     rare: float = chosen(
         0.9, "quantile in the whole recording, up to the noise: a fault in a tenth of it has no effect"
     )
+    # A change to the end of the recording.
+    explained: float = chosen(
+        0.5,
+        "share of the motion of two sensors' difference that one change must explain: of errors that wander for a tenth of "
+        "the recording it is at most 0.35",
+    )
+    clearly: float = chosen(
+        0.7,
+        "this share for the best of the others: 0.58 for errors that wander for half the recording, 0.75 to 0.95 for faults",
+    )
+    least_before: int = chosen(4, "least parts of the recording before the change, for a reliable median")
     # A fault in the stretch.
     doubtful: float = chosen(5.0, "multiple of its noise above which a sensor's lasting errors may be a fault")
     outstanding: float = chosen(3.0, "multiple of the others' lasting errors from which those of one sensor stand out")

@@ -59,6 +59,11 @@ def as_model_file(
         "",
         f"dt = {float(recording.dt):.10g}  # sample time in s",
         f"time = {_text(time)}  # the column of times",
+        *(
+            ["joint = true  # sensors are judged together: one has moved away from the others"]
+            if fitted.changes
+            else []
+        ),
         "",
         "[model]",
         *_plant(fitted, recording.units[0] if len(set(recording.units)) == 1 else ""),
@@ -76,6 +81,8 @@ def as_model_file(
             lines.append(
                 f"invalid = [{', '.join(f'{value:.17g}' for value in place.invalid)}]  # these stand for no sample"
             )
+        if place.period:
+            lines.append(f"period = {place.period:.10g}  # an angle, which begins anew after a full turn")
         if units[name]:
             lines.append(f"unit = {_text(units[name])}")
         lines += [

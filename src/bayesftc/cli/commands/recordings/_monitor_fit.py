@@ -16,10 +16,13 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.base.announcing import inform
+from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.day_first import day_first_date
+from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import ResultFileError
 from bayesftc.monitoring import (
     FittedModel,
+    Monitor,
     Place,
     RandomWalk,
     Recording,
@@ -120,7 +123,14 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
     return FittedFiles(
         fitted,
         samples,
-        [*_without_numbers(tables, part), *_codes(samples, tables, places), *_strangers(fitted), *fit_notes(fitted)],
+        [
+            *_without_numbers(tables, part),
+            *_angles(places),
+            *_codes(samples, tables, places),
+            *_strangers(fitted),
+            *_changes(fitted, samples, stretch),
+            *fit_notes(fitted),
+        ],
     )
 
 
@@ -131,6 +141,28 @@ def _without_numbers(tables: Tables, part: Fit) -> Iterator[str]:
         yield f"The column {names[0]} has no numbers; it is not monitored."
     elif names:
         yield f"The columns {', '.join(names[:-1])} and {names[-1]} have no numbers; they are not monitored."
+
+
+def _angles(places: Mapping[str, Place]) -> Iterator[str]:
+    """Give a note that the columns are angles, whose samples count on after a full turn."""
+    period = next(iter(places.values())).period
+    if period:
+        yield (
+            f"The samples jump by about {period:.4g} up and down, as an angle does after a full turn. The fit and the monitor "
+            f"count on instead: each sensor has period = {period:.10g} in the model file. If the columns are no angles, delete "
+            "these lines there and give --model without --fit."
+        )
+
+
+def turns_note(monitor: Monitor, recording: Recording, model: Path) -> list[str]:
+    """Return a note if samples look like those of an angle, but the model file does not say so."""
+    period = 0.0 if any(sensor.period for sensor in monitor.sensors.values()) else find_period(recording.y.T)
+    if not period:
+        return []
+    return [
+        f"The samples jump by about {period:.4g} up and down, as an angle does after a full turn. If they are angles, add "
+        f"period = {period:.10g} below each of their sensors in {model}: the monitor then counts on instead."
+    ]
 
 
 def _codes(recording: Recording, tables: Tables, places: Mapping[str, Place]) -> Iterator[str]:
@@ -167,6 +199,30 @@ def _strangers(fitted: FittedModel) -> Iterator[str]:
         )
 
 
+def _changes(fitted: FittedModel, recording: Recording, stretch: slice) -> Iterator[str]:
+    """Give a note for each sensor that has moved away from the others in the stretch, and not returned."""
+    first, last, _ = stretch.indices(len(recording.time))
+    for name, change in fitted.changes.items():
+        if not first < change.begin < last - 1:  # --to includes its own step
+            continue  # the user knows when it was healthy
+        size = f"{abs(change.size):.3g} {recording.units[recording.sensors.index(name)]}".rstrip()
+        place = f"{size} {'above' if change.size > 0 else 'below'} its place among the other sensors"
+        since = float(recording.time[change.begin])
+        begin, end = (time_text(t, recording.origin) for t in (since, recording.time[-1]))
+        moment = f"{since:.10g}" if recording.origin is None else date_at(recording.origin, since).isoformat()
+        course = (
+            f"is {place}, until the end ({end})"
+            if change.sudden
+            else f"moves away from the other sensors. At the end ({end}) it is {place}"
+        )
+        since_then = f" If it has been healthy since then, fit with --from {moment}." if change.sudden else ""
+        yield (
+            f"From about {begin} on, {name} {course}. The fit takes this for a fault: {name} has the bias and the lasting errors "
+            f"of the time before. If it was healthy until then, fit with --to {moment}.{since_then} If it measures another "
+            "quantity, leave it out: name the others with --sensor."
+        )
+
+
 def _slope(slope: float) -> str:
     """Return a slope with two decimals, and without the sign of a zero."""
     return f"{round(slope, 2) + 0.0:.2g}"
@@ -188,6 +244,7 @@ def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
         "moves": fitted.moves,
         "sensors": {name: asdict(sensor) for name, sensor in fitted.sensors.items()},
         "errors": [asdict(errors) for errors in fitted.errors],
+        "changes": {name: change._asdict() for name, change in fitted.changes.items()},
     }
 
 
@@ -232,9 +289,9 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     )
     if part.start is not None or part.stop is not None:
         say(
-            "Biases, repeats and missing come from the stretch between --from and --to. The motion and the lasting errors come "
-            "from the whole recording, because a calm stretch shows too little of them. So does the noise, up to twice that of "
-            "the stretch. For a fit of the stretch alone, write it to a file of its own."
+            "Biases, repeats and missing come from the stretch between --from and --to. The motion comes from the whole "
+            "recording, because a calm stretch shows too little of it. So do the noise, up to twice that of the stretch, and "
+            "lasting errors that most sensors have. For a fit of the stretch alone, write it to a file of its own."
         )
     if gaps := _gaps(recording):
         say(gaps)

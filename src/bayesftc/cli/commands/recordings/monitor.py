@@ -23,6 +23,7 @@ from bayesftc.cli.commands.recordings._monitor_fit import (
     fit_files,
     fitted_summary,
     print_fit,
+    turns_note,
 )
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder, check_numbers
 from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort
@@ -176,15 +177,16 @@ def monitor(
         {} if fitted is None else {"fitted": fitted_summary(fitted.model, model)}
     )
     notes = [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
-    numbers["notes"] = [*notes, *([] if fitted is None else fitted.notes)]
+    more = turns_note(loaded, samples, model) if fitted is None else fitted.notes
+    numbers["notes"] = [*notes, *more]
     if out is not None:
         _write(out, monitored, numbers)
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
         _print(monitored, numbers, notes, out, doubtful)
-    if fitted is not None and not quiet:
-        output.say_notes(fitted.notes)
+    if not quiet:
+        output.say_notes(more)
 
 
 def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspicion, model: Path) -> str:

@@ -1,0 +1,76 @@
+"""Sensors that have moved away from the others: a step or a steady change to the end, and no error that wanders."""
+
+import numpy as np
+import pytest
+
+from bayesftc.monitoring.fit.bias import Change, changes, unmoved
+
+NOISE = [1.0, 1.0, 2.5]
+STEPS = 3200
+
+
+def samples(seed):
+    """Three sensors of a quantity that moves."""
+    rng = np.random.default_rng(seed)
+    return np.cumsum(0.1 * rng.standard_normal(STEPS))[:, None] + NOISE * rng.standard_normal((STEPS, 3))
+
+
+def wandering(seed, std, time_constant):
+    """Return a stationary error with this standard deviation, and a time constant in steps."""
+    rng, decay, errors = np.random.default_rng(seed), np.exp(-1 / time_constant), [0.0]
+    for _ in range(STEPS - 1):
+        errors.append(decay * errors[-1] + std * np.sqrt(1 - decay * decay) * rng.standard_normal())
+    return np.array(errors)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(301, 305))
+@pytest.mark.parametrize(("sensor", "size"), [(0, -8.0), (2, 15.0)])
+@pytest.mark.parametrize("sudden", [True, False])
+def test_a_change_to_the_end_is_found(seed, sensor, size, sudden):
+    y = samples(seed)
+    y[1600:, sensor] += size if sudden else size * np.arange(1600) / 1600
+    ((moved, change),) = changes(y, NOISE).items()
+    assert (moved, change.sudden) == (sensor, sudden)
+    assert change.size == pytest.approx(size, rel=0.2)
+    assert change.begin == pytest.approx(1600, abs=0 if sudden and sensor == 0 else 300)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(301, 305))
+@pytest.mark.parametrize("share", [0.0, 0.025, 0.1, 0.2])
+def test_an_error_that_wanders_is_no_change(seed, share):
+    y = samples(seed)
+    if share:
+        y[:, 0] += wandering(seed, 4.0, share * STEPS)
+    assert changes(y, NOISE) == {}
+
+
+def test_what_shows_no_single_sensor_or_is_small_is_no_change():
+    step = np.where(np.arange(STEPS) < 1600, 0.0, 8.0)
+    y = samples(305)
+    two = y[:, :2] + np.column_stack([step, 0 * step])
+    assert changes(two, NOISE[:2]) == {}  # nobody knows which of two sensors has moved
+    assert changes(y + np.outer(step, [1.0, 0.4, 0.0]), NOISE) == {}  # each differs from each
+    assert changes(y + np.outer(step, [0.3, 0.0, 0.0]), NOISE) == {}  # 2.4 times its noise
+    assert changes(y + np.outer(step, [1.0, 1.0, 1.0]), NOISE) == {}  # motion of the quantity
+    ended = step * (np.arange(STEPS) < 2400)
+    assert changes(y + np.outer(ended, [1.0, 0.0, 0.0]), NOISE) == {}
+
+
+@pytest.mark.parametrize(
+    ("sudden", "stretch", "healthy"),
+    [
+        (True, slice(None), slice(0, 500)),
+        (True, slice(0, 400), slice(0, 500)),
+        (True, slice(600, 1000), slice(500, 1000)),  # a sensor that was cleaned
+        (False, slice(600, 1000), slice(0, 1000)),  # the user says that it is healthy there
+        (False, slice(480, 1000), slice(0, 1000)),  # too few samples before it in the stretch
+    ],
+)
+def test_the_healthy_part_of_a_moved_sensor_is_that_of_the_stretch(sudden, stretch, healthy):
+    y = np.zeros((1000, 3))
+    kept = unmoved(y, {1: Change(5.0, 500, sudden)}, stretch)
+    expected = np.full(1000, np.nan)
+    expected[healthy] = 0.0
+    np.testing.assert_array_equal(kept, np.column_stack([y[:, 0], expected, y[:, 2]]))
