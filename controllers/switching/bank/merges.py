@@ -16,7 +16,7 @@ from bayesftc.controllers.switching.bank.hypothesis import (
 from bayesftc.controllers.switching.bank.layout import Layout
 from bayesftc.controllers.switching.mode_kernels import AGE, ENTERED, OWN, SIZE, WEIGHT
 from bayesftc.controllers.switching.sensor_kernels import ENDS, FIRST, FIRST_SETTINGS, HEALTHY, LEAST
-from bayesftc.cosim.ops import maximum, minimum
+from bayesftc.cosim.ops import maximum, minimum, sqrt
 
 OLD = 0.3
 """Age of an offset, in its mean durations, at which a sixteenth of its probability counts beside a new fault; later more does."""
@@ -101,8 +101,11 @@ def make_describe(layout: Layout) -> Callable[..., None]:
         memory[block + WEIGHT] = 1.0 + 0.0 * memory[at]
         memory[block + AGE] = memory[at + OFFSET_AGE] + 1.0
         memory[block + SIZE], memory[block + OWN] = memory[c], memory[c + 1]
-        memory[block + OWN + 1], memory[block + OWN + 2] = memory[cc], memory[cc + 1]
-        memory[block + OWN + 3] = memory[cc + N + 1]
+        # The prediction, which follows, resets a hypothesis whose covariance rounding has destroyed.
+        of_c, of_b = maximum(memory[cc], 0.0), maximum(memory[cc + N + 1], 0.0)
+        most = sqrt(of_c * of_b)
+        memory[block + OWN + 1], memory[block + OWN + 3] = of_c, of_b
+        memory[block + OWN + 2] = maximum(minimum(memory[cc + 1], most), -most)
 
     return describe
 
@@ -159,7 +162,7 @@ def make_receive_new(layout: Layout) -> Callable[..., None]:
     receive = make_receive(layout)
 
     def receive_new(memory, at, incoming, c, cc):
-        remaining = memory[at] / (memory[at] + incoming)
+        remaining = 1.0 - incoming / (memory[at] + incoming)  # rounded as for the weights, so that no share exceeds 1
         for i in range(m):
             for q in range(K):
                 if joined[q]:

@@ -3,12 +3,13 @@
 import control
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
 from bayesftc import controllers, cosim
 from bayesftc.controllers.switching.bank.hypothesis import OFFSET_AGE, STATE
 from bayesftc.controllers.switching.bank.layout import Layout
-from bayesftc.controllers.switching.bank.merges import OLD, make_describe, make_gather
-from bayesftc.controllers.switching.mode_kernels import AGE, OWN, SIZE, WEIGHT
+from bayesftc.controllers.switching.bank.merges import OLD, make_describe, make_gather, make_receive_new
+from bayesftc.controllers.switching.mode_kernels import AGE, ENTERED, OWN, SIZE, WEIGHT
 from bayesftc.controllers.switching.sensor_kernels import ENDS, FIRST, FIRST_SETTINGS, HEALTHY
 
 LAYOUT = Layout(
@@ -87,6 +88,23 @@ def test_the_belief_before_an_onset_is_the_mixture_of_all_hypotheses_it_may_foll
     assert memory[before + block + WEIGHT] == pytest.approx(weights.sum())
     sizes = memory[[at + block + SIZE for at in places]]
     assert memory[before + block + SIZE] == pytest.approx(weights @ sizes / weights.sum())
+
+
+@given(seed=st.integers(0, 100), probability=st.floats(1e-130, 1.0), incoming=st.floats(1e-130, 1.0))
+def test_no_offset_begins_with_more_than_its_own_probability(seed, probability, incoming):
+    """However improbable the hypothesis is: the share that has just begun was above 1 by rounding, and the belief was lost."""
+    rng = np.random.default_rng(seed)
+    memory = random_bank(rng)
+    at = LAYOUT.first + LAYOUT.first_actuator * LAYOUT.length
+    memory[at] = probability
+    begun = [
+        at + LAYOUT.kept + i * LAYOUT.sensor + FIRST + k * LAYOUT.width + ENTERED for i in range(3) for k in (1, 2)
+    ]
+    memory[begun] = rng.choice([0.0, 1e-70, 0.5, 1.0], 6)
+    before = memory[begun].copy()
+    make_receive_new(LAYOUT)(memory, at, incoming, 0.0, 1.0)
+    assert (memory[begun] <= before * (1 + 1e-12)).all()
+    assert (memory[begun] >= 0.0).all()
 
 
 def steered(faults, gust, seeds, **options):
