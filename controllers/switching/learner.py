@@ -148,7 +148,7 @@ class SwitchingPrecision(PrecisionLearner):
     outages : bool
         Whether a step without any sample is an outage, as of a logger, and says nothing about the sensors. At least two of them
         must be silent by surprise: they send at most steps (a `loss` below .5) and have not dropped out before. Otherwise
-        all sensors have probably dropped out. It belongs to the per-sensor form; otherwise it has no effect.
+        all sensors have probably dropped out.
 
     Raises
     ------
@@ -289,14 +289,15 @@ class SwitchingPrecision(PrecisionLearner):
         evidence = tuple(type(mode).evidence for mode in self.modes)
         single = tuple(k for k, mode in enumerate(self.modes) if not mode.joint_only)
         process_modes = self._acting(model)
-        layout = self._layout(model, width, settings_width, process_modes)
         outages = self.outages and m > 1
+        layout = self._layout(model, width, settings_width, process_modes, outages)
         learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout, outages)
         ports = [port("mode_probability", (m, 1 + len(self.modes)))]
         ports += [port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
         ports.append(port("log_density"))
         if layout is None:
-            return Learner(learn, np.array([*memory, 0.0, 0.0]), np.array([*settings, step]), 1, tuple(ports), report)
+            memory += [0.0, 0.0, *([0.0, 0.0] if outages else [])]
+            return Learner(learn, np.array(memory), np.array([*settings, step]), 1, tuple(ports), report)
         if layout.actuator_modes:
             ports.append(port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
             ports += [port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
@@ -398,7 +399,12 @@ class SwitchingPrecision(PrecisionLearner):
         return ()
 
     def _layout(
-        self, model: LinearModel, width: int, settings: int, process_modes: Sequence[NoisierProcess]
+        self,
+        model: LinearModel,
+        width: int,
+        settings: int,
+        process_modes: Sequence[NoisierProcess],
+        outages: bool = False,
     ) -> Layout | None:
         """Return the layout of the joint form's bank; None for the per-sensor form."""
         kinds, actuator_modes = self._kinds, self.actuator_modes
@@ -437,7 +443,8 @@ class SwitchingPrecision(PrecisionLearner):
             becomes=becomes, slow=slow, lost=self._lost, quantity=model.quantity, groups=groups, common=common, kick=kick,
             fades=tuple(int(mode.fading > 1) for mode in process_modes), alone=spans[0], other=spans[1],
             faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(process_modes),
-            width=width, width_of_settings=settings,
+            width=width, width_of_settings=settings, outages=outages,
+            drops=tuple(k for k, mode in enumerate(self.modes) if type(mode).evidence is mode_kernels.drops),
         )  # fmt: skip
 
     def _jumps_alike(self, kick: NoisierProcess, step: float) -> float:

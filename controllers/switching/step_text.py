@@ -68,7 +68,7 @@ for i in range(sample.y.shape[0]):
     logp = logp + log(memory[at + DENSITY] / repeats)
     part = noise / variance
     squared = part * (part * error * error + sample.spread[i, i])
-    counts = sample.present[i] * memory[at + HEALTHY]
+    counts = sample.present[i] * memory[at + HEALTHY]{counts}
     learn_noise(minimum(squared / sample.nominal[i, i], FURTHEST), counts, memory, at, settings, row)
     learn_repeats(change, counts, memory, at, settings, row)
     memory[at + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[at + LAST])
@@ -84,9 +84,26 @@ for i in range(sample.y.shape[0]):
     at = i * LENGTH
     sampled = maximum(sampled, sample.present[i])
     silent = silent + select(both(settings[i * SETTINGS + MISSING] < 0.5, {dropped} < 0.5), 1.0, 0.0)
-outage = select(both(sampled < 0.5, silent > 1.5), 1.0, 0.0)\
+outage = select(both(sampled < 0.5, silent > 1.5), 1.0, 0.0)
+wide = 0.0 * logp
+for i in range(sample.y.shape[0]):
+    wide = wide + sample.spread[i, i] / sample.nominal[i, i]
+at = sample.y.shape[0] * LENGTH + 2
+left = select(outage > 0.5, SETTLES, memory[at + 1] - 1.0)
+settles = both(both(outage < 0.5, left > 0.5), wide > WIDE * memory[at])
+outage = select(settles, 1.0, outage)
+memory[at] = select(outage > 0.5, memory[at], wide)
+memory[at + 1] = select(outage > 0.5, left, 0.0)\
 """
-"""No sensor has a sample, also not those, two or more, which send most of the time and have not dropped out before."""
+"""No sensor has a sample, also not those, two or more, which send most of the time and have not dropped out before.
+
+The outage goes on until the belief about the state is nearly as narrow again as before. Until then the samples correct the state
+by the precisions from before the outage, and say nothing about the sensors: judged one by one, healthy sensors that contradict a
+wide belief together would be blamed, and a faulty one that agrees with it by chance acquitted. The two numbers kept are the width
+of the belief and the number of samples left."""
+
+WIDE, SETTLES = 1.5, 30.0
+"""How many times as large as before the belief's variance is wide; number of samples after which it need not settle any more."""
 
 _NOTE_OUTAGE = "outage, present = maximum(-present, 0.0), maximum(present, 0.0)"
 _IN_AN_OUTAGE = "select(outage > 0.5, 1.0, {})"
@@ -188,12 +205,17 @@ def learner_functions(
     names = _names(evidence) | {
         "MODES": modes, "FAULTS": faults, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
         "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
+        "WIDE": WIDE, "SETTLES": SETTLES,
     }  # fmt: skip
     weights = [
         f"memory[at + {kernels.FIRST + k * width} + WEIGHT]" for k in chosen if evidence[k] is mode_kernels.drops
     ]
     outage = _OUTAGE.format(dropped=f"({' + '.join(weights or ['0.0'])})") if outages else ""
-    learning = _LEARN.format(outage=outage, present="sample.present[i] - outage" if outages else "sample.present[i]")
+    learning = _LEARN.format(
+        outage=outage,
+        present="select(outage > 0.5, -1.0, sample.present[i])" if outages else "sample.present[i]",
+        counts=" * (1.0 - outage)" if outages else "",
+    )
     learn = _function("learn_switching", argument_names(keep_nominal), learning, names)
     report = _REPORT
     if layout is not None and layout.actuator_modes:

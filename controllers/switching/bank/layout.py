@@ -76,6 +76,10 @@ class Layout:
         Number of modes of the process.
     width, width_of_settings : int
         Widths of the blocks of the sensors' modes.
+    drops : tuple of int
+        The sensors' modes without samples.
+    outages : bool
+        Whether a step without any sample may be an outage.
     """
 
     n: int
@@ -98,6 +102,8 @@ class Layout:
     process_modes: int
     width: int
     width_of_settings: int
+    drops: tuple[int, ...] = ()
+    outages: bool = False
 
     @property
     def fresh(self) -> tuple[bool, ...]:
@@ -328,9 +334,14 @@ class Layout:
         return 3 + 3 * (self.n + 2)
 
     @property
+    def saved(self) -> int:
+        """Place of the hypotheses before a step, if there may be outages."""
+        return self.readings + self.hypotheses * self.reading
+
+    @property
     def scratch(self) -> int:
         """Place of the scratch space."""
-        return self.readings + self.hypotheses * self.reading
+        return self.saved + self.outages * self.hypotheses * self.length
 
     def start(self, sensors: Floats) -> Floats:
         """Return the values before the first sample that follow ``sensors``, the per-sensor form's values."""
