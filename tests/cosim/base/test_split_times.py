@@ -35,6 +35,7 @@ def test_the_usual_pairs_of_names_are_known(whole, rest):
         (("a.sec", "b.nanosec"), [5, 6]),  # of two messages
         (("sec", "nanosec"), [5, 10**9]),  # no part of a second
         (("sec", "nanosec"), ["5", "x"]),
+        (("sec", "nanosec"), [5, np.nan]),
         (("sec", "msec"), [5, 6]),
     ],
 )
@@ -43,6 +44,13 @@ def test_other_columns_stay_as_they_are(names, rest):
     joined, kept = joined_times(table, names)
     pd.testing.assert_frame_equal(joined, table)
     assert kept == [0, 1]
+
+
+def test_rows_without_a_message_have_no_time():
+    """As in a table of several messages, each with its own times: the rest of the second was left out of all rows."""
+    table = pd.DataFrame({"a.sec": [1.0, np.nan, 2.0], "a.nanosec": [250_000_000, np.nan, 500_000_000]})
+    joined, _ = joined_times(table, list(table.columns))
+    np.testing.assert_array_equal(joined["a.sec"], [1.25, np.nan, 2.5])
 
 
 def test_a_log_of_ros_is_read_by_recordings_and_tables_alike(tmp_path):
