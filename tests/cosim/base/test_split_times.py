@@ -53,9 +53,10 @@ def test_rows_without_a_message_have_no_time():
     np.testing.assert_array_equal(joined["a.sec"], [1.25, np.nan, 2.5])
 
 
-def test_a_log_of_ros_is_read_by_recordings_and_tables_alike(tmp_path):
+@pytest.mark.parametrize(("sec", "nanosec"), [("sec", "nanosec"), ("secs", "nsecs")], ids=["ROS 2", "ROS 1"])
+def test_a_log_of_ros_is_read_by_recordings_and_tables_alike(tmp_path, sec, nanosec):
     file = tmp_path / "log.csv"
-    file.write_text("baro,header.stamp.sec,header.stamp.nanosec,lidar\n" + "".join(
+    file.write_text(f"baro,header.stamp.{sec},header.stamp.{nanosec},lidar\n" + "".join(
         f"{k % 3},{1_700_000_000 + k // 4},{k % 4 * 250_000_000},{k % 5}\n" for k in range(20)
     ))  # fmt: skip
     expected = 1.7e9 + 0.25 * np.arange(20)
@@ -64,5 +65,5 @@ def test_a_log_of_ros_is_read_by_recordings_and_tables_alike(tmp_path):
     np.testing.assert_array_equal(signals["lidar"].time, expected)
     table = read_table_file(file)
     name = find_times(table)
-    assert name == "header.stamp.sec"
+    assert name == f"header.stamp.{sec}"
     np.testing.assert_array_equal(times_in(table, name), expected)
