@@ -293,10 +293,11 @@ def _ports(
 
 
 def _named(plant: Identification, name: str) -> list[int]:
-    name = plant.quantities.get(name, (name,))[0]  # its sensors measure the same
-    matches = elements_of(name, plant.outputs)
+    column = plant.quantities.get(name, (name,))[0]  # its sensors measure the same
+    matches = elements_of(column, plant.outputs)
     if not matches:
-        raise UnknownNameError(f"The identified model has no output {name!r}; {did_you_mean(name, plant.outputs)}")
+        known = did_you_mean(name, (*plant.quantities, *plant.outputs))
+        raise UnknownNameError(f"The identified model has no output {name!r}; {known}")
     return [plant.outputs.index(element) for element in matches]
 
 

@@ -66,7 +66,7 @@ class Identification:
     time, measured, predicted, simulated, residuals : ndarray
         Held-out data in seconds and in the outputs' units.
     quantities : mapping of str to tuple of str
-        The columns of each quantity that several outputs measure, as given to `identify`.
+        The columns of each quantity with a name of its own, as given to `identify`.
 
     Examples
     --------
@@ -103,7 +103,8 @@ class Identification:
         order = self.model.plant_states
         poles = np.linalg.eigvals(self.model.matrix("A")[:order, :order])
         lines = [f"Order {order}, poles {', '.join(f'{p:.4g}' for p in poles)}."]
-        lines += [f"Sensors of {name}: {', '.join(columns)}." for name, columns in self.quantities.items()]
+        shared = ((name, columns) for name, columns in self.quantities.items() if len(columns) > 1)
+        lines += [f"Sensors of {name}: {', '.join(columns)}." for name, columns in shared]
         for i, name in enumerate(self.outputs):
             simulated = "no simulation, because the model is unstable"
             if np.isfinite(self.simulated_fit[i]):
@@ -199,7 +200,7 @@ def identify(
         inputs=tuple(names_in), outputs=tuple(names_out), correlations=correlations, doubts=doubts,
     )  # fmt: skip
     model = model.with_delays(input_delays, sensor_delays)
-    return replace(identification, model=model, quantities=quantities.shared)
+    return replace(identification, model=model, quantities=quantities.named)
 
 
 def _undelayed(u: Floats, y: Floats, late: Sequence[int], old: Sequence[int]) -> tuple[Floats, Floats]:

@@ -53,6 +53,12 @@ class Quantities:
         return {self.names[self.of[places[0]]]: tuple(self.columns[i] for i in places) for places in self._groups()}
 
     @property
+    def named(self) -> dict[str, tuple[str, ...]]:
+        """The columns of each quantity that has a name of its own."""
+        every = {name: tuple(np.array(self.columns)[self.of == q].tolist()) for q, name in enumerate(self.names)}
+        return {name: columns for name, columns in every.items() if columns != (name,)}
+
+    @property
     def alone(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
         """Whether each column is the only one of its quantity."""
         return np.asarray(np.bincount(self.of)[self.of] == 1)

@@ -64,9 +64,10 @@ def check_count(owner: object, name: str, most: int | None = None) -> None:
 def with_half(value: float, half: float) -> str:
     """Return a mean with half of its interval: two digits of the half, and as many decimals of the mean as these have.
 
-    Without a half (NaN, infinity) or with one of 0 it is the mean with four digits; a mean never has more than eight.
+    Without a half (NaN, infinity), with one of 0, or without a mean, it is the mean with four digits; a mean never has more than
+    eight.
     """
-    if not (isfinite(half) and half > 0):
+    if not (isfinite(value) and isfinite(half) and half > 0):
         return f"{value:.4g}" + (" ± 0" if half == 0 else "")
     decimals = 1 - _exponent(half)
     largest = _exponent(max(abs(value), half))

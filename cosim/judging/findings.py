@@ -307,7 +307,7 @@ def _chances(device: SensorSignals | ActuatorSignals) -> Floats | None:
         chances = np.array(device.chances[:, 1:])
     else:
         number = np.nan_to_num(device.kind)
-        chances = (number[:, None] == np.arange(1, 1 + max(len(device.kinds), int(number.max())))).astype(np.float64)
+        chances = (number[:, None] == np.arange(1, 1 + max(len(device.kinds), int(number.max()), 1))).astype(np.float64)
     chances[:, [number for number, scale in enumerate(device.sizes) if not scale]] = 0.0
     return chances
 

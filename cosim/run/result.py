@@ -390,7 +390,7 @@ class Result(Mapping[str, Floats]):
 
         The columns are ``where`` (sensor, actuator or process), ``kind`` (empty if the learner distinguishes no kinds), ``onset``
         (estimated begin of the fault), ``from`` and ``until`` (begin and end of the row), all in seconds, ``size`` with its
-        ``unit``, and ``probability``, the largest one of the alarm. A number is NaN where nothing is estimated.
+        ``unit``, and ``probability``, the largest one of the row. A number is NaN where nothing is estimated.
 
         Parameters
         ----------

@@ -498,6 +498,23 @@ def test_headings_that_pass_north_count_on(tmp_path):
     assert f"If they are angles, add period = 360 below each of their sensors in {model}" in note
 
 
+def test_a_code_of_a_heading_is_named_and_not_fitted(tmp_path):
+    """It was put on a turn, each time with another value: nothing named it, and its sensor had thirty times its noise."""
+    rng, t = np.random.default_rng(1), 1.0 * np.arange(900)
+    heading = 30.0 * np.sin(2 * np.pi * t / 300) + 0.8 * t
+    table = pd.DataFrame({"t": t, **{name: (heading + rng.standard_normal(900)) % 360 for name in "abc"}}).round(1)
+    table.loc[rng.random(900) < 0.1, "b"] = -999.0
+    table.to_csv(tmp_path / "ship.csv", index=False)
+    command = ["monitor", str(tmp_path / "ship.csv"), "--json", "--model", str(tmp_path / "model.toml"), "--fit"]
+    report = json.loads(RUNNER.invoke(app, command).stdout)
+    (note,) = (note for note in report["notes"] if "add --invalid" in note)
+    assert note.startswith("b is exactly -999 in 11% of its samples")
+    assert report["fitted"]["sensors"]["b"]["std"] == pytest.approx(1.0, rel=0.15)
+    named = json.loads(RUNNER.invoke(app, [*command, "--overwrite", "--invalid", "b=-999"]).stdout)
+    assert named["faults"] == []
+    assert named["fitted"]["sensors"]["b"] == pytest.approx(report["fitted"]["sensors"]["b"])
+
+
 @pytest.mark.slow
 def test_the_recording_of_the_readme_fits_its_model(tmp_path):
     drive = tmp_path / "drive.csv"

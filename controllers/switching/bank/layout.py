@@ -351,9 +351,8 @@ class Layout:
         actuator[[WORKS, LOAD, STEERS, PUSHES]] = 1.0, 0.0, 1.0, 0.0
         hypothesis = np.zeros(self.length)
         hypothesis[self.kept :] = sensors
-        hypotheses = np.tile(
-            hypothesis, (self.hypotheses + 2, 1)
-        )  # the last ones are the pool, and the belief before onsets
+        # Behind the hypotheses are the pool, and the belief before onsets.
+        hypotheses = np.tile(hypothesis, (self.hypotheses + 2, 1))
         hypotheses[:, PROBABILITY] = [1.0, *[LEAST] * (self.hypotheses + 1)]
         between = np.zeros(self.scratch - self.grow)
         scratch = np.zeros(max(N * N, COURSE_SCRATCH, 2 * self.m))

@@ -19,7 +19,7 @@ _IN_A_SECOND = {"n": 10**9, "nano": 10**9, "u": 10**6, "micro": 10**6}
 def joined_times(table: pd.DataFrame, names: Sequence[object]) -> tuple[pd.DataFrame, list[int]]:
     """Return a table whose columns of whole seconds include the rest of the second, and the places of the columns that remain.
 
-    A rest is the first column with the same name but for the unit, if all its numbers are below one second.
+    A rest is the first column with the same name but for the unit, if it has a number below one second in each row with a whole.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def joined_times(table: pd.DataFrame, names: Sequence[object]) -> tuple[pd.DataF
         if j == i or j in joined:
             continue
         whole, rest = table.iloc[:, i], table.iloc[:, j]
-        if _are_numbers(whole) and _are_numbers(rest) and ((rest >= 0) & (rest < per_second)).all():
+        if _are_numbers(whole) and _are_numbers(rest) and (whole.isna() | ((rest >= 0) & (rest < per_second))).all():
             table = table.copy(deep=False)
             table.isetitem(i, whole.to_numpy(np.float64) + rest.to_numpy(np.float64) / per_second)
             joined.add(j)

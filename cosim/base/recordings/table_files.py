@@ -43,7 +43,7 @@ TIMES = ("t", "time", "timestamp", "times", "seconds", "millis", "milliseconds",
 """Names of a column of times, in any case, also with a unit (``t_ms``)."""
 
 _STAMP = "stamp"
-"""The word before the unit in a message's time of ROS (``header.stamp.sec``)."""
+"""The word before the unit in a message's time of ROS (``header.stamp.sec``; ``secs`` in ROS 1)."""
 
 EPOCH = 1.0e9, 4.1e9
 """Seconds since 1970 of the years 2001 to 2099: times of this size count from there, and others hardly are so large."""
@@ -98,7 +98,7 @@ def time_column(names: Iterable[str]) -> str | None:
         first, *unit = [word for word in re.split(r"[\W_]+", str(name).lower()) if word] or [""]
         if first in TIMES and (not unit or (len(unit) == 1 and unit[0] in UNITS_OF_TIME)):
             return name
-        if unit[-1:] == ["sec"] and [first, *unit][-2] == _STAMP:
+        if unit[-1:] in (["sec"], ["secs"]) and [first, *unit][-2] == _STAMP:
             return name
     return None
 

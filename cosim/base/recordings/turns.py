@@ -103,4 +103,4 @@ class Turns:
         return float(first[0]) if len(first) else np.nan
 
 
-__all__ = ["Turns", "find_period"]
+__all__ = ["SPAN", "Turns", "find_period"]

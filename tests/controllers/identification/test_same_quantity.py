@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, UnknownNameError
 
 A = np.array([[0.9, 0.2], [-0.2, 0.8]])
 B = np.array([[0.1], [0.5]])
@@ -43,12 +43,17 @@ def test_a_known_system_comes_back_with_the_noise_of_each_sensor():
     found = LinearModel.identify(record(), inputs="u", outputs=OUTPUTS)
     check(found)
     assert not found.poor
-    assert found.quantities == {"level": ("a", "b", "c")}
+    assert found.quantities == {"level": ("a", "b", "c"), "flow": ("d",)}
     assert "Sensors of level: a, b, c." in found.describe()
+    assert "Sensors of flow" not in found.describe()
     assert "move alike" not in found.describe()
     by_quantity, by_column = (design(found, goal=goal) for goal in ("level", "b"))
     assert "4 sensors of 2 quantities" in by_quantity.describe()
     np.testing.assert_array_equal(by_quantity.goal_matrix, by_column.goal_matrix)
+    # A quantity of one sensor is a goal as well: it had to be named by its column.
+    np.testing.assert_array_equal(design(found, goal="flow").goal_matrix, design(found, goal="d").goal_matrix)
+    with pytest.raises(UnknownNameError, match="'flw'; did you mean 'flow'"):
+        design(found, goal="flw")
 
 
 def test_sensors_with_gaps_share_them():

@@ -41,6 +41,8 @@ def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
         (0.0, 0.05, "0.000 ± 0.050"),
         (1.23456, np.nan, "1.235"),
         (1.23456, 0.0, "1.235 ± 0"),
+        (np.nan, 0.1, "nan"),
+        (np.inf, 0.1, "inf"),
     ],
 )
 def test_a_mean_has_as_many_decimals_as_two_digits_of_its_interval(value, half, text):

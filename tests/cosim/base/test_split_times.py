@@ -35,6 +35,7 @@ def test_the_usual_pairs_of_names_are_known(whole, rest):
         (("a.sec", "b.nanosec"), [5, 6]),  # of two messages
         (("sec", "nanosec"), [5, 10**9]),  # no part of a second
         (("sec", "nanosec"), ["5", "x"]),
+        (("sec", "nanosec"), [5, np.nan]),
         (("sec", "msec"), [5, 6]),
     ],
 )
@@ -45,9 +46,17 @@ def test_other_columns_stay_as_they_are(names, rest):
     assert kept == [0, 1]
 
 
-def test_a_log_of_ros_is_read_by_recordings_and_tables_alike(tmp_path):
+def test_rows_without_a_message_have_no_time():
+    """As in a table of several messages, each with its own times: the rest of the second was left out of all rows."""
+    table = pd.DataFrame({"a.sec": [1.0, np.nan, 2.0], "a.nanosec": [250_000_000, np.nan, 500_000_000]})
+    joined, _ = joined_times(table, list(table.columns))
+    np.testing.assert_array_equal(joined["a.sec"], [1.25, np.nan, 2.5])
+
+
+@pytest.mark.parametrize(("sec", "nanosec"), [("sec", "nanosec"), ("secs", "nsecs")], ids=["ROS 2", "ROS 1"])
+def test_a_log_of_ros_is_read_by_recordings_and_tables_alike(tmp_path, sec, nanosec):
     file = tmp_path / "log.csv"
-    file.write_text("baro,header.stamp.sec,header.stamp.nanosec,lidar\n" + "".join(
+    file.write_text(f"baro,header.stamp.{sec},header.stamp.{nanosec},lidar\n" + "".join(
         f"{k % 3},{1_700_000_000 + k // 4},{k % 4 * 250_000_000},{k % 5}\n" for k in range(20)
     ))  # fmt: skip
     expected = 1.7e9 + 0.25 * np.arange(20)
@@ -56,5 +65,5 @@ def test_a_log_of_ros_is_read_by_recordings_and_tables_alike(tmp_path):
     np.testing.assert_array_equal(signals["lidar"].time, expected)
     table = read_table_file(file)
     name = find_times(table)
-    assert name == "header.stamp.sec"
+    assert name == f"header.stamp.{sec}"
     np.testing.assert_array_equal(times_in(table, name), expected)

@@ -1,5 +1,6 @@
 """What a run shows of faults, by hand."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -70,6 +71,14 @@ def test_the_alarms_of_a_run_do_not_begin_inside_the_one_before():
 )
 def test_a_kind_that_changes_for_good_divides_an_alarm(stretches, expected):
     assert parts(course(*stretches)[:, 1:], 0, sum(n for _, n in stretches), 1.0) == expected
+
+
+@pytest.mark.parametrize("kind", [0.0, np.nan])
+def test_an_alarm_of_a_controller_that_names_no_kind_has_none(kind):
+    """It was an error of numpy: the maximum of an empty sequence."""
+    signals = loop(course((OFFSET, 30)), recorded=False)
+    sensor = replace(signals.sensors[0], kind=np.full(30, kind), kinds=(), sizes=())
+    assert rows(replace(signals, sensors=(sensor,))) == [("", 0.0, 29.0)]
 
 
 def test_each_kind_of_an_alarm_has_its_own_row_onset_and_bar():

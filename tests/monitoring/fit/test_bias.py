@@ -58,6 +58,16 @@ def test_what_shows_no_single_sensor_or_is_small_is_no_change():
     assert changes(y + np.outer(ended, [1.0, 0.0, 0.0]), NOISE) == {}
 
 
+def test_the_size_of_a_change_does_not_contain_that_of_another_moved_sensor():
+    """Two sensors that moved apart both had the whole distance between them."""
+    y = np.random.default_rng(306).standard_normal((STEPS, 4))
+    y[1600:] += [10.0, -10.0, 0.0, 0.0]
+    found = changes(y, [1.0] * 4)
+    assert found.keys() == {0, 1}
+    assert found[0].size == pytest.approx(10.0, rel=0.1)
+    assert found[1].size == pytest.approx(-10.0, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("sudden", "stretch", "healthy"),
     [

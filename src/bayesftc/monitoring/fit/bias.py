@@ -102,7 +102,12 @@ def changes(y: Floats, noise: Sequence[float]) -> dict[int, Change]:
         return {}
     found = {}
     for i in moved:
-        pair = max((pair for pair in apart if i in pair), key=lambda pair: apart[pair].explained)
+        of_rest = [
+            pair for pair in apart if i in pair and rest.intersection(pair)
+        ]  # another moved sensor tells no size
+        if not of_rest:
+            continue
+        pair = max(of_rest, key=lambda pair: apart[pair].explained)
         change = apart[pair].change
         change = change._replace(size=change.size * (1 if pair[0] == i else -1))
         if apart[pair].explained > FIT.clearly and abs(change.size) > FIT.outstanding * noise[i]:

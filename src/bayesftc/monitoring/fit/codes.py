@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from bayesftc.cosim.base.numbers import MAD
+from bayesftc.cosim.base.recordings.turns import SPAN
 from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.fit.columns import recorded
 from bayesftc.monitoring.fit.moments import median
 from bayesftc.monitoring.fit.settings import FIT
-from bayesftc.monitoring.recording import Recording
+from bayesftc.monitoring.recording import Recording, Signal
 
 
 class Code(NamedTuple):
@@ -31,6 +34,27 @@ def codes(recording: Recording) -> dict[str, Code]:
     span = float(np.subtract(*np.nanquantile(level, [0.95, 0.05])))
     found = {name: _code(recording.y, i, span) for i, name in enumerate(recording.sensors)}
     return {name: code for name, code in found.items() if code is not None}
+
+
+def codes_of_angles(signals: Mapping[str, Signal]) -> dict[str, Code]:
+    """Return the sensors of an angle with such a value outside of the turn of their other samples.
+
+    A recording has them on the turn of the other sensors, each time with another value.
+    """
+    if not any(signal.period for signal in signals.values()):
+        return {}
+    sent = recorded({name: replace(signal, period=0.0) for name, signal in signals.items()})
+    found = {}
+    for name, code in codes(sent).items():
+        samples = sent.y[:, sent.sensors.index(name)]
+        turn = SPAN * signals[name].period
+        if (
+            np.ptp(samples[np.isfinite(samples) & (samples != code.value)])
+            <= turn
+            < np.nanmax(np.abs(samples - code.value))
+        ):
+            found[name] = code
+    return found
 
 
 def _code(y: Floats, i: int, span: float) -> Code | None:
@@ -61,4 +85,4 @@ def without_codes(recording: Recording) -> Recording:
     return replace(recording, y=y)
 
 
-__all__ = ["Code", "codes", "without_codes"]
+__all__ = ["Code", "codes", "codes_of_angles", "without_codes"]

@@ -121,7 +121,8 @@ class FitSettings:
     )
     clearly: float = chosen(
         0.7,
-        "this share for the best of the others: 0.58 for errors that wander for half the recording, 0.75 to 0.95 for faults",
+        "this share for the best of the others: 0.75 to 0.95 for faults; of recordings whose errors wander for half of it, "
+        "1 in 20 reaches it",
     )
     least_before: int = chosen(4, "least parts of the recording before the change, for a reliable median")
     # A fault in the stretch.

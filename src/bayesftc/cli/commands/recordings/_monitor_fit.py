@@ -6,7 +6,7 @@ import os
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +32,7 @@ from bayesftc.monitoring import (
     stretch_of,
 )
 from bayesftc.monitoring.csv import Tables
-from bayesftc.monitoring.fit.codes import codes
+from bayesftc.monitoring.fit.codes import Code, codes, codes_of_angles
 from bayesftc.monitoring.fit.columns import signals_of, without_numbers
 from bayesftc.monitoring.fit.doubtful import doubtful_sensors, lasting_errors
 from bayesftc.monitoring.fit.units import in_unit
@@ -109,6 +109,9 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
     tables = Tables(recording)
     places, signals = signals_of(tables, part.sensors, part.invalid)
     output.check_folder(model.parent, (model.name,), silent=True)
+    turned = codes_of_angles(signals)
+    for name, code in turned.items():
+        signals[name] = replace(signals[name], invalid=(*signals[name].invalid, code.value))
     samples = recorded(signals)
     stretch = stretch_of(samples, part.start, part.stop)
     fitted = fit_model(samples, stretch)
@@ -126,7 +129,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
         [
             *_without_numbers(tables, part),
             *_angles(places),
-            *_codes(samples, tables, places),
+            *_codes({**codes(samples), **turned}, samples, tables, places),
             *_strangers(fitted),
             *_changes(fitted, samples, stretch),
             *fit_notes(fitted),
@@ -165,9 +168,11 @@ def turns_note(monitor: Monitor, recording: Recording, model: Path) -> list[str]
     ]
 
 
-def _codes(recording: Recording, tables: Tables, places: Mapping[str, Place]) -> Iterator[str]:
+def _codes(
+    found: Mapping[str, Code], recording: Recording, tables: Tables, places: Mapping[str, Place]
+) -> Iterator[str]:
     """Give a note for each sensor that seems to record a value in place of a sample."""
-    for name, code in codes(recording).items():
+    for name, code in found.items():
         others = "the other sensors of its quantity are" if len(recording.sensors) > 2 else "the other sensor is"
         logged = np.unique(tables.column(tables.find(places[name].file, name), places[name].column, name))
         converted = in_unit(logged, places[name].column, recording.units[recording.sensors.index(name)])
