@@ -225,7 +225,9 @@ def incoming(name: str, wire: Wire, stepper: Stepper) -> Incoming:
         If it does not fit to the stepper.
     """
     places = [place for each in wire.names for place in stepper.input_places(each)]
-    bears = {stepper.bears_missing(each.split("[")[0]) for each in wire.names}
+    # A name may itself end in brackets, as that of a column with its unit.
+    inputs = [each if each in stepper.inputs else each.rpartition("[")[0] for each in wire.names]
+    bears = {stepper.bears_missing(each) for each in inputs}
     if len(bears) > 1:
         raise ModelError("It mixes inputs that may be missing with others. Make a wire for each.")
     return Incoming(name, wire, places, Inbox(len(places), wire.limits(hold=not all(bears))), all(bears))

@@ -8,6 +8,8 @@ import pytest
 
 from bayesftc.controllers import FixedPrecision, InputOffset, LostEffect, SwitchingPrecision
 from bayesftc.cosim.errors import ModelError, UnknownNameError
+from bayesftc.cosim.live import UDP, Wire
+from bayesftc.cosim.live.wires import incoming
 from bayesftc.monitoring import (
     ActuatorWatch,
     Alarm,
@@ -109,6 +111,16 @@ def test_the_belief_about_an_angle_begins_on_the_turn_of_its_samples(turn):
     live = run(MonitorStepper(monitor, compiled=False), y)
     assert live["x_hat"][-1] == pytest.approx(y[-10:, 0].mean(), abs=0.3)
     assert np.nanmax(live["fault_probability"]) < 0.1
+
+
+@pytest.mark.parametrize("name", ["laser", "laser [m]"])
+def test_a_sample_of_a_sensor_is_used_once_whatever_its_name(name):
+    """A name with a unit in brackets was taken for an element of an input: a silent sensor then seemed to be frozen."""
+    stepper = MonitorStepper(Monitor(DT, RandomWalk(std=0.1), sensors(("a", name))))
+    stepper.prepare()
+    wire = incoming("wire", Wire(UDP(port=5001), to=name), stepper)
+    assert wire.bears_missing
+    assert not wire.inbox.limits.hold
 
 
 def test_times_count_from_the_first_step_also_before_the_first_samples():
