@@ -282,7 +282,7 @@ class Result(Mapping[str, Floats]):
         """
         from bayesftc.cosim.judging.signals import ALARM
 
-        probability = self.get(f"{block}.fault_probability", np.zeros((k + 1, 0)))[k]
+        probability = np.ravel(self.get(f"{block}.fault_probability", np.zeros((k + 1, 0)))[k])
         several = 1 < np.count_nonzero(probability >= ALARM) < len(probability)
         return ", unless several sensors failed at about that time" if several else ""
 
