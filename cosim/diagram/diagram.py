@@ -384,7 +384,8 @@ class Diagram(LoopMethods):
         pace : float, optional
             Simulated seconds for each second of the clock, 1.0 for real time. Step k then does not start before its time.
             ``result.metadata["pace"]`` has the number of steps that were not done in time (``overruns``) and the largest delay
-            in seconds (``worst_overrun``). By default the run is as fast as possible.
+            in seconds (``worst_overrun``); for steps shorter than a millisecond also the delay up to which none is late
+            (``tolerance``). By default the run is as fast as possible.
 
         Returns
         -------

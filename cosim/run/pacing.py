@@ -71,8 +71,12 @@ class Pacer:
             self.worst = max(self.worst, late)
 
     def report(self) -> dict[str, float]:
-        """Return the pace, the number of late steps (or packs of them), and the largest delay in seconds."""
-        return {"pace": self.pace, "overruns": self.overruns, "worst_overrun": self.worst}
+        """Return the pace, the number of late steps, and the largest delay in seconds.
+
+        For packs of steps also the ``tolerance``: the seconds up to which a step is not late.
+        """
+        packed = {"tolerance": self.pack * self._step} if self.pack > 1 else {}
+        return {"pace": self.pace, "overruns": self.overruns, "worst_overrun": self.worst, **packed}
 
     def due(self, k: int) -> float:
         """Return the time of step `k`, on the clock of `time.perf_counter`."""

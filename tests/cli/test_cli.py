@@ -717,7 +717,9 @@ def test_a_run_keeps_pace_with_the_clock_and_says_where_it_was_late(bayesftc_):
     same = json.loads(run_car(bayesftc_, "--duration", "12", "--json").output)
     assert "pace" not in same
     assert numbers["tracking"] == same["tracking"]
-    late = run_car(bayesftc_, "--duration", "1", "--pace", "1e6")  # nobody is as fast
+    short = run_car(bayesftc_, "--duration", "1", "--pace", "1e6")
+    assert re.search(r"no\s+step\s+was\s+late\s+by\s+more\s+than\s+1\s+ms|run\s+was\s+late", short.output)
+    late = run_car(bayesftc_, "--duration", "2000", "--pace", "1e6")  # nobody is as fast
     assert re.search(r"the run was\s+late (once|\d+\s+times),\s+by\s+at\s+most\s+[\d.e+]+\s+ms", late.output)
 
 

@@ -293,6 +293,8 @@ def _in_time(pace: Mapping[str, float]) -> str:
     """Return a sentence on how a run kept pace with the clock."""
     aim = f"At a pace of {pace['pace']:g} simulated seconds per second"
     if not pace["overruns"]:
+        if "tolerance" in pace:
+            return f"{aim} no step was late by more than {1e3 * pace['tolerance']:.3g} ms."
         return f"{aim} every step was complete before the next was due."
     times = "once" if pace["overruns"] == 1 else f"{pace['overruns']} times"
     return (
