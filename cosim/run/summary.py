@@ -19,7 +19,8 @@ PHASES = {"overall": "whole run", "before": "before faults", "during": "during",
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
-    "kind. Size: at its end."
+    "kind. A pause of at most 1 s, or of at most 10 samples, does not end an alarm if the kind is the same after it. "
+    "Size: at its end."
 )
 PROCESS_REMARK = (
     " Process: for that time the plant moved more than its model expects, as after a kick or a sudden load. It is no fault of a "
