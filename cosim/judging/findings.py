@@ -115,9 +115,9 @@ def plain_findings(signals: LoopSignals) -> list[dict[str, Any]] | None:
 
 
 def numbers_of(signals: LoopSignals) -> dict[str, Any]:
-    """Return the figures of a run, the unit of each quantity, and the findings, as plain data for `tables_of` and files."""
+    """Return the figures of a run, the controller's lag, units, and findings, as plain data for `tables_of` and files."""
     units = {q.name: q.unit for q in signals.quantities}
-    return {"units": units, **figures(signals).to_dict(), "findings": plain_findings(signals)}
+    return {"law": signals.lag, "units": units, **figures(signals).to_dict(), "findings": plain_findings(signals)}
 
 
 def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:

@@ -127,8 +127,8 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
     Parameters
     ----------
     numbers : mapping
-        Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, ``units``, the unit of each quantity, and ``findings``, the
-        inferred faults, which are None if nothing is inferred.
+        Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, ``units``, the unit of each quantity, ``findings``, the
+        inferred faults, which are None if nothing is inferred, and possibly ``law``, a sentence about the lag of the controller.
     """
     if numbers["tracking"]:
         rows = [
@@ -140,7 +140,8 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
             for what in ("tracking", "belief")
             for name, errors in numbers[what].items()
         ]
-        yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), TRACKING)
+        remark = f"{TRACKING} {numbers.get('law', '')}".rstrip()
+        yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), remark)
     sensors, inferred = numbers["sensors"], numbers.get("findings")
     if inferred:
         yield findings_table(inferred)
