@@ -277,7 +277,18 @@ def sections(sums: Floats, pauses: Sequence[bool] | Flags, samples: int, step: f
         kinds.append(int(origin[kinds[-1]]))
     kinds.reverse()
     edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(kinds)]
-    return [(*span, kinds[a]) for a, b in pairwise(edges) if (span := _without_pauses(pauses, a, b))]
+    for n, (a, b) in enumerate(pairwise(edges[:-1]), start=1):
+        edges[n] = _at_pause(sums[:, kinds[a]] - sums[:, kinds[b]], pauses, a, b, cost)
+    return [(*span, kinds[b - 1]) for a, b in pairwise(edges) if (span := _without_pauses(pauses, a, b))]
+
+
+def _at_pause(better: Floats, pauses: Sequence[bool] | Flags, first: int, after: int, cost: float) -> int:
+    """Return the first stretch of the next part: after the last pause of a part if what follows the pause is no kind of its own.
+
+    The learner distinguishes kinds only some samples after a fault begins, and then these have the kind of the fault before.
+    """
+    begin = max((k + 1 for k in range(first, after) if pauses[k]), default=after)
+    return begin if better[begin:after].sum() < cost else after
 
 
 def _without_pauses(pauses: Sequence[bool] | Flags, first: int, after: int) -> tuple[int, int] | None:

@@ -147,6 +147,14 @@ def test_the_tail_of_the_first_fault_in_a_pause_does_not_begin_an_alarm():
     assert rows(loop(chances)) == [("Offset", 0.0, 59.0), ("Frozen", 70.0, 129.0)]
 
 
+def test_the_first_samples_after_a_pause_do_not_have_the_kind_before_it():
+    """A learner that does not yet know the kind of the second fault called it an offset, which then lasted over the pause."""
+    chances = course((OFFSET, 60), (HEALTHY, 6), (OFFSET, 6), (DRIFTING, 60))
+    assert rows(loop(chances)) == [("Offset", 0.0, 59.0), ("Drifting", 66.0, 131.0)]
+    chances = course((OFFSET, 60), (HEALTHY, 6), (OFFSET, 30), (DRIFTING, 60))
+    assert rows(loop(chances)) == [("Offset", 0.0, 95.0), ("Drifting", 96.0, 155.0)]
+
+
 def test_a_brief_pause_does_not_end_an_alarm_of_one_kind():
     chances = course((OFFSET, 60), (HEALTHY, 10), (OFFSET, 60))
     assert rows(loop(chances)) == [("Offset", 0.0, 129.0)]
