@@ -95,9 +95,11 @@ def design(
     order : int, optional
         Number of states of a model by pulse responses.
     sensors : int or sequence of int, optional
-        Number of sensors, or of each measured output.
+        Number of sensors, or of each measured output: ``(3, 1)`` is three sensors of the first output, then one of the second. A
+        single number takes the outputs in turn: ``4`` of position and speed is position, speed, position, speed.
     sensor_std : number or vector
-        Standard deviation of the sensors' noise, with that of their rounding: `Sensors.error_std`.
+        Standard deviation of the sensors' noise, with that of their rounding: `Sensors.error_std`. One for all, for each output,
+        or for each sensor in the order of `sensors`.
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations.
     disturbance : number, vector or matrix, optional

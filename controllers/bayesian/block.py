@@ -162,6 +162,11 @@ class BayesianBlock(Block, ABC):
         return self.precision.offset_kinds if self.corrects_offsets else ()
 
     @property
+    def lag(self) -> str:
+        """A sentence about how far the control law is by itself behind a moving reference; empty if it is not."""
+        return "The controller steers the state to it one step later."
+
+    @property
     def fault_kinds(self) -> tuple[str, ...]:
         """Names of the kinds of sensor faults that the precision learner distinguishes."""
         return self.precision.fault_kinds

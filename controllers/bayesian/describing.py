@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.controllers.bayesian.stabilisability import shown
+from bayesftc.controllers.linalg.lyapunov import steady_covariance
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import brief
 from bayesftc.cosim.types import Floats
@@ -18,6 +19,14 @@ if TYPE_CHECKING:
 
 LASTING = 1e-9
 """A mode whose pole is nearer to the unit circle than this counts as undamped: its noise accumulates."""
+
+
+def _of_sensors(controller: BayesianController, std: Floats) -> str:
+    """Return a number for each sensor; of several quantities with its own behind it, because they may alternate."""
+    names = controller.model.names.sensors if controller.model.names else ()
+    if len(dict.fromkeys(names)) < 2:
+        return _numbers(std)
+    return ", ".join(f"{_numbers(std[i : i + 1])} ({name})" for i, name in enumerate(names))
 
 
 def _about(model: LinearModel) -> str:
@@ -40,7 +49,7 @@ def model_lines(controller: BayesianController) -> list[str]:
         f"Model: {states}, {_count(model.controls, 'control')}{named}, {_count(model.sensors, 'sensor')} of "
         f"{_count(len(model.alike), 'quantity', 'quantities')}{f' ({sensors})' if sensors else ''}, every {show(model.step)} s"
         f"{_about(model)}.",
-        f"Expected standard deviations of the sensors: {_numbers(std)}.",
+        f"Expected standard deviations of the sensors: {_of_sensors(controller, std)}.",
         f"Expected process noise in each step, as standard deviations: {_process_noise(model)}.",
         f"Goals: {controller.goals}; limits of the control: {_limits(controller)}.",
     ]
@@ -121,8 +130,6 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] |
 
     The plant is assumed to equal the model, with disturbances of 0.
     """
-    from scipy.linalg import solve_discrete_lyapunov
-
     model = controller.model.moving
     plant, m = model.states - model.disturbances, model.sensors
     B, C = model.matrix("B")[:plant], model.matrix("C")[:, :plant]
@@ -134,7 +141,7 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] |
     noise = np.vstack([B @ direct[:, :m], given[:, :m]])
     spread = noise @ R @ noise.T
     spread[:plant, :plant] += Q
-    covariance = solve_discrete_lyapunov(whole, spread)
+    covariance = steady_covariance(whole, spread)
     K = controller.steady_gains().K[:plant]
     of_plant = np.eye(plant, model.states)
     error = np.hstack([np.eye(plant) - K @ C, -(of_plant - K @ model.matrix("C"))])

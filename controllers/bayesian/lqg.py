@@ -132,6 +132,11 @@ class LQGController(BayesianController):
         return y, goal
 
     @property
+    def lag(self) -> str:
+        """A sentence about how far the control law is by itself behind a moving reference; empty with a preview."""
+        return "" if self.preview else "The regulator lags behind a moving reference, unless preview=n knows it ahead."
+
+    @property
     def _costs(self) -> tuple[Floats, Floats]:
         """Return the costs of goals and controls."""
         goals, controls = (np.linalg.inv(np.asarray(c, float)) for c in (self.goal_covariance, self.control_covariance))

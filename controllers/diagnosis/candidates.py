@@ -22,6 +22,7 @@ from bayesftc.controllers.diagnosis.judge import RELEVANT, Explanation, Judge
 from bayesftc.controllers.diagnosis.offsets import offsets
 from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.estimation.observers import observers
+from bayesftc.controllers.models.disturbances import has_loads
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def ranked(found: Iterable[Explanation]) -> list[Explanation]:
 def _noisy(
     model: LinearModel, sets: tuple[tuple[int, ...], ...], added: tuple[float, ...]
 ) -> tuple[LinearModel, Observers] | None:
-    """Return the model with additional noise on the plant's states, and its observers; None if they do not exist."""
+    """Return the model with additional noise on its first states, and its observers; None if they do not exist."""
     Q = model.matrix("process_covariance").copy()
     Q[: len(added), : len(added)] += np.diag(added)
     changed = replace(model, process_covariance=Q)
@@ -97,10 +98,15 @@ def _noisy(
 
 
 def noisier(judge: Judge) -> list[Explanation]:
-    """Return the best explanation by more process noise on one state of the plant, or on all; none if there is none."""
+    """Return the best explanation by more process noise on one state of the plant, on all, or on one load; none if there is none.
+
+    Without the loads, a force that wanders faster than the model's disturbance looks like a nonlinear plant.
+    """
     model, plant = judge.model, judge.model.plant_states
+    first = model.states - model.disturbances
+    loads = slice(first, first + model.controls * has_loads(model))
     try:
-        usual = np.diag(steady_covariance(model.moving))[:plant]
+        belief = np.diag(steady_covariance(model.moving))
     except (ModelError, np.linalg.LinAlgError):
         return []
 
@@ -110,8 +116,10 @@ def noisier(judge: Judge) -> list[Explanation]:
         judged = _by_models(judge, "noise", possible)
         return list(zip(judged, (noise for noise, changed in found if changed is not None), strict=True))
 
-    alone_and_all = [*np.diag(usual), *[usual] * (plant > 1)]
-    coarse = tried([times * each for each in alone_and_all for times in NOISES])
+    each = np.diag(belief)
+    of_all = np.where(np.arange(len(belief)) < plant, belief, 0.0)
+    alone_and_all = [*each[:plant], *[of_all] * (plant > 1), *each[loads]]
+    coarse = tried([times * noise for noise in alone_and_all for times in NOISES])
     if not coarse:
         return []
     best, noise = max(coarse, key=lambda found: found[0].total)

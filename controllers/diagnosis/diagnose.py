@@ -93,7 +93,8 @@ class ModelFinding:
         the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin, end, effect relative to the
         model's, and number of the control;
         ``offset``: a value for each sensor, in its unit, 0 for those without;
-        ``noise``: number of the state (-1 for each) and standard deviation in a sample; else empty.
+        ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control) and standard
+        deviation in a sample; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str

@@ -205,11 +205,23 @@ def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel
 
 def _noise(values: Sequence[float], model: LinearModel) -> str:
     state, std = values
+    if (load := int(state) - model.states + model.disturbances) >= 0:
+        return _noise_of_load(load, std, model)
     names = None if model.names is None or state < 0 else model.names.states
     where = f" of {names[int(state)]}" if names and not names[0].startswith("x[") else ""
     return (
         f"the plant is moved more at random than process_covariance says, about as by a standard deviation of {std:.2g} in each "
         f"sample{where}. Say where that noise acts (noise in design and in a scenario), or make process_covariance larger."
+    )
+
+
+def _noise_of_load(load: int, std: float, model: LinearModel) -> str:
+    """Return the sentence about a load on a control that changes faster than the model says."""
+    on = f" on {model.names.controls[load]}" if model.names else f" on control {load}" if model.controls > 1 else ""
+    known = float(np.diag(model.matrix("process_covariance"))[load - model.disturbances])
+    return (
+        f"a load{on} changes faster than the model says. Use about disturbance={known + std**2:.2g} instead of {known:.2g} in "
+        "design and in a scenario (of a LinearModel: with_disturbance), or say where process noise acts (noise)."
     )
 
 

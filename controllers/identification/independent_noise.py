@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayesftc.controllers.linalg.lyapunov import steady_covariance
 from bayesftc.cosim.types import Floats
 
 MOST = 60
@@ -45,7 +46,7 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
             P = _riccati(A, C, Q, R)
             promised = C @ P @ C.T + R
             gain = A @ np.linalg.solve(promised, C @ P).T
-            between = _lyapunov(A - gain @ C, (K - gain) @ S @ (K - gain).T)
+            between = steady_covariance(A - gain @ C, (K - gain) @ S @ (K - gain).T)
         except np.linalg.LinAlgError:
             return 1e10
         real = C @ between @ C.T + S
@@ -79,14 +80,3 @@ def _riccati(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
         if not np.abs(step).max() > 1e-15 * np.abs(P).max():
             break
     return np.asarray(P)
-
-
-def _lyapunov(M: Floats, W: Floats) -> Floats:
-    """Return X with ``X = M X M' + W``, by doubling."""
-    X = W
-    for _ in range(60):
-        step = M @ X @ M.T
-        X, M = X + step, M @ M
-        if not np.abs(step).max() > 1e-15 * np.abs(X).max():
-            break
-    return np.asarray(X)

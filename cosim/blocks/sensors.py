@@ -33,10 +33,11 @@ class Sensors(Block):
     Parameters
     ----------
     count : int or sequence of int
-        Number of sensors, or of each signal: ``(1, 3)`` is one of the first signal, then three of the second one.
+        Number of sensors, or of each signal: ``(1, 3)`` is one of the first signal, then three of the second one. A single number
+        of sensors of several signals takes these in turn: ``4`` for position and speed is position, speed, position, speed.
     std : float or sequence of float
-        Standard deviation of the noise in the unit of the signal, for all sensors or for each; with a `count` for each signal
-        also for each signal. The same holds for `bias` and `resolution`.
+        Standard deviation of the noise in the unit of the signal, for all sensors or for each, in the order of `count`; with a
+        `count` for each signal also for each signal. The same holds for `bias` and `resolution`.
     signals : int
         Number of signals that they read.
     bias : float or sequence of float

@@ -111,7 +111,8 @@ class LoopRoles:
     ``fault_sizes`` and ``actuator_sizes`` say for each of them what the size of a fault is in: ``"unit"`` of the sensor or the
     control, ``"noise"`` for multiples of the sensor's noise, ``"effect"`` for a share of the control's effect; empty: no fault.
     ``corrected_kinds`` are those of sensor faults that the controller estimates and subtracts, so that the sensor is still used.
-    ``readings`` is the signal of all sensors before their faults; empty in files of earlier versions.
+    ``readings`` is the signal of all sensors before their faults, and ``lag`` a sentence about how far the controller is behind a
+    moving reference; both are empty in files of earlier versions.
     """
 
     controller: str
@@ -125,6 +126,7 @@ class LoopRoles:
     actuator_sizes: tuple[str, ...] = ()
     readings: str = ""
     corrected_kinds: tuple[str, ...] = ()
+    lag: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for a JSON file."""
@@ -186,7 +188,8 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     readings = f"{sensor_node.name}.{read.name}"
     controls = _controls(diagram, controller)
     kinds["corrected_kinds"] = tuple(getattr(controller.block, "corrected_kinds", ()))
-    return LoopRoles(controller.name, sensors, quantities, inputs, controls, **kinds, readings=readings)
+    lag = getattr(controller.block, "lag", "")
+    return LoopRoles(controller.name, sensors, quantities, inputs, controls, **kinds, readings=readings, lag=lag)
 
 
 def known_roles(diagram: Diagram) -> LoopRoles | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import prod
+from textwrap import wrap
 from types import FunctionType
 
 from bayesftc.cosim.diagram.opening import OUTSIDE
@@ -16,6 +17,8 @@ from bayesftc.cosim.stepping.translate.functions import Functions, Written, word
 from bayesftc.cosim.stepping.translate.values import literal
 
 _PARTS = ("inputs", "outputs", "parameters", "init", "step", "evaluate", "advance")
+_COMMENT = 110
+"""Most characters of a line of a comment."""
 _VARIABLES = ("c", "u", "y", "m", "k", "t", "i", "j", "initial")
 _FILL = (
     "for (size_t i = 0; i < sizeof initial / sizeof *initial; ++i) {",
@@ -54,7 +57,7 @@ _HOW = """\
  * A step computes the outputs at this time from the inputs at this time, and then the next state. If the outputs are needed
  * before the state changes, call {name}_evaluate and then {name}_advance, which are the two halves of a step.
  * All memory is in the structure: nothing is allocated, there are no global variables, and several instances can run at once.
- * A NaN among the inputs is a missing sample. Arrays are stored row by row.
+ * A NaN among the inputs is a missing sample, if nothing else is said of it below. Arrays are stored row by row.
  * For the same bits as the original, the compiler must not fuse products and sums (-ffp-contract=off; the file sets this for
  * gcc and clang) nor reorder them (never -ffast-math), and must compute doubles in double precision.
  */"""
@@ -281,8 +284,17 @@ def _sizes(program: Program, name: str, memory: int) -> list[str]:
 
 
 def _structure(title: str, members: Sequence[Signal | Tunable]) -> list[str]:
-    lines = [f"    double {member(s)}[{max(int(prod(s.shape)), 1)}];{_remark(s)}" for s in members]
+    lines = []
+    for each in members:
+        lines += [*_description(each), f"    double {member(each)}[{max(int(prod(each.shape)), 1)}];{_remark(each)}"]
     return ["typedef struct {", *(lines or ["    double none; /* C has no empty structures */"]), f"}} {title};", ""]
+
+
+def _description(signal: Signal | Tunable) -> list[str]:
+    """Return the comment above a member: what an FMU says of the variable. A user's own text must not end the comment."""
+    text = " ".join(signal.description.split()).replace("*/", "* /").replace("/*", "/ *")
+    lines = wrap(text, _COMMENT, break_long_words=False, break_on_hyphens=False)
+    return [f"    {'   ' if i else '/* '}{line}{' */' * (i == len(lines) - 1)}" for i, line in enumerate(lines)]
 
 
 def _remark(signal: Signal | Tunable) -> str:

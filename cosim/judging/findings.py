@@ -91,6 +91,7 @@ def findings(signals: LoopSignals, threshold: float = ALARM, hold: float | None 
         Least fault probability of an alarm.
     hold : float, optional
         Seconds below the threshold after which an alarm ends; by default 1 s, or ten samples if they are more than 0.1 s apart.
+        A shorter pause ends it as well if the kind before the pause is another than that after it.
     """
     time = signals.time
     found: list[Finding] = []
@@ -114,9 +115,9 @@ def plain_findings(signals: LoopSignals) -> list[dict[str, Any]] | None:
 
 
 def numbers_of(signals: LoopSignals) -> dict[str, Any]:
-    """Return the figures of a run, the unit of each quantity, and the findings, as plain data for `tables_of` and files."""
+    """Return the figures of a run, the controller's lag, units, and findings, as plain data for `tables_of` and files."""
     units = {q.name: q.unit for q in signals.quantities}
-    return {"units": units, **figures(signals).to_dict(), "findings": plain_findings(signals)}
+    return {"law": signals.lag, "units": units, **figures(signals).to_dict(), "findings": plain_findings(signals)}
 
 
 def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:
@@ -186,11 +187,23 @@ def parts_of_device(
         return []
     span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
     step = span / (len(time) - 1) if span else 1.0
-    most, chances = round(min(usual_hold(step) if hold is None else hold, span) / step), _chances(device)
+    most = round(min(usual_hold(step) if hold is None else hold, span) / step)
+    return parts_of_alarms(score, _chances(device), threshold, most, step)
+
+
+def parts_of_alarms(score: Floats, chances: Floats | None, threshold: float, hold: int, step: float) -> list[Part]:
+    """Return the parts of all alarms of a fault probability; see `alarms` and `parts`.
+
+    Where the kind changes over a pause, an alarm ends before the pause and another one begins after it.
+    """
     found = []
-    for begin, end in alarms(score, threshold, most):
-        listed = [(begin, end, 0)] if chances is None else parts(chances, begin, end, step)
-        found += [Part(begin, *each) for each in listed]
+    for begin, end in alarms(score, threshold, hold):
+        listed = [(begin, end, 0)] if chances is None else parts(chances, begin, end, step, score >= threshold)
+        alarm = before = begin
+        for a, b, kind in listed:
+            alarm = alarm if a == before else a
+            found.append(Part(alarm, a, b, kind))
+            before = b
     return found
 
 
@@ -199,7 +212,7 @@ def usual_hold(step: float) -> float:
     return max(HOLD, HOLD_SAMPLES * step)
 
 
-def parts(chances: Floats, begin: int, end: int, step: float) -> list[tuple[int, int, int]]:
+def parts(chances: Floats, begin: int, end: int, step: float, above: Flags | None = None) -> list[tuple[int, int, int]]:
     """Return the parts of an alarm with one kind of fault each: first step, step after the last, number of the kind.
 
     Within a part its kind has the largest mean probability of all kinds. There is a further part only where its kind is more
@@ -213,30 +226,35 @@ def parts(chances: Floats, begin: int, end: int, step: float) -> list[tuple[int,
         First step of the alarm, and the step after its last.
     step : float
         Seconds between two steps.
+    above : ndarray of bool, shape (steps,), optional
+        Where the fault probability is at least the threshold; by default everywhere. The others are the pauses of the alarm: no
+        part begins or ends in one, and a pause over which the kind changes belongs to no part.
 
     Returns
     -------
     list of tuple of int
         The kinds count from 1; 0 is an unknown kind, where all probabilities are 0.
     """
-    p = np.nan_to_num(chances[begin:end])
+    p, pause = np.nan_to_num(chances[begin:end]), np.zeros(end - begin, bool) if above is None else ~above[begin:end]
     likeliest = p.argmax(axis=1)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(likeliest)) + 1])
+    edges = np.concatenate([[0], np.flatnonzero((np.diff(likeliest) != 0) | (np.diff(pause) != 0)) + 1])
     sums = np.add.reduceat(p, edges)
     ends = [*(begin + edges[1:]).tolist(), end]
     return [
         (begin + int(edges[a]), ends[b - 1], kind + 1 if sums[a:b, kind].any() else 0)
-        for a, b, kind in sections(sums, end - begin, step)
+        for a, b, kind in sections(sums, pause[edges], end - begin, step)
     ]
 
 
-def sections(sums: Floats, samples: int, step: float) -> list[tuple[int, int, int]]:
+def sections(sums: Floats, pauses: Sequence[bool] | Flags, samples: int, step: float) -> list[tuple[int, int, int]]:
     """Return the parts of an alarm as `parts` does, from the sum of the probabilities over each stretch with one likeliest kind.
 
     Parameters
     ----------
     sums : ndarray, shape (stretches, kinds)
         The sums.
+    pauses : sequence of bool
+        Whether each stretch is in a pause of the alarm.
     samples : int
         Number of samples of the alarm.
     step : float
@@ -259,7 +277,24 @@ def sections(sums: Floats, samples: int, step: float) -> list[tuple[int, int, in
         kinds.append(int(origin[kinds[-1]]))
     kinds.reverse()
     edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(kinds)]
-    return [(a, b, kinds[a]) for a, b in pairwise(edges)]
+    for n, (a, b) in enumerate(pairwise(edges[:-1]), start=1):
+        edges[n] = _at_pause(sums[:, kinds[a]] - sums[:, kinds[b]], pauses, a, b, cost)
+    return [(*span, kinds[b - 1]) for a, b in pairwise(edges) if (span := _without_pauses(pauses, a, b))]
+
+
+def _at_pause(better: Floats, pauses: Sequence[bool] | Flags, first: int, after: int, cost: float) -> int:
+    """Return the first stretch of the next part: after the last pause of a part if what follows the pause is no kind of its own.
+
+    The learner distinguishes kinds only some samples after a fault begins, and then these have the kind of the fault before.
+    """
+    begin = max((k + 1 for k in range(first, after) if pauses[k]), default=after)
+    return begin if better[begin:after].sum() < cost else after
+
+
+def _without_pauses(pauses: Sequence[bool] | Flags, first: int, after: int) -> tuple[int, int] | None:
+    """Return the first stretch and the one after the last without pauses at either end; None if nothing is left."""
+    alarmed = [k for k in range(first, after) if not pauses[k]]
+    return (alarmed[0], alarmed[-1] + 1) if alarmed else None
 
 
 def _of(
@@ -425,6 +460,7 @@ def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str
 
 
 __all__ = [
-    "AGREE", "Finding", "Part", "alarms", "alarms_of_all", "blamed_together", "findings", "findings_frame", "last_of_kind",
-    "never_began", "numbers_of", "onset_of_alarm", "parts", "parts_of_device", "plain_findings", "sections", "usual_hold",
+    "AGREE", "HOLD", "HOLD_SAMPLES", "Finding", "Part", "alarms", "alarms_of_all", "blamed_together", "findings",
+    "findings_frame", "last_of_kind", "never_began", "numbers_of", "onset_of_alarm", "parts", "parts_of_alarms",
+    "parts_of_device", "plain_findings", "sections", "usual_hold",
 ]  # fmt: skip

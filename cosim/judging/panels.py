@@ -191,7 +191,7 @@ def as_dates(time: Floats, origin: datetime) -> Floats:
 
 
 def finish(axes: list[Axes], time: Floats, origin: datetime | None = None) -> None:
-    """Label the time below the lowest panel, limit all panels to it, and align their labels.
+    """Label the time below the lowest panel, limit all panels to it, write their numbers, and align their labels.
 
     With the `origin` of `as_dates`, the times are those dates.
     """
@@ -206,4 +206,17 @@ def finish(axes: list[Axes], time: Floats, origin: datetime | None = None) -> No
     axes[-1].set_xlabel(label)
     if len(time) > 1:
         axes[-1].set_xlim(float(time[0]), float(time[-1]))
+    for axis in axes:
+        _write_exponents(axis)
     axes[0].figure.align_ylabels(axes)  # type: ignore[union-attr]
+
+
+def _write_exponents(axis: Axes) -> None:
+    """Write the exponent of very small or large numbers beside each, as 2e-05, because names of faults stand above the axis."""
+    from matplotlib.ticker import ScalarFormatter, StrMethodFormatter
+
+    formatter, (low, high) = axis.yaxis.get_major_formatter(), sorted(axis.get_ylim())
+    if isinstance(formatter, ScalarFormatter):
+        formatter.set_locs([tick for tick in axis.get_yticks() if low <= tick <= high])
+        if formatter.get_offset():
+            axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))

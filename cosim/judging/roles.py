@@ -88,6 +88,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
         _actuators(reader, roles, drawn),
         _controls(reader, roles) if drawn else (),
         _process(reader) if drawn else None,
+        roles.lag,
     )
 
 

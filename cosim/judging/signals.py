@@ -219,7 +219,7 @@ class LoopSignals:
 
     ``faults`` has for each recorded sensor fault the number of its sensor and whether it was present. ``actuators`` are those
     with an inference of the controller, ``controls`` the recorded ones. ``process`` is the probability of the process modes;
-    None if there are none, or if not recorded.
+    None if there are none, or if not recorded. ``lag`` is a sentence about how far the controller is behind a moving reference.
     """
 
     time: Floats
@@ -230,6 +230,7 @@ class LoopSignals:
     actuators: tuple[ActuatorSignals, ...] = ()
     controls: tuple[ControlSignals, ...] = ()
     process: Floats | None = None
+    lag: str = ""
 
     @property
     def faulty(self) -> Flags | None:

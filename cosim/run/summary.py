@@ -19,7 +19,8 @@ PHASES = {"overall": "whole run", "before": "before faults", "during": "during",
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
-    "kind. Size: at its end."
+    "kind. A pause of at most 1 s, or of at most 10 samples, does not end an alarm if the kind is the same after it. "
+    "Size: at its end."
 )
 PROCESS_REMARK = (
     " Process: for that time the plant moved more than its model expects, as after a kick or a sudden load. It is no fault of a "
@@ -126,8 +127,8 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
     Parameters
     ----------
     numbers : mapping
-        Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, ``units``, the unit of each quantity, and ``findings``, the
-        inferred faults, which are None if nothing is inferred.
+        Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, ``units``, the unit of each quantity, ``findings``, the
+        inferred faults, which are None if nothing is inferred, and possibly ``law``, a sentence about the lag of the controller.
     """
     if numbers["tracking"]:
         rows = [
@@ -139,7 +140,8 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
             for what in ("tracking", "belief")
             for name, errors in numbers[what].items()
         ]
-        yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), TRACKING)
+        remark = f"{TRACKING} {numbers.get('law', '')}".rstrip()
+        yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), remark)
     sensors, inferred = numbers["sensors"], numbers.get("findings")
     if inferred:
         yield findings_table(inferred)

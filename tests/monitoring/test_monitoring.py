@@ -13,6 +13,7 @@ from scipy import linalg, stats
 
 from bayesftc.controllers import Burst, Drifting, FixedPrecision, LinearModel, Noisier, Offset, SwitchingPrecision
 from bayesftc.cosim.errors import BayesFTCError, ModelError, RecordingError
+from bayesftc.cosim.judging.findings import alarms
 from bayesftc.monitoring import (
     ActuatorEvent,
     Alarm,
@@ -31,7 +32,7 @@ from bayesftc.monitoring import (
     monitor_recording,
     redundant_signals,
 )
-from bayesftc.monitoring.alarms import alarms, sensor_events
+from bayesftc.monitoring.alarms import sensor_events
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.rest import at_rest, held
 
@@ -827,3 +828,34 @@ def test_a_short_alarm_is_shaded_wide_enough_to_see():
     assert event.end - event.start < 8.9
     widths = [patch.get_width() for patch in monitored.plot().axes[0].patches]
     assert any(abs(width - 0.003 * 2999) < 0.1 for width in widths)
+
+
+def test_a_pause_over_which_the_kind_changes_separates_two_alarms_live_as_well():
+    """It was one alarm, whose later part began in the pause; without a change of kind it still is one."""
+    n, modes = 90, (Offset(), Drifting())
+    recording = Recording(0.0, Fraction(1), ("a",), np.zeros((n, 1)), np.zeros((n, 1)), (0.01,), (0.0,), (0,), ("m",))
+    steps = np.arange(n)
+    blamed = np.where((steps >= 10) & ~np.isin(steps, [20, 21, 40, 41, 42]), 1.0, 0.0)
+    blamed[40] = 0.4  # the end of the offset
+    drifts = steps >= 42
+    signals = {
+        "fault_probability": blamed[:, None],
+        "mode_probability": np.stack([1 - blamed, blamed * ~drifts, blamed * drifts], axis=1)[:, None],
+        "fault_size": (1.0 + steps)[:, None],
+        "fault_onset": np.where(drifts, 30.0, 8.0)[:, None],
+    }
+    first, second = events = list(sensor_events(recording, signals, modes, Alarm(hold=5.0)))
+    assert (first.kind, first.start, first.end, first.onset, first.size) == ("Offset", 10.0, 39.0, 8.0, 40.0)
+    assert (second.kind, second.start, second.end, second.onset) == ("Drifting", 43.0, 89.0, 39.0)
+    assert not first.continued
+    assert not second.continued
+    watch = AlarmWatch(["a"], modes, Fraction(1), Alarm(hold=5.0))
+    live = []
+    for k in range(n + 7):
+        row = {name: signals[name][k] if k < n else 0.0 * signals[name][0] for name in AlarmWatch.signals}
+        live += [(event.start, ended) for event, ended in watch.feed(float(k), row)]
+    assert live == [(10.0, False), (10.0, True), (43.0, True)]
+    watch = AlarmWatch(["a"], modes, Fraction(1), Alarm(hold=5.0))
+    for k in range(n):
+        list(watch.feed(float(k), {name: signals[name][k] for name in AlarmWatch.signals}))
+    assert list(watch.close()) == events

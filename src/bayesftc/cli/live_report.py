@@ -67,15 +67,15 @@ class Alarms:
 
     def close(self) -> list[Event]:
         """Return the last alarms, also those that have not ended, in the order of their start."""
-        self.ended += [event for watch in self.watches for event in watch.close()]
+        for watch in self.watches:
+            for event in watch.close():
+                self._add(event)
         return sorted(self.ended, key=lambda event: event.start)
 
     def _note(self, event: Event, ended: bool, time: float) -> None:
         if ended:
-            self.ended.append(event)
+            self._add(event)
             del self.ended[:-MOST]
-        else:
-            self.counts[name_of(event)] += 1
         if self.shown:
             kind = f", {event.kind}" if event.kind else ""
             if ended and event.continued:
@@ -85,6 +85,10 @@ class Alarms:
             else:
                 text = f"alarm, fault probability {event.probability:.3f}{kind}"
             note_at(time, f"{name_of(event)}: {text}")
+
+    def _add(self, event: Event) -> None:
+        self.ended.append(event)
+        self.counts[name_of(event)] += not event.continued
 
 
 def all_of(watchers: Sequence[Watcher | None]) -> Watcher | None:

@@ -236,10 +236,8 @@ def print_report(numbers: Mapping[str, Any]) -> None:
     title = f"{numbers['scenario']}: {numbers['duration']:g} s, {numbers['steps']} steps, seed {numbers['seed']}"
     console.print(Text(title), soft_wrap=True)
     for figures in (figures for figures in tables_of(numbers) if not figures.empty):
-        law = numbers.get("law", "") if figures.key == "errors" else ""
         turned = figures.key not in ("errors", "findings")  # their columns are sensors, inputs or actuators
-        remark = f"{figures.remark} {law}".strip()
-        _print_table(console, figures.heading, figures.columns, figures.texts(), remark, turned=turned)
+        _print_table(console, figures.heading, figures.columns, figures.texts(), figures.remark, turned=turned)
     if check := numbers.get("kalman"):
         kinds = {"relative": "difference", "absolute": "absolute"}
         values = {what: [check[f"{what}_{kind}"] for kind in kinds.values()] for what in ("mean", "covariance")}

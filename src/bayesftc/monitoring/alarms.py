@@ -12,7 +12,7 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
-from bayesftc.cosim.judging.findings import Part, alarms, last_of_kind, onset_of_alarm, parts
+from bayesftc.cosim.judging.findings import Part, last_of_kind, onset_of_alarm, parts_of_alarms
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.gaps import Gap
 from bayesftc.monitoring.recording import Recording
@@ -31,6 +31,7 @@ class Alarm:
         Least fault probability of an alarm.
     hold : float
         Seconds below the threshold after which the alarm ends. By default 1 s, or ten samples if they are more than 0.1 s apart.
+        A shorter pause ends it as well if the kind before the pause is another than that after it.
 
     Raises
     ------
@@ -273,7 +274,6 @@ def _spans(
     hold = round(time_at(alarm.hold, step) / step)
     for i, name in enumerate(names):
         chances = None if of_modes is None else fault_chances(of_modes[:, i], modes)
-        for begin, end in alarms(probability[:, i], alarm.threshold, hold):
-            for a, b, kind in [(begin, end, 0)] if chances is None else parts(chances, begin, end, step):
-                span = float(time[a]), float(time[b - 1]), float(np.nanmax(probability[a:b, i]))
-                yield name, span, Part(begin, a, b, kind), i
+        for part in parts_of_alarms(probability[:, i], chances, alarm.threshold, hold, step):
+            a, b = part.begin, part.end
+            yield name, (float(time[a]), float(time[b - 1]), float(np.nanmax(probability[a:b, i]))), part, i

@@ -32,7 +32,8 @@ class AlarmWatch:
 
     An alarm begins at the first step with a probability of at least the threshold. It has ended when the probability has been
     below for longer than `Alarm.hold`; its end is the last step above, as in a recording. If its kind changed for good, it ends
-    as several events, its parts.
+    as several events, its parts. If the kind is another after a shorter pause below the threshold than before it, there are two
+    alarms. The second one is known only when both have ended.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ class AlarmWatch:
         for i in sorted({*map(int, np.flatnonzero(above)), *self._open}):
             begins = i not in self._open
             alarm = self._open.setdefault(i, _Open())
-            alarm.add(self._stretch(i, time, signals), bool(above[i]))
+            alarm.add(self._stretch(i, time, signals, bool(above[i])))
             if begins:
                 yield next(self._events(i, alarm)), False
             if alarm.below > self._hold:
@@ -109,30 +110,34 @@ class AlarmWatch:
         for event in events:
             yield event, True
 
-    def _stretch(self, i: int, time: float, signals: Mapping[str, Floats]) -> _Stretch:
+    def _stretch(self, i: int, time: float, signals: Mapping[str, Floats], above: bool) -> _Stretch:
         """Return a stretch of one step of a sensor or an actuator."""
         probability, of_modes, *rest = (signals.get(name) for name in self.signals)
         assert probability is not None
         p = float(probability[i])
         if not self._modes or of_modes is None:
-            return _Stretch(time, time, 1, p, np.zeros(1))
+            return _Stretch(time, time, 1, p, np.zeros(1), pause=not above)
         modes = of_modes.reshape(len(self._names), -1)[i]
         chances = fault_chances(modes, self._modes)
         # Size and onset belong to the most probable mode of all, which can be another one.
         is_most = modes.argmax() == 1 + chances.argmax()
         numbers = [None if values is None or not np.isfinite(values[i]) else float(values[i]) for values in rest]
-        return _Stretch(time, time, 1, p, chances, tuple(numbers) if is_most else ())
+        return _Stretch(time, time, 1, p, chances, tuple(numbers) if is_most else (), not above)
 
     def _events(self, i: int, alarm: _Open) -> Iterator[FaultEvent | ActuatorEvent]:
         """Give the parts of an alarm."""
         listed = alarm.stretches
         samples = sum(each.samples for each in listed)
-        for a, b, k in sections(np.array([each.sums for each in listed]), samples, self._step):
-            part = listed[a:b]
+        sums, pauses = np.array([each.sums for each in listed]), [each.pause for each in listed]
+        before = 0
+        for a, b, k in sections(sums, pauses, samples, self._step):
+            if a > before:  # a pause ended an alarm
+                self._ended[i] = listed[before - 1].end
+            part, continued, before = listed[a:b], 0 < a == before, b
             span = part[0].start, part[-1].end, max(each.probability for each in part)
             kind = name_of_kind(self._modes, k + 1) if any(each.sums[k] for each in part) else ""
             numbers = next((each.numbers for each in reversed(part) if each.numbers and each.kind == k), ())
-            yield self._made(i, span, kind, numbers, a > 0)
+            yield self._made(i, span, kind, numbers, continued)
 
     def _made(
         self, i: int, span: tuple[float, float, float], kind: str, numbers: Sequence[float | None], continued: bool
@@ -146,7 +151,8 @@ class AlarmWatch:
 class _Stretch:
     """Steps of an alarm with one likeliest kind of fault: times, number of samples, largest fault probability.
 
-    ``sums`` has for each kind the sum of its probability, ``numbers`` the last size and onset of the likeliest kind.
+    ``sums`` has for each kind the sum of its probability, ``numbers`` the last size and onset of the likeliest kind, and
+    ``pause`` says whether the fault probability is below the threshold.
     """
 
     start: float
@@ -155,6 +161,7 @@ class _Stretch:
     probability: float
     sums: Floats
     numbers: tuple[float | None, ...] = ()
+    pause: bool = False
 
     @property
     def kind(self) -> int:
@@ -172,6 +179,7 @@ class _Stretch:
             max(self.probability, later.probability),
             sums,
             of_kind[0] if of_kind else (),
+            self.pause and later.pause,
         )
 
 
@@ -183,14 +191,15 @@ class _Open:
         self.below = 0
         self._since: list[_Stretch] = []
 
-    def add(self, step: _Stretch, above: bool) -> None:
+    def add(self, step: _Stretch) -> None:
         """Add a step."""
         self._since.append(step)
-        self.below = 0 if above else self.below + 1
-        if not above:
+        self.below = self.below + 1 if step.pause else 0
+        if step.pause:
             return
         for each in self._since:
-            if self.stretches and self.stretches[-1].kind == each.kind:
+            last = self.stretches[-1] if self.stretches else None
+            if last is not None and (last.kind, last.pause) == (each.kind, each.pause):
                 self.stretches[-1] += each
             else:
                 self.stretches.append(each)

@@ -37,6 +37,38 @@ def test_the_expected_error_of_tracking_is_that_of_a_long_run():
     assert (run["controller.x_hat"][:, 0] - run["plant.y"]).std() == pytest.approx(belief[0], rel=0.05)
 
 
+def precise_axis(**options):
+    """An axis in SI units: sensors of 5, 20 and 60 um, a tachometer, and 150 N."""
+    axis = control.ss(
+        [[0, 1], [0, -2.5]],
+        [[0, 0], [1 / 12, 1 / 12]],
+        np.eye(2),
+        0,
+        inputs=["force", "process_force"],
+        outputs=["x", "v"],
+    )
+    return controllers.design(
+        axis, measured=["x", "v"], actuated="force", goal="x", dt=0.002, sensor_std=[5e-6, 20e-6, 60e-6, 2e-3],
+        noise={"process_force": 5.0}, acceptable_error=2e-4, acceptable_control=50.0, disturbance=1.0, **options,
+    )  # fmt: skip
+
+
+def test_the_accuracy_of_a_precise_axis_in_si_units_needs_no_warning(recwarn):
+    """scipy warned of an ill-conditioned matrix; in micrometres it did not, and the numbers were the same."""
+    controller = precise_axis(sensors=[3, 1])
+    (tracking,), (belief,) = expected_accuracy(controller)
+    assert not [w for w in recwarn if "conditioned" in str(w.message)]
+    assert (tracking, belief) == pytest.approx((1.06665348e-05, 3.2579e-06), rel=1e-3)
+
+
+def test_the_noise_of_sensors_of_several_quantities_names_them():
+    """A single number of sensors takes the quantities in turn, so that a noise of a position became one of a speed."""
+    start = "Expected standard deviations of the sensors: "
+    assert f"{start}5e-06 (x), 2e-05 (x), 6e-05 (x), 0.002 (v).\n" in precise_axis(sensors=[3, 1]).describe()
+    assert f"{start}5e-06 (x), 2e-05 (v), 6e-05 (x), 0.002 (v).\n" in precise_axis(sensors=4).describe()
+    assert not any("(" in line for line in lqg().describe().splitlines() if line.startswith(start))
+
+
 @pytest.mark.parametrize("learner", controllers.LEARNERS, ids=lambda learner: learner.__name__)
 def test_every_learner_is_described(learner):
     text = lqg(precision=learner()).describe()

@@ -71,6 +71,28 @@ def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
     assert "process_covariance" in finding.sentence
 
 
+@pytest.mark.parametrize("names", [None, controllers.SignalNames(["force"], ["x", "x"], ["x", "v"])])
+def test_a_load_that_wanders_faster_than_the_disturbance_of_the_model_is_no_other_dynamics(names):
+    """More noise of a disturbance was no explanation, so that other dynamics or nonlinear terms were the best one."""
+    A, B = np.array([[1.0, 0.05], [0.0, 0.95]]), np.array([[0.0], [0.05]])
+    plant = controllers.LinearModel(
+        A, B, [[1.0, 0.0]] * 2, np.diag([1e-8, 1e-6]), np.eye(2) * 1e-4, dt=0.05, names=names
+    )
+    model = plant.with_disturbance(1e-4)
+    rng = np.random.default_rng(25)
+    u, x, force = np.repeat(rng.choice([-1.0, 1.0], 75), 20), np.zeros((1500, 2)), 0.0
+    for k in range(1499):
+        x[k + 1] = A @ x[k] + B[:, 0] * (u[k] + force) + rng.standard_normal(2) * [1e-4, 1e-3]
+        force = 0.95 * force + 0.3 * rng.standard_normal()
+    y = x[:, :1] + 0.01 * rng.standard_normal((1500, 2))
+    finding = diagnose_recording(model, y, u)
+    assert (finding.kind, finding.values[0]) == ("noise", 2.0)
+    assert f"a load{' on force' if names else ''} changes faster than the model says" in finding.sentence
+    larger = float(finding.sentence.partition("disturbance=")[2].split()[0])
+    assert larger == pytest.approx(0.09, rel=0.7)
+    assert diagnose_recording(plant.with_disturbance(larger), y, u) is None
+
+
 def test_offsets_of_all_gyros_are_named_and_measured():
     """Two gyros with different offsets beside two compasses, which the default learner would blame."""
     finding, suspect = told(next(c for c in cases() if c.name == "heading: unequally biased"), "fixed", 3)

@@ -6,15 +6,44 @@ What goes into a description does not depend on a compiler, so all kinds of bloc
 import zipfile
 from xml.etree import ElementTree as ET
 
+import control
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.cosim.export.c_file import write_c
 from bayesftc.cosim.export.fmu import model_of
 from bayesftc.cosim.export.program import program_of
 from bayesftc.fmus.build import FMI_VERSIONS, build_fmu
+
+
+def test_the_header_in_c_says_what_the_description_of_the_fmu_says():
+    """Nothing in the header said that a goal lies ahead, nor which sensor is y[2]."""
+    axis = control.ss([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"])
+    controller = controllers.design(
+        axis, measured=["x", "v"], sensors=[2, 1], actuated="force", goal="x", dt=0.05, sensor_std=0.1,
+        acceptable_error=0.1, acceptable_control=1.0, preview=20,
+    )  # fmt: skip
+    program = program_of(controller, name="axis")
+    file = write_c(program)
+    header = " ".join(file.header.replace("/*", "").replace("*/", "").split())
+    for variable in model_of(program, file, None, "").variables:
+        assert variable.description in header, variable.name
+    assert "    /* Samples of the sensors (x, x, v); NaN is a missing one */\n    double y[3];\n" in file.header
+    assert "    /* Goal of 20 samples later; NaN keeps the last */\n    double goal[1];\n" in file.header
+    assert max(map(len, file.header.splitlines())) <= 130
+
+
+def test_the_text_of_a_port_does_not_end_a_comment_of_the_header(make_block):
+    def act(u, y):
+        y[0] = u[0]
+
+    text = "A gain */ int x; /* of " + "many words " * 20
+    block = make_block(output=act, inputs=[cosim.Port("u", description=text)], outputs=[cosim.Port("y")])
+    header = write_c(program_of(block, name="gain", dt=0.1)).header
+    assert "A gain * / int x; / * of many words" in header
+    assert header.count("/*") == header.count("*/")
 
 
 @pytest.mark.sampled(2)

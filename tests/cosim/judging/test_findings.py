@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from bayesftc.cosim.judging.fault_panels import draw_detection
-from bayesftc.cosim.judging.findings import findings, onset_of_alarm, parts
+from bayesftc.cosim.judging.findings import HOLD, HOLD_SAMPLES, findings, onset_of_alarm, parts
 from bayesftc.cosim.judging.signals import LoopSignals, SensorSignals
+from bayesftc.cosim.run.summary import FINDINGS_REMARK
 
 FROZEN, OFFSET, DRIFTING = np.eye(4)[1:]
 
@@ -109,11 +110,55 @@ def test_an_alarm_has_its_likeliest_kind_also_where_no_kind_is_more_probable_tha
     )  # the learner's numbers are those of a healthy sensor
 
 
-def bars_of(signals):
+def drawn(signals):
     from matplotlib.figure import Figure
 
     axis = Figure().subplots()
     draw_detection(axis, signals=signals)
+    return axis
+
+
+def bars_of(signals):
+    axis = drawn(signals)
     bars, *changes = axis.collections
     assert [x for line in changes for (x, _), _ in line.get_segments()] == [f.start for f in findings(signals)[1:]]
     return [tuple(path.get_extents().intervalx) for path in bars.get_paths()]
+
+
+HEALTHY = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("pause", [1, 5, 10])
+def test_a_pause_over_which_the_kind_changes_is_in_no_alarm(pause):
+    chances = course((HEALTHY, 20), (OFFSET, 60), (HEALTHY, pause), (FROZEN, 60), (HEALTHY, 60))
+    signals = loop(chances, np.where(np.arange(200 + pause) < 80, 15.0, 60.0))
+    again = 80.0 + pause
+    assert rows(signals) == [("Offset", 20.0, 79.0), ("Frozen", again, again + 59.0)]
+    assert [found.onset for found in findings(signals)] == [15.0, 79.0]  # of the second: not inside the alarm before
+    assert rows(loop(chances, recorded=False)) == rows(signals)
+    axis = drawn(signals)
+    assert [path.get_extents().x0 for path in axis.collections[0].get_paths()] == [20.0, again]
+    assert len(axis.collections) == 1  # without the line of a change within an alarm
+
+
+def test_the_tail_of_the_first_fault_in_a_pause_does_not_begin_an_alarm():
+    tail, doubt = [0.7, 0.0, 0.3, 0.0], [0.6, 0.4, 0.0, 0.0]
+    chances = course((OFFSET, 60), (tail, 3), (HEALTHY, 4), (doubt, 3), (FROZEN, 60))
+    assert rows(loop(chances)) == [("Offset", 0.0, 59.0), ("Frozen", 70.0, 129.0)]
+
+
+def test_the_first_samples_after_a_pause_do_not_have_the_kind_before_it():
+    """A learner that does not yet know the kind of the second fault called it an offset, which then lasted over the pause."""
+    chances = course((OFFSET, 60), (HEALTHY, 6), (OFFSET, 6), (DRIFTING, 60))
+    assert rows(loop(chances)) == [("Offset", 0.0, 59.0), ("Drifting", 66.0, 131.0)]
+    chances = course((OFFSET, 60), (HEALTHY, 6), (OFFSET, 30), (DRIFTING, 60))
+    assert rows(loop(chances)) == [("Offset", 0.0, 95.0), ("Drifting", 96.0, 155.0)]
+
+
+def test_a_brief_pause_does_not_end_an_alarm_of_one_kind():
+    chances = course((OFFSET, 60), (HEALTHY, 10), (OFFSET, 60))
+    assert rows(loop(chances)) == [("Offset", 0.0, 129.0)]
+
+
+def test_the_text_below_the_list_names_the_longest_pause_within_an_alarm():
+    assert f"at most {HOLD:g} s, or of at most {HOLD_SAMPLES} samples" in FINDINGS_REMARK

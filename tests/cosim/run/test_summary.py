@@ -52,6 +52,27 @@ def test_it_prints_aligned_tables(result):
     assert "tracking of v (m/s)" in html
 
 
+@pytest.mark.parametrize(
+    ("preview", "sentence"),
+    [(0, " The regulator lags behind a moving reference, unless preview=n knows it ahead."), (20, "")],
+)
+def test_it_says_of_a_tracking_error_that_the_regulator_lags(tmp_path, preview, sentence):
+    """bayesftc run said it alone, and an error of tracking that the law has by itself looked like a wrong design."""
+    mass = control.ss([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"])
+    controller = controllers.design(
+        mass, measured="x", actuated="force", dt=0.05, sensor_std=0.01, acceptable_error=0.1, acceptable_control=1.0,
+        preview=preview,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        mass, controller, control="force", measured="x", sensors=cosim.Sensors(1, 0.01), reference=cosim.Sine(1.0, 4.0)
+    )
+    result = loop.simulate(1.0)
+    result.save(tmp_path / "result.npz")
+    for each in (result, cosim.Result.load(tmp_path / "result.npz")):
+        lines = repr(each.summary()).splitlines()
+        assert f"The tracking error uses the reference at the same instant.{sentence}" in lines
+
+
 def test_a_wrong_model_is_said_above_the_faults_that_it_may_cause(tmp_path):
     """All sensors count as faulty, because the force has the opposite sign of the model's."""
     model = controllers.LinearModel([[0.999]], [[-2e-4]], [[1.0], [1.0]], 1e-3, 1.0, dt=0.02)

@@ -195,7 +195,6 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "duration": float(steps * result.step),
         "steps": steps,
         "stopped": result.stopped,
-        "law": _law(scenario.controller),
         **numbers_of(signals),
         "notes": [
             *_notes(scenario, signals, _unrecorded(loop, result)),
@@ -224,16 +223,6 @@ def _limited(loop: Diagram, result: Result) -> Iterator[str]:
                     f"The control {control.name} is at its limit of {limit:g}{unit} for {share:.0%} of the run, "
                     "where it cannot do more. Is the goal within its reach?"
                 )
-
-
-def _law(controller: Block) -> str:
-    """Return a sentence about the lag that the control law has by itself; empty without one."""
-    from bayesftc.controllers import BayesianController, LQGController
-
-    if isinstance(controller, LQGController):
-        lag = "The regulator lags behind a moving reference, unless preview=n knows it ahead."
-        return "" if controller.preview else lag
-    return "The controller steers the state to it one step later." if isinstance(controller, BayesianController) else ""
 
 
 def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int]:
