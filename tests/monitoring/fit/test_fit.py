@@ -512,3 +512,10 @@ def test_samples_in_another_unit_are_converted(unit, factor, offset, tmp_path):
     logged = (tmp_path / "run.csv").read_text().splitlines()[1].split(",")[-1]
     without = replace(monitor, invalid=[float(logged)])  # as the column has it
     assert np.isnan(without.read([tmp_path / "run.csv"]).y).any()
+
+
+def test_dates_of_a_clock_that_is_set_back_are_times_in_a_column_of_any_name(tmp_path):
+    dates = [f"2026-10-25 02:{minute:02}:00" for minute in (0, 20, 40, 0, 20, 40)]
+    (tmp_path / "plant.csv").write_text("Zeit,a,b\n" + "".join(f"{date},{i},{i}\n" for i, date in enumerate(dates)))
+    with pytest.raises(RecordingError, match="times go back by an hour"):
+        redundant_signals(tmp_path / "plant.csv")

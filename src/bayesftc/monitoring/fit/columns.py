@@ -167,8 +167,10 @@ def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
         )
     if (name := time_column(every)) is not None:
         return name
+    if tables.has_dates(file, 0):
+        return every[0]  # a signal says where dates do not increase, and why
     why = "has no number"
-    if every[0] in header or tables.has_dates(file, 0):
+    if every[0] in header:
         why = "does not increase"
         if np.all(np.diff(tables.times(file, every[0])) > 0):
             return every[0]
