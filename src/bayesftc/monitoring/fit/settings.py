@@ -42,6 +42,12 @@ class FitSettings:
         5.0, "multiple of the usual distance from the others by which a code is away from them ..."
     )
     code_span: float = chosen(0.1, "... and share of the span of the quantity: a resolution or a dead zone is smaller")
+    code_few: int = chosen(
+        5, "least number of samples with a code that lies outside all others: no noise repeats so far away"
+    )
+    code_outside: float = chosen(
+        5.0, "multiple of the span of all other samples by which it lies outside: -9999 for degrees, not a stuck valve"
+    )
     # Sensors that do not follow the others.
     follow_parts: tuple[int, ...] = chosen(
         (8, 16, 32, 64), "parts of a recording: a slow sensor follows over long times only, a drift hides motion there"

@@ -179,9 +179,9 @@ def _codes(
         value = f"{logged[np.nanargmin(np.abs(converted - code.value))]:.10g}"
         option = f"--invalid {shlex.quote(f'{places[name].column}={value}')}"
         yield (
-            f"{name} is exactly {value} in {code.share:.0%} of its samples, while {others} not near {value}. The noise of {name} "
-            f"is fitted without these samples. If {value} means 'no measurement', add {option}: otherwise the monitor takes them "
-            "for faults."
+            f"{name} is exactly {value} in {100 * code.share:.2g}% of its samples, while {others} not near {value}. The noise of "
+            f"{name} is fitted without these samples. If {value} means 'no measurement', add {option}: otherwise the monitor "
+            "takes them for faults."
         )
 
 
