@@ -563,10 +563,28 @@ def test_a_value_in_place_of_samples_is_named_and_can_be_left_out(tmp_path):
         assert json.loads(again.stdout)["sensors"] == report["sensors"]
 
 
+def test_texts_in_place_of_samples_count_as_missing(tmp_path):
+    command = flown(tmp_path)
+    table = pd.read_csv(tmp_path / "flight.csv").astype({"lidar": object})
+    table.loc[100:149, "lidar"], table.loc[300, "lidar"] = "Bad Input", "No Data"
+    table.to_csv(tmp_path / "flight.csv", index=False)
+    refused = RUNNER.invoke(app, command)
+    options = ["--invalid", "Bad Input", "--invalid", "lidar=No Data"]
+    assert (
+        "add --invalid 'Bad Input' --invalid 'No Data' to --fit, or invalid = [\"Bad Input\", \"No Data\"] to a model"
+        in (" ".join(refused.output.split()))
+    )
+    report = json.loads(RUNNER.invoke(app, [*command, *options, "--json"]).stdout)
+    assert report["sensors"]["lidar"]["samples"] == 3000 - 51
+    again = RUNNER.invoke(app, ["monitor", command[1], "--model", command[-1], "--json"])
+    assert json.loads(again.stdout)["sensors"] == report["sensors"]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--fit", "--invalid", "lidar"], "'lidar' has no number. Write --invalid 0 for all columns"),
+        (["--fit", "--invalid", "lidar="], "'lidar=' has no value. Write --invalid 0 for all columns"),
         (["--model", "model.toml", "--invalid", "0"], "--invalid is for a fit: add --fit"),
     ],
 )

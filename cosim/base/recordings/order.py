@@ -16,6 +16,9 @@ HOUR = 3600.0
 ROWS = 2.5
 """Usual intervals by which a jump back may differ from an hour: the next row comes an interval later, or misses one."""
 
+MANY = 20
+"""Least number of samples in an hour with which times in seconds show that a clock was set back."""
+
 IN_UTC = 'pd.to_datetime(table["Time"]).dt.tz_localize("Europe/Berlin", ambiguous="infer").dt.tz_convert("UTC")'
 """The line of pandas for a table of local times in their first order."""
 
@@ -73,10 +76,10 @@ def wrong_order(time: Floats, values: Floats, origin: datetime | None) -> str:
 
 def _set_back(steps: Floats, k: int, origin: datetime | None) -> bool:
     """Return whether a jump back is that of local times when clocks are set back."""
-    if origin is None or origin.tzinfo is not None:
-        return False
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    return bool(-HOUR <= steps[k] <= min(ROWS * usual - HOUR, 0.0))
+    # Seconds, too, may have been made from local times: if samples are frequent, such a jump is hardly chance.
+    local = usual <= HOUR / MANY if origin is None else origin.tzinfo is None
+    return local and bool(-HOUR <= steps[k] <= min(ROWS * usual - HOUR, 0.0))
 
 
 def _twice(steps: Floats, same: Floats, origin: datetime | None) -> bool:

@@ -45,6 +45,11 @@ def test_only_dates_without_an_offset_have_such_an_hour(origin):
     assert "hour" not in wrong_order(np.sort(time), np.arange(len(time)), origin)
 
 
+def test_seconds_made_from_local_times_are_told_if_samples_are_frequent():
+    time, _ = autumn(1)
+    assert wrong_order(time, time, None).startswith("A signal's times go back by an hour: 7200 s follows 10740 s.")
+
+
 def test_another_jump_back_is_to_be_sorted():
     time = np.array([0.0, 60.0, 120.0, 60.5, 180.0])
     text = "A signal's times do not increase: 2026-10-25 00:01:00.5 follows 2026-10-25 00:02:00. Sort the recording by time."

@@ -78,9 +78,7 @@ def as_model_file(
         if place.time != time:
             lines.append(f"time = {_text(place.time)}")
         if place.invalid:
-            lines.append(
-                f"invalid = [{', '.join(f'{value:.17g}' for value in place.invalid)}]  # these stand for no sample"
-            )
+            lines.append(f"invalid = [{', '.join(map(_value, place.invalid))}]  # these stand for no sample")
         if place.period:
             lines.append(f"period = {place.period:.10g}  # an angle, which begins anew after a full turn")
         if units[name]:
@@ -136,6 +134,10 @@ def _plant(fitted: FittedModel, unit: str) -> list[str]:
 
 def _number(value: object) -> str:
     return f"{float(value):.5g}"  # type: ignore[arg-type]
+
+
+def _value(value: float | str) -> str:
+    return _text(value) if isinstance(value, str) else f"{value:.17g}"
 
 
 def _text(text: str) -> str:

@@ -16,6 +16,7 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.base.announcing import inform
+from bayesftc.cosim.base.recordings.columns import column_called
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.day_first import day_first_date
 from bayesftc.cosim.base.recordings.turns import find_period
@@ -51,7 +52,7 @@ class Fit:
     start: float | datetime | None = None
     stop: float | datetime | None = None
     sensors: tuple[str, ...] = ()
-    invalid: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    invalid: Mapping[str, Sequence[float | str]] = field(default_factory=dict)
 
 
 class FittedFiles(NamedTuple):
@@ -81,19 +82,32 @@ def as_moment(option: str, text: str | None) -> float | datetime | None:
     )
 
 
-def as_invalid(given: Sequence[str]) -> dict[str, list[float]]:
-    """Return the values of the option --invalid by column: ``0`` holds for all, ``lidar=0`` for one."""
-    values: dict[str, list[float]] = {}
+def as_invalid(given: Sequence[str]) -> dict[str, list[float | str]]:
+    """Return the values of the option --invalid by column: ``0`` or ``Bad Input`` holds for all, ``lidar=0`` for one."""
+    values: dict[str, list[float | str]] = {}
     for text in given:
-        name, _, value = text.rpartition("=")
-        try:
-            values.setdefault(name.strip(), []).append(float(value))
-        except ValueError:
+        name, _, value = (part.strip() for part in text.rpartition("="))
+        if not value:
             raise typer.BadParameter(
-                f"{text!r} has no number. Write --invalid 0 for all columns, or --invalid lidar=0 for the column lidar.",
+                f"{text!r} has no value. Write --invalid 0 for all columns, or --invalid lidar=0 for the column lidar.",
                 param_hint="--invalid",
-            ) from None
+            )
+        try:
+            values.setdefault(name, []).append(float(value))
+        except ValueError:
+            values.setdefault(name, []).append(value)
     return values
+
+
+def _check_invalid(invalid: Mapping[str, Sequence[float | str]], tables: Tables) -> None:
+    """Refuse a column without a value in the option --invalid."""
+    columns = [name for file in tables.files() for name in tables.numeric(file)]
+    for text in invalid.get("", ()):
+        if isinstance(text, str) and column_called(text, columns):
+            raise typer.BadParameter(
+                f"{text!r} has no number. Write --invalid 0 for all columns, or --invalid {text}=0 for the column {text}.",
+                param_hint="--invalid",
+            )
 
 
 def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: bool) -> FittedFiles:
@@ -107,6 +121,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
         If the model file exists with another content and `overwrite` is not set, or if it cannot be written.
     """
     tables = Tables(recording)
+    _check_invalid(part.invalid, tables)
     places, signals = signals_of(tables, part.sensors, part.invalid)
     output.check_folder(model.parent, (model.name,), silent=True)
     turned = codes_of_angles(signals)
@@ -174,7 +189,8 @@ def _codes(
     """Give a note for each sensor that seems to record a value in place of a sample."""
     for name, code in found.items():
         others = "the other sensors of its quantity are" if len(recording.sensors) > 2 else "the other sensor is"
-        logged = np.unique(tables.column(tables.find(places[name].file, name), places[name].column, name))
+        place = places[name]
+        logged = np.unique(tables.column(tables.find(place.file, name), place.column, name, place.invalid))
         converted = in_unit(logged, places[name].column, recording.units[recording.sensors.index(name)])
         value = f"{logged[np.nanargmin(np.abs(converted - code.value))]:.10g}"
         option = f"--invalid {shlex.quote(f'{places[name].column}={value}')}"
