@@ -603,3 +603,18 @@ def test_a_column_that_does_not_follow_is_named(tmp_path):
     )
     two = RUNNER.invoke(app, [*command, "--overwrite", "--json", "--sensor=baro", "--sensor=sonar"])
     assert any(note.startswith("baro and sonar do not agree") for note in json.loads(two.stdout)["notes"])
+
+
+def test_a_column_in_degrees_fahrenheit_is_named(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(3000)
+    level = 120 + 30 * np.sin(2 * np.pi * t / 300)
+    table = pd.DataFrame({"t": t, **{name: level + 0.3 * rng.standard_normal(3000) for name in "abc"}})
+    table["b"] = 1.8 * table["b"] + 32
+    table.round(2).to_csv(tmp_path / "plant.csv", index=False)
+    command = ["monitor", str(tmp_path / "plant.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
+    (note,) = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
+    assert note.startswith("b does not follow the other sensors: while they move by 1, it moves by 1.8. ")
+    assert "A factor of 1.8 is that from degC to degF." in note
+    named = table.rename(columns={"a": "a [degC]", "b": "b [degF]"})
+    named.to_csv(tmp_path / "plant.csv", index=False)
+    assert json.loads(RUNNER.invoke(app, [*command, "--overwrite"]).stdout)["notes"] == []

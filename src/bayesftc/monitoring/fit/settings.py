@@ -59,6 +59,11 @@ class FitSettings:
     lags: float = chosen(0.3, "slope from which a sensor follows late, if it is certain: a slow one has less than 1")
     sure: float = chosen(4.0, "standard errors of a slope, of few windows and at several lengths")
     mostly: float = chosen(0.6, "share of windows in which one of two sensors must move: more than a fault takes")
+    one_motion: float = chosen(
+        0.97, "correlation of two sensors that differ by a factor: one that is so slow as to move by .7 has 0.84"
+    )
+    another_factor: float = chosen(1.25, "factor from which a sensor has another unit or quantity: gains err by less")
+    one_factor: float = chosen(1.1, "largest ratio of the factors in windows of several lengths")
     # Windows.
     window: int = chosen(16, "lags in a window, for several independent differences")
     least_window: int = chosen(64, "least samples in a window, for a reliable median")

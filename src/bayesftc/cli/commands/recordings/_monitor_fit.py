@@ -41,6 +41,9 @@ from bayesftc.monitoring.gaps import in_gaps
 
 MODEL = "model.toml"
 
+FAHRENHEIT = 0.03
+"""Relative error of a factor from which it is not the one between degC and degF."""
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -208,16 +211,28 @@ def _strangers(fitted: FittedModel) -> Iterator[str]:
         yield (
             f"{one} and {other} do not agree: while one of them moves by 1, the other moves by {_slope(slope)}. At least one of "
             "them is wrong, or measures another quantity, but two sensors do not show which one. The monitor needs sensors of "
-            "one quantity."
+            f"one quantity.{_fahrenheit(slope, one, other)}"
         )
         return
+    others = next((name for name in fitted.sensors if name not in fitted.strangers), "")
     for name, slope in fitted.strangers.items():
         yield (
             f"{name} does not follow the other sensors: while they move by 1, it moves by {_slope(slope)}. Motion and the noise "
             f"of the others are fitted without {name}, and its whole distance from them counts as noise. If {name} measures "
             "another quantity, leave it out: name the others with --sensor. If it has failed in most of this recording, fit to a "
-            "stretch without the fault: --from and --to."
+            f"stretch without the fault: --from and --to.{_fahrenheit(slope, name, others)}"
         )
+
+
+def _fahrenheit(slope: float, name: str, other: str) -> str:
+    """Return a sentence if a sensor moves by the factor from degC to degF while another moves by 1, or by its inverse."""
+    for factor, units in ((1.8, ("degF", "degC")), (1 / 1.8, ("degC", "degF"))):
+        if abs(slope / factor - 1) < FAHRENHEIT:
+            return (
+                f" A factor of {slope:.3g} is that from {units[1]} to {units[0]}. If these are the units, end the names of the "
+                f"columns with them, as '{name} [{units[0]}]' and '{other} [{units[1]}]': then they are converted."
+            )
+    return ""
 
 
 def _changes(fitted: FittedModel, recording: Recording, stretch: slice) -> Iterator[str]:
