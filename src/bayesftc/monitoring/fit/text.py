@@ -59,11 +59,7 @@ def as_model_file(
         "",
         f"dt = {float(recording.dt):.10g}  # sample time in s",
         f"time = {_text(time)}  # the column of times",
-        *(
-            ["joint = true  # sensors are judged together: one has moved away from the others"]
-            if fitted.changes
-            else []
-        ),
+        *([f"joint = true  # sensors are judged together: {_why_joint(fitted)}"] if fitted.joint else []),
         "",
         "[model]",
         *_plant(fitted, recording.units[0] if len(set(recording.units)) == 1 else ""),
@@ -100,6 +96,10 @@ def as_model_file(
             *(["common = true"] if errors.common else []),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _why_joint(fitted: FittedModel) -> str:
+    return "one has moved away from the others" if fitted.changes else "those that agree outvote another one"
 
 
 def _healthy(recording: Recording, stretch: slice) -> str:
