@@ -618,3 +618,24 @@ def test_a_column_in_degrees_fahrenheit_is_named(tmp_path):
     named = table.rename(columns={"a": "a [degC]", "b": "b [degF]"})
     named.to_csv(tmp_path / "plant.csv", index=False)
     assert json.loads(RUNNER.invoke(app, [*command, "--overwrite"]).stdout)["notes"] == []
+
+
+def test_a_drift_that_stays_is_named_with_its_beginning_and_its_end(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(6000)
+    level = 20 + 5 * np.sin(2 * np.pi * t / 900)
+    table = pd.DataFrame({"t": t, **{name: level + 0.3 * rng.standard_normal(6000) for name in "abc"}})
+    table["b"] += 3 * np.clip((t - 2000) / 1500, 0, 1)
+    table.round(2).to_csv(tmp_path / "plant.csv", index=False)
+    command = ["monitor", str(tmp_path / "plant.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
+    notes = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
+    (note,) = (note for note in notes if note.startswith("From about"))
+    found = re.match(
+        r"From about (\d+) s on, b moves away from the other sensors\. From about (\d+) s until the end \(5999 s\) it is "
+        r"[23]\.\d+ above its place among the other sensors\. .* fit with --to (\d+)\. If it has been healthy since it has "
+        r"stayed there, fit with --from (\d+)\. ",
+        note,
+    )
+    begin, reached, to, since = map(int, found.groups())
+    assert (to, since) == (begin, reached)
+    assert 1800 <= begin <= 2100
+    assert 3200 <= reached <= 3700

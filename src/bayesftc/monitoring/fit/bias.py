@@ -7,6 +7,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bayesftc.cosim.base.numbers import MAD
@@ -68,7 +69,9 @@ class Change(NamedTuple):
     begin: int
     """The step at which it begins."""
     sudden: bool
-    """Whether it is a step; if not, it grows steadily."""
+    """Whether it is a step, or stays after it has grown; if not, it grows to the end."""
+    reached: int | None = None
+    """The step from which a change that stays has its size, if it has grown to it; None of a step."""
 
 
 class _Course(NamedTuple):
@@ -148,7 +151,31 @@ def _course(apart: Floats) -> _Course | None:
             left = float(np.abs(levels[:k] - before).sum() + np.abs(after - before - shape).sum())
             if total > 0 and 1 - left / total > best.explained:
                 best = _Course(Change(size, int(there[k]) * length, sudden), 1 - left / total)
-    return best
+    return _with_growth(best, levels, there * length)
+
+
+def _with_growth(best: _Course, levels: Floats, steps: NDArray[np.intp]) -> _Course:
+    """Return a sudden change with its beginning and its end, if it has grown: the best step lies in the middle of it."""
+    if not best.change.sudden or not best.explained:
+        return best
+    k = int(np.searchsorted(steps, best.change.begin))
+    before, after = levels[:k], levels[k:]
+    first, last = k, k
+    from_before = np.abs(levels - np.median(before)) > FIT.within * _scatter(before)
+    from_after = np.abs(levels - np.median(after)) > FIT.within * _scatter(after)
+    while first > FIT.least_before and from_before[first - 1]:
+        first -= 1
+    while last < len(levels) - FIT.least_before and from_after[last]:
+        last += 1
+    if last - first < FIT.grown:
+        return best
+    first = max(first - 1, 0)  # it has begun in this part perhaps, within the noise
+    return best._replace(change=best.change._replace(begin=int(steps[first]), reached=int(steps[last])))
+
+
+def _scatter(levels: Floats) -> float:
+    """Return the standard deviation of levels about their median, by the median distance."""
+    return MAD * float(np.median(np.abs(levels - np.median(levels))))
 
 
 __all__ = ["Change", "biases", "changes", "unmoved", "wander"]

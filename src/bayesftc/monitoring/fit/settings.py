@@ -136,6 +136,8 @@ class FitSettings:
         "1 in 20 reaches it",
     )
     least_before: int = chosen(4, "least parts of the recording before the change, for a reliable median")
+    within: float = chosen(3.0, "standard deviations of the levels before a change within which it has not begun")
+    grown: int = chosen(3, "least parts of the recording over which a change has grown: a step lies in two at most")
     # A fault in the stretch.
     doubtful: float = chosen(5.0, "multiple of its noise above which a sensor's lasting errors may be a fault")
     outstanding: float = chosen(3.0, "multiple of the others' lasting errors from which those of one sensor stand out")

@@ -245,18 +245,28 @@ def _changes(fitted: FittedModel, recording: Recording, stretch: slice) -> Itera
         place = f"{size} {'above' if change.size > 0 else 'below'} its place among the other sensors"
         since = float(recording.time[change.begin])
         begin, end = (time_text(t, recording.origin) for t in (since, recording.time[-1]))
-        moment = f"{since:.10g}" if recording.origin is None else date_at(recording.origin, since).isoformat()
+        moment, reached = (_moment(recording, step) for step in (change.begin, change.reached or change.begin))
         course = (
             f"is {place}, until the end ({end})"
             if change.sudden
             else f"moves away from the other sensors. At the end ({end}) it is {place}"
         )
-        since_then = f" If it has been healthy since then, fit with --from {moment}." if change.sudden else ""
+        if change.reached is not None:
+            grown = time_text(float(recording.time[change.reached]), recording.origin)
+            course = f"moves away from the other sensors. From about {grown} until the end ({end}) it is {place}"
+        then = "since then" if change.reached is None else "since it has stayed there"
+        since_then = f" If it has been healthy {then}, fit with --from {reached}." if change.sudden else ""
         yield (
             f"From about {begin} on, {name} {course}. The fit takes this for a fault: {name} has the bias and the lasting errors "
             f"of the time before. If it was healthy until then, fit with --to {moment}.{since_then} If it measures another "
             "quantity, leave it out: name the others with --sensor."
         )
+
+
+def _moment(recording: Recording, step: int) -> str:
+    """Return the time of a step for --from or --to."""
+    seconds = float(recording.time[step])
+    return f"{seconds:.10g}" if recording.origin is None else date_at(recording.origin, seconds).isoformat()
 
 
 def _slope(slope: float) -> str:
