@@ -639,3 +639,14 @@ def test_a_drift_that_stays_is_named_with_its_beginning_and_its_end(tmp_path):
     assert (to, since) == (begin, reached)
     assert 1800 <= begin <= 2100
     assert 3200 <= reached <= 3700
+
+
+def test_a_gain_error_is_named(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(10000)
+    level = 12 + 2.5 * np.sin(2 * np.pi * t / 1440)
+    table = pd.DataFrame({"t": t, **{name: level + 0.1 * rng.standard_normal(len(t)) for name in "ab"}})
+    table["b"] *= 1.02
+    table.round(3).to_csv(tmp_path / "flow.csv", index=False)
+    command = ["monitor", str(tmp_path / "flow.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
+    notes = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
+    assert any(note.startswith("While a moves by 1, b moves by 1.0") for note in notes)

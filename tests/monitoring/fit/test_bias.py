@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.monitoring.fit.bias import Change, changes, unmoved
+from bayesftc.monitoring.fit.bias import Change, changes, gains, unmoved
 
 NOISE = [1.0, 1.0, 2.5]
 STEPS = 3200
@@ -100,3 +100,18 @@ def test_a_change_that_grows_and_then_stays_has_its_beginning(seed, begin, lengt
     (change,) = changes(step, [0.3] * 4).values()
     assert change.reached is None
     assert change.begin == pytest.approx(begin, abs=70)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sensors", [2, 3, 4])
+def test_a_gain_is_found_and_offsets_and_drifts_are_none(seed, sensors):
+    rng, t = np.random.default_rng(seed), np.arange(20000)
+    level = 12 + 2.5 * np.sin(2 * np.pi * t / 1440)
+    y = level[:, None] + 0.1 * rng.normal(size=(len(t), sensors))
+    noise = [0.1] * sensors
+    assert gains(y, noise) == {}
+    assert gains(y + np.outer(t / 20000, [0.3] + [0.0] * (sensors - 1)), noise) == {}
+    y[19500:, 0] -= 0.8
+    assert gains(y, noise) == {}
+    y[:, 1] += 0.02 * level
+    assert gains(y, noise) == {1: pytest.approx(0.02, rel=0.25)}

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
+from scipy.stats import theilslopes
 
 from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.types import Floats
@@ -59,6 +60,43 @@ def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
     of = [[k for k, pair in enumerate(pairs) if i in pair] for i in range(sensors)]
     lower = [float(np.quantile(variance[k], 0.5, method="lower")) / 2 for k in of]
     return np.array(lower), np.array([np.median(lasting[k]) for k in of])
+
+
+def gains(y: Floats, noise: Sequence[float]) -> dict[int, float]:
+    """Return the sensor whose difference from the others is proportional to the quantity, and by which share.
+
+    It is the median slope between all parts of a recording, so that a fault in a few of them has no effect. Of two sensors, it is
+    that of the second one against the first.
+
+    Parameters
+    ----------
+    y : ndarray, steps x sensors
+        Samples.
+    noise : sequence of float
+        Standard deviation of each sensor's noise: a gain matters if it adds a part of it.
+    """
+    found = {}
+    length = max(len(y) // FIT.parts, FIT.least_block)
+    parts = y[: len(y) // length * length].reshape(-1, length, y.shape[1])
+    for i in range(y.shape[1]):
+        others = median(np.delete(parts, i, axis=2), 2)
+        apart, level = median(parts[:, :, i] - others, 1), median(others, 1)
+        there = np.isfinite(apart) & np.isfinite(level)
+        apart, level = apart[there], level[there]
+        if len(level) < 2 * FIT.fewest_windows or not np.ptp(level) > 0:
+            continue
+        slope, _, low, high = theilslopes(apart, level, alpha=FIT.gain_sure)
+        size = abs(slope) * MAD * float(np.median(np.abs(level - np.median(level))))
+        if low * high > 0 and size > FIT.gain_counts * noise[i] and abs(slope) < np.log(FIT.another_factor):
+            found[i] = float(slope)
+    if y.shape[1] == 2:
+        return {1: found[1]} if len(found) == 2 else {}
+    largest = sorted(found, key=lambda i: -abs(found[i]))[:2]
+    # The gain of one sensor is half of it, and negative, of the others against their mean.
+    alone = len(largest) == 1 or (
+        len(largest) == 2 and abs(found[largest[1]]) < FIT.gain_alone * abs(found[largest[0]])
+    )
+    return {largest[0]: found[largest[0]]} if alone else {}
 
 
 class Change(NamedTuple):
@@ -178,4 +216,4 @@ def _scatter(levels: Floats) -> float:
     return MAD * float(np.median(np.abs(levels - np.median(levels))))
 
 
-__all__ = ["Change", "biases", "changes", "unmoved", "wander"]
+__all__ = ["Change", "biases", "changes", "gains", "unmoved", "wander"]

@@ -124,6 +124,9 @@ class FitSettings:
     rare: float = chosen(
         0.9, "quantile in the whole recording, up to the noise: a fault in a tenth of it has no effect"
     )
+    gain_sure: float = chosen(0.9999, "confidence of a gain's sign")
+    gain_alone: float = chosen(0.7, "ratio to the largest gain below which another one is due to that")
+    gain_counts: float = chosen(0.1, "least ratio of a gain's differences to the noise: 1 % of a flow had 0.2")
     # A change to the end of the recording.
     explained: float = chosen(
         0.5,

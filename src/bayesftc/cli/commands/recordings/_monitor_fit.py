@@ -33,6 +33,7 @@ from bayesftc.monitoring import (
     stretch_of,
 )
 from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.fit.bias import gains
 from bayesftc.monitoring.fit.codes import Code, codes, codes_of_angles
 from bayesftc.monitoring.fit.columns import signals_of, without_numbers
 from bayesftc.monitoring.fit.doubtful import doubtful_sensors, lasting_errors
@@ -150,6 +151,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
             *_codes({**codes(samples), **turned}, samples, tables, places),
             *_strangers(fitted),
             *_changes(fitted, samples, stretch),
+            *_gains(fitted, samples, stretch),
             *fit_notes(fitted),
         ],
     )
@@ -260,6 +262,20 @@ def _changes(fitted: FittedModel, recording: Recording, stretch: slice) -> Itera
             f"From about {begin} on, {name} {course}. The fit takes this for a fault: {name} has the bias and the lasting errors "
             f"of the time before. If it was healthy until then, fit with --to {moment}.{since_then} If it measures another "
             "quantity, leave it out: name the others with --sensor."
+        )
+
+
+def _gains(fitted: FittedModel, recording: Recording, stretch: slice) -> Iterator[str]:
+    """Give a note for a sensor whose difference from the others is proportional to the quantity."""
+    if fitted.strangers or fitted.changes or fitted.coded:
+        return
+    for i, gain in gains(recording.y[stretch], [sensor.std for sensor in fitted.sensors.values()]).items():
+        name = recording.sensors[i]
+        others = f"{recording.sensors[0]} moves" if len(recording.sensors) == 2 else "the other sensors move"
+        yield (
+            f"While {others} by 1, {name} moves by {1 + gain:.4g}: one has a gain error, which the model does not have. It may "
+            f"cause false alarms, mostly of the kind Drifting. Calibrate the sensors, or divide the samples of {name} by "
+            f"{1 + gain:.4g}, and fit again."
         )
 
 
