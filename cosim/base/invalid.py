@@ -56,6 +56,11 @@ def invalid_values(who: str, given: Any, sensors: int) -> NDArray[np.float64]:
     return table
 
 
+def numbers_of(invalid: Sequence[float | str]) -> list[float]:
+    """Return the numbers among values of a file that stand for missing samples; the others are texts."""
+    return [value for value in invalid if not isinstance(value, str)]
+
+
 def _is_list(value: object) -> bool:
     return isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
 

@@ -563,10 +563,28 @@ def test_a_value_in_place_of_samples_is_named_and_can_be_left_out(tmp_path):
         assert json.loads(again.stdout)["sensors"] == report["sensors"]
 
 
+def test_texts_in_place_of_samples_count_as_missing(tmp_path):
+    command = flown(tmp_path)
+    table = pd.read_csv(tmp_path / "flight.csv").astype({"lidar": object})
+    table.loc[100:149, "lidar"], table.loc[300, "lidar"] = "Bad Input", "No Data"
+    table.to_csv(tmp_path / "flight.csv", index=False)
+    refused = RUNNER.invoke(app, command)
+    options = ["--invalid", "Bad Input", "--invalid", "lidar=No Data"]
+    assert (
+        "add --invalid 'Bad Input' --invalid 'No Data' to --fit, or invalid = [\"Bad Input\", \"No Data\"] to a model"
+        in (" ".join(refused.output.split()))
+    )
+    report = json.loads(RUNNER.invoke(app, [*command, *options, "--json"]).stdout)
+    assert report["sensors"]["lidar"]["samples"] == 3000 - 51
+    again = RUNNER.invoke(app, ["monitor", command[1], "--model", command[-1], "--json"])
+    assert json.loads(again.stdout)["sensors"] == report["sensors"]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--fit", "--invalid", "lidar"], "'lidar' has no number. Write --invalid 0 for all columns"),
+        (["--fit", "--invalid", "lidar="], "'lidar=' has no value. Write --invalid 0 for all columns"),
         (["--model", "model.toml", "--invalid", "0"], "--invalid is for a fit: add --fit"),
     ],
 )
@@ -585,3 +603,50 @@ def test_a_column_that_does_not_follow_is_named(tmp_path):
     )
     two = RUNNER.invoke(app, [*command, "--overwrite", "--json", "--sensor=baro", "--sensor=sonar"])
     assert any(note.startswith("baro and sonar do not agree") for note in json.loads(two.stdout)["notes"])
+
+
+def test_a_column_in_degrees_fahrenheit_is_named(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(3000)
+    level = 120 + 30 * np.sin(2 * np.pi * t / 300)
+    table = pd.DataFrame({"t": t, **{name: level + 0.3 * rng.standard_normal(3000) for name in "abc"}})
+    table["b"] = 1.8 * table["b"] + 32
+    table.round(2).to_csv(tmp_path / "plant.csv", index=False)
+    command = ["monitor", str(tmp_path / "plant.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
+    (note,) = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
+    assert note.startswith("b does not follow the other sensors: while they move by 1, it moves by 1.8. ")
+    assert "A factor of 1.8 is that from degC to degF." in note
+    named = table.rename(columns={"a": "a [degC]", "b": "b [degF]"})
+    named.to_csv(tmp_path / "plant.csv", index=False)
+    assert json.loads(RUNNER.invoke(app, [*command, "--overwrite"]).stdout)["notes"] == []
+
+
+def test_a_drift_that_stays_is_named_with_its_beginning_and_its_end(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(6000)
+    level = 20 + 5 * np.sin(2 * np.pi * t / 900)
+    table = pd.DataFrame({"t": t, **{name: level + 0.3 * rng.standard_normal(6000) for name in "abc"}})
+    table["b"] += 3 * np.clip((t - 2000) / 1500, 0, 1)
+    table.round(2).to_csv(tmp_path / "plant.csv", index=False)
+    command = ["monitor", str(tmp_path / "plant.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
+    notes = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
+    (note,) = (note for note in notes if note.startswith("From about"))
+    found = re.match(
+        r"From about (\d+) s on, b moves away from the other sensors\. From about (\d+) s until the end \(5999 s\) it is "
+        r"[23]\.\d+ above its place among the other sensors\. .* fit with --to (\d+)\. If it has been healthy since it has "
+        r"stayed there, fit with --from (\d+)\. ",
+        note,
+    )
+    begin, reached, to, since = map(int, found.groups())
+    assert (to, since) == (begin, reached)
+    assert 1800 <= begin <= 2100
+    assert 3200 <= reached <= 3700
+
+
+def test_a_gain_error_is_named(tmp_path):
+    rng, t = np.random.default_rng(0), np.arange(10000)
+    level = 12 + 2.5 * np.sin(2 * np.pi * t / 1440)
+    table = pd.DataFrame({"t": t, **{name: level + 0.1 * rng.standard_normal(len(t)) for name in "ab"}})
+    table["b"] *= 1.02
+    table.round(3).to_csv(tmp_path / "flow.csv", index=False)
+    command = ["monitor", str(tmp_path / "flow.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
+    notes = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
+    assert any(note.startswith("While a moves by 1, b moves by 1.0") for note in notes)

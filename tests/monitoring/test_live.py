@@ -137,7 +137,7 @@ def test_times_count_from_the_first_step_also_before_the_first_samples():
 @pytest.mark.slow
 def test_bias_and_values_for_no_sample_are_those_of_the_model_file():
     plain = Monitor(DT, RandomWalk(std=0.06), sensors())
-    monitor = replace(plain, sensors={**sensors("a", bias=3.0), **sensors("bc")}, invalid=[-9999.0])
+    monitor = replace(plain, sensors={**sensors("a", bias=3.0), **sensors("bc")}, invalid=[-9999.0, "Bad Input"])
     y = rows()
     sent = np.where(np.isnan(y), -9999.0, y + np.array([3.0, 0.0, 0.0]))
     one, other = (run(MonitorStepper(m, compiled=False), s) for m, s in ((plain, y), (monitor, sent)))

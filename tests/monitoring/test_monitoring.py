@@ -104,7 +104,8 @@ def test_numbers_of_a_file_are_read_to_the_last_bit(tmp_path):
     ("make", "words"),
     [
         (lambda: Signal([0, 1], [1.0]), "one value per time"),
-        (lambda: Signal([0, 1, 1], [1, 2, 3]), "Sort the recording"),
+        (lambda: Signal([0, 2, 1], [1, 2, 3]), "1 s follows 2 s. Sort the recording"),
+        (lambda: Signal([0, 1, 1], [1, 2, 3]), "different samples at 1 s: 2 and 3. Keep one row for each time"),
         (lambda: Signal([0, np.nan], [1, 2]), "without a time"),
         (lambda: Signal([0, 1], [np.nan, np.inf]), "no samples"),
         (lambda: Signal(pd.date_range("2026-03-01", periods=2, freq="5s"), [1, 2]), "seconds, not dates"),
@@ -859,3 +860,11 @@ def test_a_pause_over_which_the_kind_changes_separates_two_alarms_live_as_well()
     for k in range(n):
         list(watch.feed(float(k), {name: signals[name][k] for name in AlarmWatch.signals}))
     assert list(watch.close()) == events
+
+
+def test_a_row_that_is_written_twice_counts_once(caplog):
+    signal = Signal([0.0, 1.0, 1.0, 2.0], [5.0, 6.0, 6.0, 7.0])
+    assert [np.asarray(of).tolist() for of in (signal.time, signal.values)] == [[0.0, 1.0, 2.0], [5.0, 6.0, 7.0]]
+    assert "A sample at 1 s repeats the time and the value of the one before. It counts once." in caplog.text
+    with pytest.raises(RecordingError, match=r"different samples at 1 s: 6 and 6\.5"):
+        Signal([0.0, 1.0, 1.0, 2.0], [5.0, 6.0, 6.5, 7.0])

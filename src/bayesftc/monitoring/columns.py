@@ -25,8 +25,8 @@ class Column:
         Known offset in its unit, which is subtracted.
     delay : float
         Seconds by which its time stamps are late.
-    invalid : sequence of float
-        Values that the device records in place of a sample, such as ``[-9999, 65535]``.
+    invalid : sequence of float or str
+        Values that the device records in place of a sample, such as ``[-9999, "Bad Input"]``.
 
     Examples
     --------
@@ -48,7 +48,7 @@ class Column:
     time: str | None = None
     bias: float = 0.0
     delay: float = 0.0
-    invalid: Sequence[float] = ()
+    invalid: Sequence[float | str] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

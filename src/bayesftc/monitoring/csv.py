@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import json
+import shlex
 from collections.abc import Sequence
 from datetime import datetime
 from itertools import islice
@@ -14,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.cosim.base.announcing import inform
+from bayesftc.cosim.base.invalid import invalid_values, numbers_of
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, CsvForm, cells_of, form_of
 from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_seconds, other_date
@@ -32,6 +35,9 @@ ABOVE = " If lines stand above the row of names, begin each with #, or delete it
 """The end of a message about a first row with a single cell."""
 
 MOST_COLUMNS = 10_000
+
+MOST_TEXTS = 5
+"""Most texts of a column that an error names."""
 
 
 class Tables:
@@ -115,9 +121,13 @@ class Tables:
         self._refuse_wrong(cells, np.isnan(seconds), file, name, signal)
         return seconds
 
-    def column(self, file: Path, name: str, signal: str) -> Floats:
-        """Return a column as numbers, NaN where a cell is empty. The user is informed of values that are too large."""
-        numbers = self._numbers(self._cells(file, name, signal), file, name, signal)
+    def column(self, file: Path, name: str, signal: str, invalid: Sequence[float | str] = ()) -> Floats:
+        """Return a column as numbers, NaN where a cell is empty or invalid. The user is informed of values that are too large."""
+        cells = self._cells(file, name, signal)
+        if texts := [value.strip() for value in invalid if isinstance(value, str)]:
+            cells = cells.mask(cells.astype(str).str.strip().isin(texts))
+        numbers = self._numbers(cells, file, name, signal)
+        numbers[np.isin(numbers, invalid_values("A signal", numbers_of(invalid), 1))] = np.nan
         absurd = absurd_values(numbers)
         if absurd and np.any(np.abs(numbers) <= LARGEST):  # else there is nothing to read, which is an error
             inform(
@@ -163,7 +173,8 @@ class Tables:
         line, _ = next(islice(cells_of(file, self._forms[file].separator), int(wrong[0]) + 1, None))
         sign, form = ("point", "12.5") if self._forms[file].decimal == "." else ("comma", "12,5")
         if not signal.startswith("the times"):
-            remedy = f"An empty cell is a missing sample. Numbers have a decimal {sign} here, such as {form}."
+            remedy = f"An empty cell is a missing sample. {_remedy(cells.iloc[wrong])}"
+            remedy += f"Numbers have a decimal {sign} here, such as {form}."
         elif (date := other_date(cells)) is not None:
             remedy = f"Write dates in the form of ISO 8601, such as {iso_of(date)}."
         else:
@@ -244,6 +255,18 @@ def _check(file: Path, form: CsvForm) -> tuple[list[str], int]:
     if row is None:
         raise RecordingError(f"{fspath(file)} has a row of names, but no row of samples below it.")
     return names, begin
+
+
+def _remedy(wrong: pd.Series[Any]) -> str:
+    """Return what to do with texts that a device or a historian writes in place of a sample; empty if numbers are misspelt."""
+    texts = [text for text in dict.fromkeys(str(cell).strip() for cell in wrong) if text[:1].isalpha() or " " in text]
+    if not texts:
+        return ""
+    named = texts[:MOST_TEXTS]
+    options = " ".join(f"--invalid {shlex.quote(text)}" for text in named)
+    listed = ", ".join(json.dumps(text, ensure_ascii=False) for text in named)
+    subject = "this text stands" if len(texts) == 1 else f"its {len(texts)} texts stand"
+    return f"If {subject} for missing samples, add {options} to --fit, or invalid = [{listed}] to a model file. "
 
 
 def _is_fraction(cell: Any, form: CsvForm) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bayesftc.controllers.learning.resolution import find_resolution
+from bayesftc.cosim.base.invalid import numbers_of
 from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError
@@ -92,7 +93,7 @@ class MonitorStepper(Stepper):
         self.estimator = monitor.estimator(self._recording(monitor, np.zeros((1, len(monitor.sensors)))))
         self._monitor, self._compiled = monitor, compiled
         self._bias = np.array([column.bias for column in columns.values()])
-        self._invalid = [np.array([*monitor.invalid, *column.invalid]) for column in columns.values()]
+        self._invalid = [np.array(numbers_of((*monitor.invalid, *column.invalid))) for column in columns.values()]
         windows = [max(1, round(given.smooth / float(self.step))) for given in monitor.inputs.values()]
         self._smoothed: list[deque[float]] = [deque(maxlen=window) for window in windows]
         self._opening: deque[tuple[Floats, Floats]] = deque(maxlen=LONGEST)

@@ -49,7 +49,7 @@ class Head:
         Sample time in seconds.
     time : str
         The column of the time stamps, in seconds.
-    invalid : sequence of float
+    invalid : sequence of float or str
         Values that devices record in place of a sample, for all sensors and inputs.
     joint : bool
         Without ``[precision]``: whether sensors are judged together, so that two that agree outvote a third one.
@@ -57,7 +57,7 @@ class Head:
 
     dt: float | str
     time: str = "t"
-    invalid: Sequence[float] = ()
+    invalid: Sequence[float | str] = ()
     joint: bool = False
 
 

@@ -20,7 +20,6 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.switching.fault_modes import Frozen
 from bayesftc.controllers.switching.learner import SwitchingPrecision
-from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.recordings.columns import column_unit
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, RecordingError
@@ -71,7 +70,7 @@ class Monitor:
         The column of the time stamps, in seconds or in the unit that ends its name, as in ``t_ms`` or ``t [min]``.
     initial_mean, initial_std : optional
         Belief about the plant's states before the first sample; by default from the first samples.
-    invalid : sequence of float
+    invalid : sequence of float or str
         Values that devices record in place of a sample, for all sensors and inputs.
 
     Examples
@@ -101,7 +100,7 @@ class Monitor:
     time: str = "t"
     initial_mean: float | Sequence[float] | None = None
     initial_std: float | Sequence[float] | None = None
-    invalid: Sequence[float] = ()
+    invalid: Sequence[float | str] = ()
     joint: bool = False
 
     @property
@@ -166,9 +165,8 @@ class Monitor:
             file = tables.find(given.file, f"The {what} {name!r}")
             time = tables.times(file, given.time or self.time, f" of the {what} {name!r}")
             column = given.column or name
-            logged = tables.column(file, column, f"the {what} {name!r}")
-            invalid = np.isin(logged, invalid_values("A signal", (*self.invalid, *given.invalid), 1))
-            values = in_unit(np.where(invalid, np.nan, logged), column, more["unit"])
+            logged = tables.column(file, column, f"the {what} {name!r}", (*self.invalid, *given.invalid))
+            values = in_unit(logged, column, more["unit"])
             try:
                 return Signal(time, values, bias=given.bias, delay=given.delay, origin=tables.origin, **more)
             except RecordingError as error:

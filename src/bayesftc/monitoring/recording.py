@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 
 from bayesftc.controllers.learning.resolution import find_resolution
 from bayesftc.controllers.models.checks import check_number
+from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
+from bayesftc.cosim.base.recordings.order import without_repeats, wrong_order
 from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import RecordingError
@@ -41,7 +43,7 @@ class Signal:
     Parameters
     ----------
     time : array_like
-        Time stamps in seconds, increasing.
+        Time stamps in seconds, increasing. A sample that repeats time and value of the one before counts once.
     values : array_like
         One sample per time. Samples that are not finite, or above 1e50 in size, are missing.
     bias : float
@@ -66,7 +68,8 @@ class Signal:
     Raises
     ------
     RecordingError
-        If times and values do not have the same length, or times do not increase.
+        If times and values do not have the same length, or times do not increase. The message tells a clock that is set back from
+        other reasons.
     ModelError
         If a setting is no number, or is negative but must not be.
 
@@ -117,12 +120,11 @@ class Signal:
             raise RecordingError(f"A signal has no samples but {absurd}. Use a larger unit, or leave out the column.")
         if not len(time):
             raise RecordingError("A signal has no samples. Leave it out, or check its column.")
-        back = np.flatnonzero(np.diff(time) <= 0)
-        if len(back):
-            raise RecordingError(
-                f"A signal's times do not increase: {time_text(time[back[0] + 1], self.origin)} follows "
-                f"{time_text(time[back[0]], self.origin)}. Sort the recording."
-            )
+        time, values, repeated = without_repeats(time, values)
+        if len(repeated):
+            inform(_counted_once(repeated, self.origin))
+        if problem := wrong_order(time, values, self.origin):
+            raise RecordingError(problem)
         if self.resolution is None:
             object.__setattr__(self, "resolution", find_resolution(values))
         object.__setattr__(self, "time", time)
@@ -132,6 +134,14 @@ class Signal:
     def corrected(self) -> tuple[Floats, Floats]:
         """The samples' times in seconds without the delay, and their values without the bias."""
         return np.asarray(self.time) - self.delay, np.asarray(self.values) - self.bias
+
+
+def _counted_once(repeated: Floats, origin: datetime | None) -> str:
+    """Return a message about samples that repeat the ones before, from their times."""
+    first = time_text(repeated[0], origin)
+    if len(repeated) == 1:
+        return f"A sample at {first} repeats the time and the value of the one before. It counts once."
+    return f"{len(repeated)} samples, the first at {first}, repeat time and value of the one before. Each counts once."
 
 
 def absurd_values(values: ArrayLike) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.monitoring.fit.bias import Change, changes, unmoved
+from bayesftc.monitoring.fit.bias import Change, changes, gains, unmoved
 
 NOISE = [1.0, 1.0, 2.5]
 STEPS = 3200
@@ -84,3 +84,34 @@ def test_the_healthy_part_of_a_moved_sensor_is_that_of_the_stretch(sudden, stret
     expected = np.full(1000, np.nan)
     expected[healthy] = 0.0
     np.testing.assert_array_equal(kept, np.column_stack([y[:, 0], expected, y[:, 2]]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("begin", "length"), [(1000, 800), (1600, 600)])
+def test_a_change_that_grows_and_then_stays_has_its_beginning(seed, begin, length):
+    y = np.random.default_rng(seed).normal(size=(4000, 4)) * 0.3
+    y[:, 0] += np.clip((np.arange(4000) - begin) / length, 0, 1) * 3.0
+    ((moved, change),) = changes(y, [0.3] * 4).items()
+    assert (moved, change.sudden) == (0, True)
+    assert begin - 130 <= change.begin <= begin + 70  # parts have 62 samples
+    assert begin + length - 190 <= change.reached <= begin + length + 130
+    step = y.copy()
+    step[:, 0] = np.random.default_rng(seed).normal(size=4000) * 0.3 + 3.0 * (np.arange(4000) >= begin)
+    (change,) = changes(step, [0.3] * 4).values()
+    assert change.reached is None
+    assert change.begin == pytest.approx(begin, abs=70)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sensors", [2, 3, 4])
+def test_a_gain_is_found_and_offsets_and_drifts_are_none(seed, sensors):
+    rng, t = np.random.default_rng(seed), np.arange(20000)
+    level = 12 + 2.5 * np.sin(2 * np.pi * t / 1440)
+    y = level[:, None] + 0.1 * rng.normal(size=(len(t), sensors))
+    noise = [0.1] * sensors
+    assert gains(y, noise) == {}
+    assert gains(y + np.outer(t / 20000, [0.3] + [0.0] * (sensors - 1)), noise) == {}
+    y[19500:, 0] -= 0.8
+    assert gains(y, noise) == {}
+    y[:, 1] += 0.02 * level
+    assert gains(y, noise) == {1: pytest.approx(0.02, rel=0.25)}

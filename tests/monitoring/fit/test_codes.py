@@ -61,3 +61,37 @@ def test_what_repeats_otherwise_is_no_code(change):
         y = altitude(seed)
         change(y)
         assert codes(recording(y)) == {}
+
+
+@pytest.mark.parametrize("code", [-9999.0, 65535.0, 850.0])
+@pytest.mark.parametrize("steps", [slice(900, 910), slice(40, None, 400)])
+def test_a_rare_value_far_outside_all_others_is_found_even_once(code, steps):
+    for seed in range(3):
+        y = altitude(seed)
+        clean = fit_model(recording(y)).sensors["s0"].std
+        y[steps, 0] = code
+        y[2500, 0] = 3 * code  # another outlier is no reason to overlook it
+        assert codes(recording(y)) == {"s0": (code, pytest.approx(np.mean(y[:, 0] == code)))}
+        assert fit_model(recording(y)).sensors["s0"].std == pytest.approx(clean, rel=0.05)
+
+
+def shocks(y):
+    """All sensors are at rest but for a shock, which the first one clips."""
+    y[:] = np.random.default_rng(1).normal(0, 0.01, y.shape)
+    y[1000:1060] += 30 * np.sin(np.pi * np.arange(60) / 60)[:, None]
+    y[:, 0] = np.minimum(y[:, 0], 16.0)
+
+
+def stuck_at_the_end(y):
+    y[2900:, 0] = 20.0
+
+
+def one_spike(y):
+    y[1500, 0] = -9999.0
+
+
+@pytest.mark.parametrize("change", [shocks, stuck_at_the_end, one_spike])
+def test_clipped_stuck_or_single_values_are_no_code(change):
+    y = altitude(1)
+    change(y)
+    assert codes(recording(y)) == {}

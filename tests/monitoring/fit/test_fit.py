@@ -15,6 +15,7 @@ from bayesftc.monitoring import (
     ConstantRate,
     Place,
     RandomWalk,
+    SensorErrors,
     Signal,
     align,
     as_model_file,
@@ -512,3 +513,49 @@ def test_samples_in_another_unit_are_converted(unit, factor, offset, tmp_path):
     logged = (tmp_path / "run.csv").read_text().splitlines()[1].split(",")[-1]
     without = replace(monitor, invalid=[float(logged)])  # as the column has it
     assert np.isnan(without.read([tmp_path / "run.csv"]).y).any()
+
+
+def test_dates_of_a_clock_that_is_set_back_are_times_in_a_column_of_any_name(tmp_path):
+    dates = [f"2026-10-25 02:{minute:02}:00" for minute in (0, 20, 40, 0, 20, 40)]
+    (tmp_path / "plant.csv").write_text("Zeit,a,b\n" + "".join(f"{date},{i},{i}\n" for i, date in enumerate(dates)))
+    with pytest.raises(RecordingError, match="times go back by an hour"):
+        redundant_signals(tmp_path / "plant.csv")
+
+
+def encoders(seed, sensors=3):
+    """Position sensors of an axis that moves to and fro, of which the first is by far the best."""
+    rng, t = np.random.default_rng(seed), 0.02 * np.arange(3000)
+    position = 0.1 - 0.1 * np.cos(np.pi * t / 2)
+    return t, position[:, None] + rng.standard_normal((3000, sensors)) * [5e-6, 2e-5, 6e-5][:sensors]
+
+
+def fitted_file(t, y, **settings):
+    """Return a fitted model, and the text of its file."""
+    names = [f"s{i}" for i in range(y.shape[1])]
+    recording = recorded({name: Signal(t, column, resolution=0.0) for name, column in zip(names, y.T, strict=True)})
+    fitted = replace(fit_model(recording), **settings)
+    return fitted, as_model_file(fitted, recording, {name: Place("x.csv", name, "t") for name in names})
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_three_sensors_without_lasting_errors_are_judged_together(tmp_path, seed):
+    t, y = encoders(seed)
+    y[1500:1550, 0] += 5e-5
+    np.savetxt(tmp_path / "x.csv", np.column_stack([t, y]), delimiter=",", header="t,s0,s1,s2", comments="")
+    fitted, text = fitted_file(t, y)
+    assert not fitted.errors
+    (tmp_path / "model.toml").write_text(text)
+    monitor = load_monitor(tmp_path / "model.toml")
+    assert monitor.joint
+    assert {event.sensor for event in monitor.run(monitor.read(tmp_path / "x.csv")).events} == {"s0"}
+
+
+def test_two_sensors_or_those_with_lasting_errors_or_codes_are_not():
+    assert "joint" not in fitted_file(*encoders(5, 2))[1]
+    assert "joint" not in fitted_file(*encoders(5), errors=(SensorErrors(1e-5, 10.0, ["s0"]),))[1]
+    assert "joint" not in fitted_file(*encoders(5), strangers={"s0": 0.1})[1]
+    t, y = encoders(5)
+    y[600:900:50, 0] = -9999.0
+    fitted, text = fitted_file(t, y)
+    assert fitted.coded
+    assert "joint" not in text

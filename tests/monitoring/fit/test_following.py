@@ -96,3 +96,47 @@ def test_the_fit_of_the_others_is_as_without_it(kind):
     own = fitted.sensors["s4"]
     assert {name: sensor for name, sensor in fitted.sensors.items() if name != "s4"} == alone.sensors
     assert own.std == pytest.approx(np.std(strange - LEVEL), rel=0.2)
+
+
+def temperatures(seed, sensors=4, noise=0.3):
+    """Thermometers of a quantity that moves by 60 degrees."""
+    rng, t = np.random.default_rng(seed), np.arange(6000)
+    level = 120 + 30 * np.sin(2 * np.pi * t / 500) + 8 * np.sin(2 * np.pi * t / 137)
+    return level[:, None] + noise * rng.standard_normal((len(t), sensors))
+
+
+@pytest.mark.parametrize("sensors", [2, 3, 4, 6])
+@pytest.mark.parametrize(("factor", "offset"), [(1.8, 32.0), (1 / 1.8, -17.8)])
+def test_a_column_in_another_unit_is_named_with_its_factor(sensors, factor, offset):
+    for seed in range(3):
+        y = temperatures(seed, sensors)
+        y[:, 1] = factor * y[:, 1] + offset
+        found = strangers(y)
+        assert list(found) == ([0, 1] if sensors == 2 else [1])
+        assert found[1] == pytest.approx(factor, rel=0.02)
+
+
+def gain_of_a_tenth(y):
+    y[:, 1] *= 1.1
+
+
+def slow(y):
+    for k in range(1, len(y)):
+        y[k, 1] = y[k - 1, 1] + (y[k, 1] - y[k - 1, 1]) / 80
+
+
+def fast(y):
+    for column in (0, 2, 3):
+        for k in range(1, len(y)):
+            y[k, column] = y[k - 1, column] + (y[k, column] - y[k - 1, column]) / 80
+
+
+def wrong_gain_for_a_third(y):
+    y[2000:4000, 1] *= 1.5
+
+
+@pytest.mark.parametrize("change", [gain_of_a_tenth, slow, fast, wrong_gain_for_a_third])
+def test_other_factors_are_not(change):
+    y = temperatures(0)
+    change(y)
+    assert strangers(y) == {}

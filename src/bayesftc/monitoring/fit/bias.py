@@ -7,7 +7,9 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtri
+from scipy.stats import theilslopes
 
 from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.types import Floats
@@ -60,6 +62,43 @@ def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
     return np.array(lower), np.array([np.median(lasting[k]) for k in of])
 
 
+def gains(y: Floats, noise: Sequence[float]) -> dict[int, float]:
+    """Return the sensor whose difference from the others is proportional to the quantity, and by which share.
+
+    It is the median slope between all parts of a recording, so that a fault in a few of them has no effect. Of two sensors, it is
+    that of the second one against the first.
+
+    Parameters
+    ----------
+    y : ndarray, steps x sensors
+        Samples.
+    noise : sequence of float
+        Standard deviation of each sensor's noise: a gain matters if it adds a part of it.
+    """
+    found = {}
+    length = max(len(y) // FIT.parts, FIT.least_block)
+    parts = y[: len(y) // length * length].reshape(-1, length, y.shape[1])
+    for i in range(y.shape[1]):
+        others = median(np.delete(parts, i, axis=2), 2)
+        apart, level = median(parts[:, :, i] - others, 1), median(others, 1)
+        there = np.isfinite(apart) & np.isfinite(level)
+        apart, level = apart[there], level[there]
+        if len(level) < 2 * FIT.fewest_windows or not np.ptp(level) > 0:
+            continue
+        slope, _, low, high = theilslopes(apart, level, alpha=FIT.gain_sure)
+        size = abs(slope) * MAD * float(np.median(np.abs(level - np.median(level))))
+        if low * high > 0 and size > FIT.gain_counts * noise[i] and abs(slope) < np.log(FIT.another_factor):
+            found[i] = float(slope)
+    if y.shape[1] == 2:
+        return {1: found[1]} if len(found) == 2 else {}
+    largest = sorted(found, key=lambda i: -abs(found[i]))[:2]
+    # The gain of one sensor is half of it, and negative, of the others against their mean.
+    alone = len(largest) == 1 or (
+        len(largest) == 2 and abs(found[largest[1]]) < FIT.gain_alone * abs(found[largest[0]])
+    )
+    return {largest[0]: found[largest[0]]} if alone else {}
+
+
 class Change(NamedTuple):
     """A change of a sensor against the others that lasts to the end of a recording."""
 
@@ -68,7 +107,9 @@ class Change(NamedTuple):
     begin: int
     """The step at which it begins."""
     sudden: bool
-    """Whether it is a step; if not, it grows steadily."""
+    """Whether it is a step, or stays after it has grown; if not, it grows to the end."""
+    reached: int | None = None
+    """The step from which a change that stays has its size, if it has grown to it; None of a step."""
 
 
 class _Course(NamedTuple):
@@ -148,7 +189,31 @@ def _course(apart: Floats) -> _Course | None:
             left = float(np.abs(levels[:k] - before).sum() + np.abs(after - before - shape).sum())
             if total > 0 and 1 - left / total > best.explained:
                 best = _Course(Change(size, int(there[k]) * length, sudden), 1 - left / total)
-    return best
+    return _with_growth(best, levels, there * length)
 
 
-__all__ = ["Change", "biases", "changes", "unmoved", "wander"]
+def _with_growth(best: _Course, levels: Floats, steps: NDArray[np.intp]) -> _Course:
+    """Return a sudden change with its beginning and its end, if it has grown: the best step lies in the middle of it."""
+    if not best.change.sudden or not best.explained:
+        return best
+    k = int(np.searchsorted(steps, best.change.begin))
+    before, after = levels[:k], levels[k:]
+    first, last = k, k
+    from_before = np.abs(levels - np.median(before)) > FIT.within * _scatter(before)
+    from_after = np.abs(levels - np.median(after)) > FIT.within * _scatter(after)
+    while first > FIT.least_before and from_before[first - 1]:
+        first -= 1
+    while last < len(levels) - FIT.least_before and from_after[last]:
+        last += 1
+    if last - first < FIT.grown:
+        return best
+    first = max(first - 1, 0)  # it has begun in this part perhaps, within the noise
+    return best._replace(change=best.change._replace(begin=int(steps[first]), reached=int(steps[last])))
+
+
+def _scatter(levels: Floats) -> float:
+    """Return the standard deviation of levels about their median, by the median distance."""
+    return MAD * float(np.median(np.abs(levels - np.median(levels))))
+
+
+__all__ = ["Change", "biases", "changes", "gains", "unmoved", "wander"]

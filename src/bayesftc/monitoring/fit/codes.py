@@ -28,7 +28,8 @@ def codes(recording: Recording) -> dict[str, Code]:
     """Return the sensors with a value that seems to stand for a missing sample.
 
     It is the most frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen
-    sensor repeats a value as well, but once, and values of a coarse resolution are near the others.
+    sensor repeats a value as well, but once, and values of a coarse resolution are near the others. A value that lies far outside
+    all other samples of the sensor is a code also if it is rare, or sent once.
     """
     level = median(recording.y, 1)
     span = float(np.subtract(*np.nanquantile(level, [0.95, 0.05])))
@@ -69,11 +70,27 @@ def _code(y: Floats, i: int, span: float) -> Code | None:
     sent = values == value
     times = int(sent[0]) + int((np.diff(sent.astype(int)) == 1).sum())
     if share < FIT.code or times < FIT.code_times or sent.all():
-        return None
+        return _outside(values, apart, span)
     bias = float(np.median(apart[~sent]))
     usual = MAD * float(np.median(np.abs(apart[~sent] - bias)))
     away = float(np.quantile(np.abs(apart[sent] - bias), 0.1))
     return Code(value, share) if away > max(FIT.code_far * usual, FIT.code_span * span) else None
+
+
+def _outside(values: Floats, apart: Floats, span: float) -> Code | None:
+    """Return the most frequent value that a sensor repeats far outside all its other samples, and those of the others."""
+    every, counts = np.unique(values, return_counts=True)
+    gaps = np.concatenate([[np.inf], np.diff(every), [np.inf]])
+    alone = np.minimum(gaps[:-1], gaps[1:])
+    for k in sorted(np.flatnonzero(counts >= FIT.code_few), key=lambda k: -counts[k]):
+        sent = values == every[k]
+        if not np.isfinite(alone[k]) or alone[k] <= FIT.code_outside * span:
+            continue
+        own = float(np.subtract(*np.quantile(values[~sent], [0.95, 0.05])))
+        away = float(np.quantile(np.abs(apart[sent] - np.median(apart[~sent])), 0.1))
+        if min(float(alone[k]), away) > FIT.code_outside * max(span, own) > 0:
+            return Code(float(every[k]), float(sent.mean()))
+    return None
 
 
 def without_codes(recording: Recording) -> Recording:

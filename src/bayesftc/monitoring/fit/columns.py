@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
 from bayesftc.cosim.base.recordings.day_first import iso_of
@@ -33,7 +32,7 @@ class Place:
     ----------
     file, column, time : str
         Its file, its column and the column of its times.
-    invalid : tuple of float
+    invalid : tuple of float or str
         Values that stand for no sample.
     period : float
         Full turn of an angle; 0 for other quantities.
@@ -54,14 +53,14 @@ class Place:
     file: str
     column: str
     time: str
-    invalid: tuple[float, ...] = ()
+    invalid: tuple[float | str, ...] = ()
     period: float = 0.0
 
 
 def redundant_signals(
     paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     names: Sequence[str] = (),
-    invalid: Mapping[str, Sequence[float]] | None = None,
+    invalid: Mapping[str, Sequence[float | str]] | None = None,
 ) -> tuple[dict[str, Place], dict[str, Signal]]:
     r"""Return all signals of CSV files, except the times, and the place of each.
 
@@ -72,8 +71,9 @@ def redundant_signals(
     names : sequence of str
         Columns that are sensors, with or without the unit in brackets at the end; by default all. Samples are converted to
         the unit of the first one.
-    invalid : mapping of str to sequence of float, optional
-        Values that stand for no sample, by the name of their column; those of ``""`` hold for all columns.
+    invalid : mapping of str to sequence of float or str, optional
+        Values, or texts such as ``"Bad Input"``, that stand for no sample, by the name of their column; those of ``""`` hold
+        for all columns.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def redundant_signals(
 
 
 def signals_of(
-    tables: Tables, names: Sequence[str], invalid: Mapping[str, Sequence[float]]
+    tables: Tables, names: Sequence[str], invalid: Mapping[str, Sequence[float | str]]
 ) -> tuple[dict[str, Place], dict[str, Signal]]:
     """Return the signals of tables that are read already; see `redundant_signals`."""
     places: dict[str, Place] = {}
@@ -121,9 +121,8 @@ def signals_of(
                 continue
             name = column if column not in places else f"{file.stem}_{column}"
             places[name] = Place(file.name, column, time, (*values.get("", ()), *values.get(column, ())))
-            times, logged = tables.times(file, time), tables.column(file, column, "a sensor")
-            missing = np.isin(logged, invalid_values("A signal", places[name].invalid, 1))
-            samples = in_unit(np.where(missing, np.nan, logged), column, unit)
+            times, logged = tables.times(file, time), tables.column(file, column, "a sensor", places[name].invalid)
+            samples = in_unit(logged, column, unit)
             try:
                 signals[name] = Signal(times, samples, unit=column_unit(column) and unit, origin=tables.origin)
             except RecordingError as error:
@@ -167,8 +166,10 @@ def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
         )
     if (name := time_column(every)) is not None:
         return name
+    if tables.has_dates(file, 0):
+        return every[0]  # a signal says where dates do not increase, and why
     why = "has no number"
-    if every[0] in header or tables.has_dates(file, 0):
+    if every[0] in header:
         why = "does not increase"
         if np.all(np.diff(tables.times(file, every[0])) > 0):
             return every[0]

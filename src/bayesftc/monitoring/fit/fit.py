@@ -83,6 +83,8 @@ class FittedModel:
     changes : dict of str to Change
         Sensors that have moved away from the others and not returned, with the size, the first step, and whether the change is
         sudden. Their biases and lasting errors come from the time before, as do those of a stretch in it.
+    coded : bool
+        Whether samples were left out, because a value that repeats seems to stand for no sample.
     level, spread : float
         Mean and standard deviation of the quantity, in its unit.
     rate : float
@@ -110,6 +112,18 @@ class FittedModel:
     rate: float
     strangers: Mapping[str, float] = field(default_factory=dict)
     changes: Mapping[str, Change] = field(default_factory=dict)
+    coded: bool = False
+
+    @property
+    def joint(self) -> bool:
+        """Whether sensors are better judged together, so that those that agree outvote another one.
+
+        It is so if one has moved away, or if there are three or more without lasting errors: the joint form takes lasting errors
+        for faults more often, and of two sensors none outvotes the other. Samples that were left out are long faults to the
+        monitor, for which the joint form blames others.
+        """
+        several = len(self.sensors) - len(self.strangers) > 2
+        return bool(self.changes) or (several and not self.errors and not self.coded)
 
 
 def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel:
@@ -152,18 +166,20 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     >>> {name: round(sensor.std, 1) for name, sensor in fitted.sensors.items()}, type(fitted.plant).__name__
     ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
-    recording = without_codes(recording)
+    given = recording
+    recording = without_codes(given)
+    coded = bool(np.isfinite(given.y).sum() > np.isfinite(recording.y).sum())
     check_recording(recording, recording.y[stretch])
     strange = strangers(recording.y, stretch)
     slopes = {recording.sensors[i]: slope for i, slope in strange.items()}
     others = [i for i in range(len(recording.sensors)) if i not in strange]
     if not strange or len(others) < 2:  # nobody knows which of two sensors is wrong
-        return replace(_fit(recording, stretch), strangers=slopes)
+        return replace(_fit(recording, stretch), strangers=slopes, coded=coded)
     fitted = _fit(_of_sensors(recording, others), stretch)
     level = median(recording.y[:, others] - [fitted.sensors[recording.sensors[i]].bias for i in others], 1)
     apart = {i: _stranger(recording, i, level, stretch) for i in strange}
     sensors = {name: apart[i] if i in apart else fitted.sensors[name] for i, name in enumerate(recording.sensors)}
-    return replace(fitted, sensors=sensors, strangers=slopes)
+    return replace(fitted, sensors=sensors, strangers=slopes, coded=coded)
 
 
 def _of_sensors(recording: Recording, kept: Sequence[int]) -> Recording:

@@ -38,7 +38,8 @@ def strangers(y: Floats, stretch: slice = slice(None)) -> dict[int, float]:
     The motion is what two sensors have in common that agree best, in windows of several lengths: a slow sensor follows over long
     times only. Drifts, biases and noise make the slopes of the windows scatter about 1, and a fault in fewer than half of the
     windows does not change their median. A sensor is named only if its slope is certainly small over some time, over none
-    certainly large, and if most sensors follow. Of two sensors both are named, as nobody knows which one is wrong.
+    certainly large, and if most sensors follow. Of two sensors both are named, as nobody knows which one is wrong. A sensor that
+    moves exactly as the others, but by another factor, as one in another unit does, is named as well.
 
     Parameters
     ----------
@@ -48,6 +49,8 @@ def strangers(y: Floats, stretch: slice = slice(None)) -> dict[int, float]:
         Steps in which the sensors are healthy: one that follows there has failed later, and is not named.
     """
     y = awake(y)
+    if scaled := _scaled(y):
+        return scaled
     slopes: dict[int, list[_Slope]] = {}
     leaders: set[int] = set()
     for x in (windows for samples in {len(of): of for of in (y, y[stretch])}.values() for windows in _windows(samples)):
@@ -62,6 +65,45 @@ def strangers(y: Floats, stretch: slice = slice(None)) -> dict[int, float]:
         if i not in following and any(slope.strange for slope in found)
     }
     return strange if len(strange) < len(following) or y.shape[1] == 2 else {}
+
+
+def _scaled(y: Floats) -> dict[int, float]:
+    """Return the sensors that move with all others of a majority, but by another factor, the same in windows of every length.
+
+    A slow sensor also moves less, but later than the others, so that its correlation with them is smaller, and by a factor that
+    depends on the length of a window.
+    """
+    factors = [of for x in _windows(y) if (of := _factors(x)) is not None]
+    if not factors:
+        return {}
+    typical = median(np.log(factors), 0)
+    spread = np.nan_to_num(np.abs(np.log(factors) - typical)).max(axis=0)  # NaN where windows do not show a factor
+    same = (spread < np.log(FIT.one_factor)) & np.isfinite(typical)
+    together = same & (np.abs(typical) < np.log(FIT.another_factor))
+    group = np.flatnonzero(together[int(together.sum(axis=1).argmax())])
+    if not same[:, group].all() or (len(y.T) > 2 and 2 * len(group) <= len(y.T)):
+        return {}
+    found = {i: float(np.exp(np.median(typical[i, group]))) for i in range(len(y.T)) if i not in group}
+    return {0: found[1], 1: found[1]} if len(y.T) == 2 and found else found
+
+
+def _factors(x: Floats) -> Floats | None:
+    """Return how far each sensor moves while another moves by 1 (sensors x sensors), from the windows that show it.
+
+    None of too few such windows of all pairs; NaN for a pair that does not move together in most of its windows.
+    """
+    sensors = x.shape[2]
+    factors, seen = np.eye(sensors), 0
+    for i, j in combinations(range(sensors), 2):
+        both = _together(x[:, :, [i, j]])
+        one, other = (_covariance(both[:, :, k], both[:, :, k]) for k in (0, 1))
+        alike = _correlation(both[:, :, 0], both[:, :, 1])
+        moves = alike > FIT.one_motion
+        seen = max(seen, int(moves.sum()))
+        enough = moves.sum() >= max(FIT.fewest_windows, FIT.mostly * np.isfinite(alike).sum())
+        factors[i, j] = float(np.sqrt(np.median(one[moves] / other[moves]))) if enough else np.nan
+        factors[j, i] = 1.0 / factors[i, j]
+    return factors if seen >= FIT.fewest_windows else None
 
 
 def _windows(y: Floats) -> Iterator[Floats]:

@@ -42,6 +42,12 @@ class FitSettings:
         5.0, "multiple of the usual distance from the others by which a code is away from them ..."
     )
     code_span: float = chosen(0.1, "... and share of the span of the quantity: a resolution or a dead zone is smaller")
+    code_few: int = chosen(
+        5, "least number of samples with a code that lies outside all others: no noise repeats so far away"
+    )
+    code_outside: float = chosen(
+        5.0, "multiple of the span of all other samples by which it lies outside: -9999 for degrees, not a stuck valve"
+    )
     # Sensors that do not follow the others.
     follow_parts: tuple[int, ...] = chosen(
         (8, 16, 32, 64), "parts of a recording: a slow sensor follows over long times only, a drift hides motion there"
@@ -53,6 +59,11 @@ class FitSettings:
     lags: float = chosen(0.3, "slope from which a sensor follows late, if it is certain: a slow one has less than 1")
     sure: float = chosen(4.0, "standard errors of a slope, of few windows and at several lengths")
     mostly: float = chosen(0.6, "share of windows in which one of two sensors must move: more than a fault takes")
+    one_motion: float = chosen(
+        0.97, "correlation of two sensors that differ by a factor: one that is so slow as to move by .7 has 0.84"
+    )
+    another_factor: float = chosen(1.25, "factor from which a sensor has another unit or quantity: gains err by less")
+    one_factor: float = chosen(1.1, "largest ratio of the factors in windows of several lengths")
     # Windows.
     window: int = chosen(16, "lags in a window, for several independent differences")
     least_window: int = chosen(64, "least samples in a window, for a reliable median")
@@ -113,6 +124,9 @@ class FitSettings:
     rare: float = chosen(
         0.9, "quantile in the whole recording, up to the noise: a fault in a tenth of it has no effect"
     )
+    gain_sure: float = chosen(0.9999, "confidence of a gain's sign")
+    gain_alone: float = chosen(0.7, "ratio to the largest gain below which another one is due to that")
+    gain_counts: float = chosen(0.1, "least ratio of a gain's differences to the noise: 1 % of a flow had 0.2")
     # A change to the end of the recording.
     explained: float = chosen(
         0.5,
@@ -125,6 +139,8 @@ class FitSettings:
         "1 in 20 reaches it",
     )
     least_before: int = chosen(4, "least parts of the recording before the change, for a reliable median")
+    within: float = chosen(3.0, "standard deviations of the levels before a change within which it has not begun")
+    grown: int = chosen(3, "least parts of the recording over which a change has grown: a step lies in two at most")
     # A fault in the stretch.
     doubtful: float = chosen(5.0, "multiple of its noise above which a sensor's lasting errors may be a fault")
     outstanding: float = chosen(3.0, "multiple of the others' lasting errors from which those of one sensor stand out")

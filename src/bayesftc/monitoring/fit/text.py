@@ -59,11 +59,7 @@ def as_model_file(
         "",
         f"dt = {float(recording.dt):.10g}  # sample time in s",
         f"time = {_text(time)}  # the column of times",
-        *(
-            ["joint = true  # sensors are judged together: one has moved away from the others"]
-            if fitted.changes
-            else []
-        ),
+        *([f"joint = true  # sensors are judged together: {_why_joint(fitted)}"] if fitted.joint else []),
         "",
         "[model]",
         *_plant(fitted, recording.units[0] if len(set(recording.units)) == 1 else ""),
@@ -78,9 +74,7 @@ def as_model_file(
         if place.time != time:
             lines.append(f"time = {_text(place.time)}")
         if place.invalid:
-            lines.append(
-                f"invalid = [{', '.join(f'{value:.17g}' for value in place.invalid)}]  # these stand for no sample"
-            )
+            lines.append(f"invalid = [{', '.join(map(_value, place.invalid))}]  # these stand for no sample")
         if place.period:
             lines.append(f"period = {place.period:.10g}  # an angle, which begins anew after a full turn")
         if units[name]:
@@ -102,6 +96,10 @@ def as_model_file(
             *(["common = true"] if errors.common else []),
         ]
     return "\n".join(lines) + "\n"
+
+
+def _why_joint(fitted: FittedModel) -> str:
+    return "one has moved away from the others" if fitted.changes else "those that agree outvote another one"
 
 
 def _healthy(recording: Recording, stretch: slice) -> str:
@@ -136,6 +134,10 @@ def _plant(fitted: FittedModel, unit: str) -> list[str]:
 
 def _number(value: object) -> str:
     return f"{float(value):.5g}"  # type: ignore[arg-type]
+
+
+def _value(value: float | str) -> str:
+    return _text(value) if isinstance(value, str) else f"{value:.17g}"
 
 
 def _text(text: str) -> str:

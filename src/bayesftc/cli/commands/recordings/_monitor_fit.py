@@ -16,6 +16,7 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.base.announcing import inform
+from bayesftc.cosim.base.recordings.columns import column_called
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.day_first import day_first_date
 from bayesftc.cosim.base.recordings.turns import find_period
@@ -32,6 +33,7 @@ from bayesftc.monitoring import (
     stretch_of,
 )
 from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.fit.bias import gains
 from bayesftc.monitoring.fit.codes import Code, codes, codes_of_angles
 from bayesftc.monitoring.fit.columns import signals_of, without_numbers
 from bayesftc.monitoring.fit.doubtful import doubtful_sensors, lasting_errors
@@ -39,6 +41,9 @@ from bayesftc.monitoring.fit.units import in_unit
 from bayesftc.monitoring.gaps import in_gaps
 
 MODEL = "model.toml"
+
+FAHRENHEIT = 0.03
+"""Relative error of a factor from which it is not the one between degC and degF."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class Fit:
     start: float | datetime | None = None
     stop: float | datetime | None = None
     sensors: tuple[str, ...] = ()
-    invalid: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    invalid: Mapping[str, Sequence[float | str]] = field(default_factory=dict)
 
 
 class FittedFiles(NamedTuple):
@@ -81,19 +86,32 @@ def as_moment(option: str, text: str | None) -> float | datetime | None:
     )
 
 
-def as_invalid(given: Sequence[str]) -> dict[str, list[float]]:
-    """Return the values of the option --invalid by column: ``0`` holds for all, ``lidar=0`` for one."""
-    values: dict[str, list[float]] = {}
+def as_invalid(given: Sequence[str]) -> dict[str, list[float | str]]:
+    """Return the values of the option --invalid by column: ``0`` or ``Bad Input`` holds for all, ``lidar=0`` for one."""
+    values: dict[str, list[float | str]] = {}
     for text in given:
-        name, _, value = text.rpartition("=")
-        try:
-            values.setdefault(name.strip(), []).append(float(value))
-        except ValueError:
+        name, _, value = (part.strip() for part in text.rpartition("="))
+        if not value:
             raise typer.BadParameter(
-                f"{text!r} has no number. Write --invalid 0 for all columns, or --invalid lidar=0 for the column lidar.",
+                f"{text!r} has no value. Write --invalid 0 for all columns, or --invalid lidar=0 for the column lidar.",
                 param_hint="--invalid",
-            ) from None
+            )
+        try:
+            values.setdefault(name, []).append(float(value))
+        except ValueError:
+            values.setdefault(name, []).append(value)
     return values
+
+
+def _check_invalid(invalid: Mapping[str, Sequence[float | str]], tables: Tables) -> None:
+    """Refuse a column without a value in the option --invalid."""
+    columns = [name for file in tables.files() for name in tables.numeric(file)]
+    for text in invalid.get("", ()):
+        if isinstance(text, str) and column_called(text, columns):
+            raise typer.BadParameter(
+                f"{text!r} has no number. Write --invalid 0 for all columns, or --invalid {text}=0 for the column {text}.",
+                param_hint="--invalid",
+            )
 
 
 def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: bool) -> FittedFiles:
@@ -107,6 +125,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
         If the model file exists with another content and `overwrite` is not set, or if it cannot be written.
     """
     tables = Tables(recording)
+    _check_invalid(part.invalid, tables)
     places, signals = signals_of(tables, part.sensors, part.invalid)
     output.check_folder(model.parent, (model.name,), silent=True)
     turned = codes_of_angles(signals)
@@ -132,6 +151,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
             *_codes({**codes(samples), **turned}, samples, tables, places),
             *_strangers(fitted),
             *_changes(fitted, samples, stretch),
+            *_gains(fitted, samples, stretch),
             *fit_notes(fitted),
         ],
     )
@@ -174,14 +194,15 @@ def _codes(
     """Give a note for each sensor that seems to record a value in place of a sample."""
     for name, code in found.items():
         others = "the other sensors of its quantity are" if len(recording.sensors) > 2 else "the other sensor is"
-        logged = np.unique(tables.column(tables.find(places[name].file, name), places[name].column, name))
+        place = places[name]
+        logged = np.unique(tables.column(tables.find(place.file, name), place.column, name, place.invalid))
         converted = in_unit(logged, places[name].column, recording.units[recording.sensors.index(name)])
         value = f"{logged[np.nanargmin(np.abs(converted - code.value))]:.10g}"
         option = f"--invalid {shlex.quote(f'{places[name].column}={value}')}"
         yield (
-            f"{name} is exactly {value} in {code.share:.0%} of its samples, while {others} not near {value}. The noise of {name} "
-            f"is fitted without these samples. If {value} means 'no measurement', add {option}: otherwise the monitor takes them "
-            "for faults."
+            f"{name} is exactly {value} in {100 * code.share:.2g}% of its samples, while {others} not near {value}. The noise of "
+            f"{name} is fitted without these samples. If {value} means 'no measurement', add {option}: otherwise the monitor "
+            "takes them for faults."
         )
 
 
@@ -192,16 +213,28 @@ def _strangers(fitted: FittedModel) -> Iterator[str]:
         yield (
             f"{one} and {other} do not agree: while one of them moves by 1, the other moves by {_slope(slope)}. At least one of "
             "them is wrong, or measures another quantity, but two sensors do not show which one. The monitor needs sensors of "
-            "one quantity."
+            f"one quantity.{_fahrenheit(slope, one, other)}"
         )
         return
+    others = next((name for name in fitted.sensors if name not in fitted.strangers), "")
     for name, slope in fitted.strangers.items():
         yield (
             f"{name} does not follow the other sensors: while they move by 1, it moves by {_slope(slope)}. Motion and the noise "
             f"of the others are fitted without {name}, and its whole distance from them counts as noise. If {name} measures "
             "another quantity, leave it out: name the others with --sensor. If it has failed in most of this recording, fit to a "
-            "stretch without the fault: --from and --to."
+            f"stretch without the fault: --from and --to.{_fahrenheit(slope, name, others)}"
         )
+
+
+def _fahrenheit(slope: float, name: str, other: str) -> str:
+    """Return a sentence if a sensor moves by the factor from degC to degF while another moves by 1, or by its inverse."""
+    for factor, units in ((1.8, ("degF", "degC")), (1 / 1.8, ("degC", "degF"))):
+        if abs(slope / factor - 1) < FAHRENHEIT:
+            return (
+                f" A factor of {slope:.3g} is that from {units[1]} to {units[0]}. If these are the units, end the names of the "
+                f"columns with them, as '{name} [{units[0]}]' and '{other} [{units[1]}]': then they are converted."
+            )
+    return ""
 
 
 def _changes(fitted: FittedModel, recording: Recording, stretch: slice) -> Iterator[str]:
@@ -214,18 +247,42 @@ def _changes(fitted: FittedModel, recording: Recording, stretch: slice) -> Itera
         place = f"{size} {'above' if change.size > 0 else 'below'} its place among the other sensors"
         since = float(recording.time[change.begin])
         begin, end = (time_text(t, recording.origin) for t in (since, recording.time[-1]))
-        moment = f"{since:.10g}" if recording.origin is None else date_at(recording.origin, since).isoformat()
+        moment, reached = (_moment(recording, step) for step in (change.begin, change.reached or change.begin))
         course = (
             f"is {place}, until the end ({end})"
             if change.sudden
             else f"moves away from the other sensors. At the end ({end}) it is {place}"
         )
-        since_then = f" If it has been healthy since then, fit with --from {moment}." if change.sudden else ""
+        if change.reached is not None:
+            grown = time_text(float(recording.time[change.reached]), recording.origin)
+            course = f"moves away from the other sensors. From about {grown} until the end ({end}) it is {place}"
+        then = "since then" if change.reached is None else "since it has stayed there"
+        since_then = f" If it has been healthy {then}, fit with --from {reached}." if change.sudden else ""
         yield (
             f"From about {begin} on, {name} {course}. The fit takes this for a fault: {name} has the bias and the lasting errors "
             f"of the time before. If it was healthy until then, fit with --to {moment}.{since_then} If it measures another "
             "quantity, leave it out: name the others with --sensor."
         )
+
+
+def _gains(fitted: FittedModel, recording: Recording, stretch: slice) -> Iterator[str]:
+    """Give a note for a sensor whose difference from the others is proportional to the quantity."""
+    if fitted.strangers or fitted.changes or fitted.coded:
+        return
+    for i, gain in gains(recording.y[stretch], [sensor.std for sensor in fitted.sensors.values()]).items():
+        name = recording.sensors[i]
+        others = f"{recording.sensors[0]} moves" if len(recording.sensors) == 2 else "the other sensors move"
+        yield (
+            f"While {others} by 1, {name} moves by {1 + gain:.4g}: one has a gain error, which the model does not have. It may "
+            f"cause false alarms, mostly of the kind Drifting. Calibrate the sensors, or divide the samples of {name} by "
+            f"{1 + gain:.4g}, and fit again."
+        )
+
+
+def _moment(recording: Recording, step: int) -> str:
+    """Return the time of a step for --from or --to."""
+    seconds = float(recording.time[step])
+    return f"{seconds:.10g}" if recording.origin is None else date_at(recording.origin, seconds).isoformat()
 
 
 def _slope(slope: float) -> str:

@@ -110,7 +110,8 @@ def monitor(
         typer.Option(
             "--invalid",
             metavar="VALUE",
-            help="With --fit: a value that stands for no sample, in all columns (0) or in one (lidar=0); repeat it for more.",
+            help="With --fit: a value or text that stands for no sample, in all columns (0, or 'Bad Input') or in one (lidar=0); "
+            "repeat it for more.",
         ),
     ] = None,
     serve: Beside = False,
