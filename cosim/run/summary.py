@@ -19,7 +19,7 @@ PHASES = {"overall": "whole run", "before": "before faults", "during": "during",
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
-    "kind. A pause of at most 1 s, or of at most 10 samples, does not end an alarm if the kind is the same after it. "
+    "kind. A pause of up to 1 s, or of 10 samples if these last longer, does not end an alarm of the same kind. "
     "Size: at its end."
 )
 PROCESS_REMARK = (
