@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.controllers.bayesian.stabilisability import shown
-from bayesftc.controllers.linalg.lyapunov import steady_covariance
+from bayesftc.controllers.linalg.lyapunov import stationary_covariance
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import brief
 from bayesftc.cosim.types import Floats
@@ -141,7 +141,7 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] |
     noise = np.vstack([B @ direct[:, :m], given[:, :m]])
     spread = noise @ R @ noise.T
     spread[:plant, :plant] += Q
-    covariance = steady_covariance(whole, spread)
+    covariance = stationary_covariance(whole, spread)
     K = controller.steady_gains().K[:plant]
     of_plant = np.eye(plant, model.states)
     error = np.hstack([np.eye(plant) - K @ C, -(of_plant - K @ model.matrix("C"))])

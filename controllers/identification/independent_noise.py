@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesftc.controllers.linalg.lyapunov import steady_covariance
+from bayesftc.controllers.linalg.lyapunov import stationary_covariance
 from bayesftc.cosim.types import Floats
 
 MOST = 60
@@ -46,7 +46,7 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
             P = _riccati(A, C, Q, R)
             promised = C @ P @ C.T + R
             gain = A @ np.linalg.solve(promised, C @ P).T
-            between = steady_covariance(A - gain @ C, (K - gain) @ S @ (K - gain).T)
+            between = stationary_covariance(A - gain @ C, (K - gain) @ S @ (K - gain).T)
         except np.linalg.LinAlgError:
             return 1e10
         real = C @ between @ C.T + S

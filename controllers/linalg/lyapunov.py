@@ -10,7 +10,7 @@ DOUBLINGS = 60
 """Most doublings of the time; modes that need more are not damped."""
 
 
-def steady_covariance(M: Floats, W: Floats) -> Floats:
+def stationary_covariance(M: Floats, W: Floats) -> Floats:
     """Return X with ``X = M X M' + W`` for a symmetric W, by doubling: Smith's method.
 
     In contrast to a solution as one system of equations (scipy's), rounding does not depend on the units of the states.
@@ -31,4 +31,4 @@ def steady_covariance(M: Floats, W: Floats) -> Floats:
     return np.asarray(X)
 
 
-__all__ = ["steady_covariance"]
+__all__ = ["stationary_covariance"]

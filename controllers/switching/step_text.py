@@ -10,6 +10,7 @@ from bayesftc.controllers.precision.base import keep_nominal, report_nothing
 from bayesftc.controllers.switching import mode_kernels, sensor_kernels as kernels
 from bayesftc.controllers.switching.bank.layout import Layout
 from bayesftc.controllers.switching.bank.samples import report_actuators, report_process
+from bayesftc.controllers.switching.outages import make_outage, prolonged
 from bayesftc.cosim import ops
 from bayesftc.cosim.stepping.source.written import function_from_text
 from bayesftc.cosim.types import argument_names
@@ -79,31 +80,9 @@ memory[sample.y.shape[0] * LENGTH + 1] = logp
 """
 
 _OUTAGE = """\
-sampled, silent = 0.0 * logp, 0.0 * logp
-for i in range(sample.y.shape[0]):
-    at = i * LENGTH
-    sampled = maximum(sampled, sample.present[i])
-    silent = silent + select(both(settings[i * SETTINGS + MISSING] < 0.5, {dropped} < 0.5), 1.0, 0.0)
-outage = select(both(sampled < 0.5, silent > 1.5), 1.0, 0.0)
-wide = 0.0 * logp
-for i in range(sample.y.shape[0]):
-    wide = wide + sample.spread[i, i] / sample.nominal[i, i]
 at = sample.y.shape[0] * LENGTH + 2
-left = select(outage > 0.5, SETTLES, memory[at + 1] - 1.0)
-settles = both(both(outage < 0.5, left > 0.5), wide > WIDE * memory[at])
-outage = select(settles, 1.0, outage)
-memory[at] = select(outage > 0.5, memory[at], wide)
-memory[at + 1] = select(outage > 0.5, left, 0.0)\
+outage = prolonged(is_outage(sample, memory, settings), sample, memory, at)\
 """
-"""No sensor has a sample, also not those, two or more, which send most of the time and have not dropped out before.
-
-The outage goes on until the belief about the state is nearly as narrow again as before. Until then the samples correct the state
-by the precisions from before the outage, and say nothing about the sensors: judged one by one, healthy sensors that contradict a
-wide belief together would be blamed, and a faulty one that agrees with it by chance acquitted. The two numbers kept are the width
-of the belief and the number of samples left."""
-
-WIDE, SETTLES = 1.5, 30.0
-"""How many times as large as before the belief's variance is wide; number of samples after which it need not settle any more."""
 
 _NOTE_OUTAGE = "outage, present = maximum(-present, 0.0), maximum(present, 0.0)"
 _IN_AN_OUTAGE = "select(outage > 0.5, 1.0, {})"
@@ -205,14 +184,12 @@ def learner_functions(
     names = _names(evidence) | {
         "MODES": modes, "FAULTS": faults, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
         "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
-        "WIDE": WIDE, "SETTLES": SETTLES,
     }  # fmt: skip
-    weights = [
-        f"memory[at + {kernels.FIRST + k * width} + WEIGHT]" for k in chosen if evidence[k] is mode_kernels.drops
-    ]
-    outage = _OUTAGE.format(dropped=f"({' + '.join(weights or ['0.0'])})") if outages else ""
+    if outages:
+        drops = tuple(k for k in chosen if evidence[k] is mode_kernels.drops)
+        names |= {"is_outage": make_outage(names["LENGTH"], names["SETTINGS"], width, drops), "prolonged": prolonged}
     learning = _LEARN.format(
-        outage=outage,
+        outage=_OUTAGE if outages else "",
         present="select(outage > 0.5, -1.0, sample.present[i])" if outages else "sample.present[i]",
         counts=" * (1.0 - outage)" if outages else "",
     )

@@ -28,9 +28,10 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers.switching.bank.layout import LOAD, PUSHES, STEERS, WORKS, Layout
-from bayesftc.controllers.switching.bank.outages import make_keep, make_outage, make_restore
+from bayesftc.controllers.switching.bank.outages import make_keep, make_restore
 from bayesftc.controllers.switching.bank.samples import make_conclude, make_learn_sensors, make_summarise, make_weigh
 from bayesftc.controllers.switching.bank.time import make_pass_time
+from bayesftc.controllers.switching.outages import make_outage
 from bayesftc.controllers.switching.sensor_kernels import failed, use_trust
 
 
@@ -55,17 +56,17 @@ def make_infer(
     conclude, summarise, learn_sensors = make_conclude(layout), make_summarise(layout), make_learn_sensors(layout)
     m, p, sensor, width, faults = layout.m, layout.p, layout.sensor, layout.width, layout.faults
     count, first, actuator = m * layout.sensor, layout.actuators, layout.actuator
-    outages, outage, keep, restore = layout.outages, make_outage(layout), make_keep(layout), make_restore(layout)
+    outages, keep, restore = layout.outages, make_keep(layout), make_restore(layout)
+    outage = make_outage(sensor, layout.row, width, layout.drops)
 
     def infer(sample, trust, belief, model, actuators, learning, reach):
         memory, settings = learning.memory, learning.settings
         if outages:
             keep(memory)
-        out = outage(sample, memory, settings) if outages else 0.0 * memory[count]
         pass_time(sample, model, memory[count] < 0.5, belief.covariance, reach[0], actuators.applied, memory, settings)
         weigh(sample, model.C, memory, settings)
         if outages:
-            restore(out, memory)
+            restore(outage(sample, memory, settings), memory)
         conclude(belief, memory, settings)
         summarise(memory, settings)
         learn_sensors(sample, memory, settings)

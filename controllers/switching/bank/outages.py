@@ -1,4 +1,4 @@
-"""Outages in a bank of hypotheses: steps without any sample, as of a logger, which say nothing about sensors and plant."""
+"""Outages in a bank of hypotheses: of what a step without any sample has concluded, only the predictions remain."""
 
 from __future__ import annotations
 
@@ -7,31 +7,7 @@ from functools import cache
 
 from bayesftc.controllers.switching.bank.hypothesis import STATE
 from bayesftc.controllers.switching.bank.layout import Layout
-from bayesftc.controllers.switching.mode_kernels import WEIGHT
-from bayesftc.controllers.switching.sensor_kernels import FIRST, MISSING
-from bayesftc.cosim.ops import both, maximum, select
-
-
-@cache
-def make_outage(layout: Layout) -> Callable[..., float]:
-    """Return the step function for whether a step is an outage (1, else 0).
-
-    No sensor has a sample, also not those, two or more, which send most of the time and have not dropped out before.
-    """
-    m, sensor, row, width, drops = layout.m, layout.sensor, layout.row, layout.width, layout.drops or (0,)
-    count = len(layout.drops)
-
-    def outage(sample, memory, settings):
-        sampled, silent = 0.0 * sample.nominal[0, 0], 0.0 * sample.nominal[0, 0]
-        for i in range(m):
-            dropped = 0.0 * sampled
-            for k in range(count):
-                dropped = dropped + memory[i * sensor + FIRST + drops[k] * width + WEIGHT]
-            sampled = maximum(sampled, sample.present[i])
-            silent = silent + select(both(settings[i * row + MISSING] < 0.5, dropped < 0.5), 1.0, 0.0)
-        return select(both(sampled < 0.5, silent > 1.5), 1.0, 0.0)
-
-    return outage
+from bayesftc.cosim.ops import select
 
 
 @cache

@@ -143,9 +143,8 @@ def changes(y: Floats, noise: Sequence[float]) -> dict[int, Change]:
         return {}
     found = {}
     for i in moved:
-        of_rest = [
-            pair for pair in apart if i in pair and rest.intersection(pair)
-        ]  # another moved sensor tells no size
+        # Another moved sensor does not tell the size.
+        of_rest = [pair for pair in apart if i in pair and rest.intersection(pair)]
         if not of_rest:
             continue
         pair = max(of_rest, key=lambda pair: apart[pair].explained)
