@@ -161,4 +161,4 @@ def test_a_brief_pause_does_not_end_an_alarm_of_one_kind():
 
 
 def test_the_text_below_the_list_names_the_longest_pause_within_an_alarm():
-    assert f"at most {HOLD:g} s, or of at most {HOLD_SAMPLES} samples" in FINDINGS_REMARK
+    assert f"up to {HOLD:g} s, or of {HOLD_SAMPLES} samples if these last longer, does not end" in FINDINGS_REMARK
