@@ -23,7 +23,7 @@ MOST_SETS = 3
 """Largest number of sets: two separate one faulty sensor from a wrong model, three separate two."""
 
 LONGEST_REST = 300
-"""Samples within which an observer must forget its initial state; a slower one gets some process noise on every state."""
+"""Samples within which an observer must forget its initial state; a slower one gets a fading memory."""
 
 FORGOTTEN = 0.02
 """Share of the initial error that may remain when an observer's innovations begin to count."""
@@ -114,22 +114,29 @@ def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats,
     """Return the gain K, the root of the innovations' covariance, the process covariance, and the samples to forget the start.
 
     None if no filter has a steady state. A mode that neither decays nor has noise (a position that only drifts) would be
-    remembered for ever. All states then get as little noise as suffices. It does not help against a slow mode that the sensors do
-    not see, but would hide errors of the others.
+    remembered for ever. The filter then has a fading memory, no shorter than needed: what it knows counts a little less with each
+    sample, whatever the units of the states (Anderson and Moore, Optimal Filtering, 1979, section 6.2). It does not help against
+    a slow mode that the sensors do not see, but would hide errors of the others.
     """
-    size = max(float(np.trace(Q)) / len(A), 1e-12)
     best: tuple[Floats, Floats, Floats, int] | None = None
     hopeless = _remembers(A, C)
-    for more in (0.0, *(10.0**k for k in range(-8, 3))):
+    for rests in (
+        np.inf,
+        1.9,
+        1.0,
+    ):  # the second forgets, within one rest, modes without any noise; the third all others
+        slowest = FORGOTTEN ** (1.0 / (rests * LONGEST_REST))  # no pole of the filter with this memory is slower
+        faded = A / slowest
         try:
-            noise = Q + more * size * np.eye(len(A))
-            P = steady_prediction(A, C, noise, R)
+            P = steady_prediction(faded, C, Q, R)
             S = C @ P @ C.T + R
             root, gain = np.linalg.cholesky(S), np.linalg.solve(S, C @ P).T
         except (ModelError, np.linalg.LinAlgError):  # the second where P is so large that R is lost in the rounding
             continue
-        slowest = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
-        settling = int(np.ceil(np.log(FORGOTTEN) / np.log(slowest))) if slowest > 0.0 else 1
+        after = faded @ (P - gain @ C @ P) @ faded.T
+        noise = Q + (1.0 - slowest**2) * (after + after.T) / 2.0  # an ordinary filter with this noise has the same gain
+        pole = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
+        settling = int(np.ceil(np.log(FORGOTTEN) / np.log(pole))) if pole > 0.0 else 1
         best = np.asarray(gain), np.asarray(root), noise, max(settling, 1)
         if hopeless or settling <= LONGEST_REST:
             break

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.linalg import solve_discrete_are
 
 from bayesftc import controllers
 from bayesftc.controllers.estimation import observers as observer_module
@@ -47,3 +49,33 @@ def test_an_unseen_slow_mode_does_not_dull_what_is_seen():
         z = A @ z + bank.gain[0] @ e
         x = A @ x + np.array([0.0, 1e-2, 1e-3]) * rng.standard_normal(3)
     assert np.var(white) == pytest.approx(1.0, abs=0.1)
+
+
+@settings(max_examples=20)
+@given(length=st.floats(-6.0, 6.0), speed=st.floats(-6.0, 6.0), driven=st.booleans())
+def test_the_units_of_states_and_sensors_change_nothing(length, speed, driven):
+    """A slide that nothing but its control disturbs, by precise encoders: noise of one size for all states hid all errors."""
+    A, B = np.array([[1.0, 0.02], [0.0, 0.999]]), np.array([[0.0], [0.02]])
+    Q = 1e-16 * B @ B.T if driven else np.zeros((2, 2))
+    there = np.diag([10.0**length, 10.0**speed])
+    back, R = np.linalg.inv(there), 1e-10
+    C = np.array([[1.0, 0.0], [1.0, 0.0]])
+    plain = observers(controllers.LinearModel(A, B, C, Q, R, dt=0.02))
+    size = there[0, 0]
+    in_units = observers(
+        controllers.LinearModel(there @ A @ back, there @ B, size * C @ back, there @ Q @ there, R * size**2, dt=0.02)
+    )
+    assert plain.settling <= observer_module.LONGEST_REST
+    assert abs(in_units.settling - plain.settling) <= 1
+    np.testing.assert_allclose(in_units.whiten * size, plain.whiten, rtol=1e-4)
+    np.testing.assert_allclose(back @ in_units.noise @ back, plain.noise, rtol=1e-2, atol=1e-3 * plain.noise.max())
+    assert 0.9 < plain.whiten[0, 0, 0] * 1e-5 <= 1.0  # the innovations hardly exceed the sensors' own noise
+
+
+def test_a_fading_memory_is_an_ordinary_filter_with_more_noise():
+    model = controllers.LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.1]], [[1.0, 0.0]], 1e-14, 0.01, dt=0.1)
+    bank = observers(model)
+    P = solve_discrete_are(model.A.T, model.C.T, bank.noise[0], model.matrix("sensor_covariance"))
+    S = model.C @ P @ model.C.T + 0.01
+    np.testing.assert_allclose(bank.correction[0], P @ model.C.T / S, rtol=1e-6)
+    np.testing.assert_allclose(bank.whiten[0], 1.0 / np.sqrt(S), rtol=1e-6)
