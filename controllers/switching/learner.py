@@ -264,6 +264,7 @@ class SwitchingPrecision(PrecisionLearner):
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         mode_settings = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
         bank = self._has_bank(model)
+        among = sum(begin for mode, begin in zip(self.modes, begins, strict=True) if bank or not mode.joint_only)
         units = self.offset_units(model) / np.diag(model.matrix("sensor_covariance"))
         first = [first_of(mode)[: 2 if bank and mode.own_hypothesis else None] for mode in self.modes]
         width = TRUST + max(map(len, first))
@@ -278,7 +279,8 @@ class SwitchingPrecision(PrecisionLearner):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 if isinstance(mode, Offset):
                     values = np.concatenate([values[:OFFSET_VARIANCES] * units[i], values[OFFSET_VARIANCES:]])
-                block = [begin, 1.0 - end, end, arrives, 1.0 - arrives, *values]
+                remains = 1.0 - (among - begin)  # no other mode replaces it
+                block = [begin, remains * (1.0 - end), remains * end, arrives, 1.0 - arrives, *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):

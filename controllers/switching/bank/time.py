@@ -46,7 +46,14 @@ from bayesftc.controllers.switching.bank.merges import (
 from bayesftc.controllers.switching.bank.onsets import make_begin, make_merge_onsets
 from bayesftc.controllers.switching.bank.starts import make_settle
 from bayesftc.controllers.switching.mode_kernels import expected_jump
-from bayesftc.controllers.switching.sensor_kernels import ENDS, FIRST_SETTINGS, LEAST, OWN_SETTINGS, held
+from bayesftc.controllers.switching.sensor_kernels import (
+    ENDS,
+    FIRST_SETTINGS,
+    LASTS,
+    LEAST,
+    OWN_SETTINGS,
+    held,
+)
 from bayesftc.cosim.ops import maximum, minimum, select
 
 EXPIRES = 0.02
@@ -153,6 +160,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
                     describe(memory, at, i, kinds[q])
                 move(memory, at, n, 1, 1, Onset(0.0, jump + slope, slope, slope, walk), moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
+                memory[at] = memory[at] * (settings[row + LASTS] + settings[row + ENDS])
                 ends = settings[row + ENDS]
                 if jumps[q]:
                     early = settings[haste] * measurable(memory, at, n, C, nominal)
@@ -182,6 +190,7 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
                         pass_other(memory, at + kept + j * sensor, settings, j * row_length)
                 move(memory, at, n, 0, 0, NO_OFFSET, moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
+                memory[at] = memory[at] * (settings[row + LASTS] + settings[row + ENDS])
                 early = settings[haste] * measurable(memory, at, n, C, nominal)
                 collect(memory, at, ended(settings[row + ENDS], memory[at + OFFSET_AGE], early), i)
 
@@ -209,6 +218,9 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
             for j in range(m):
                 if judged[h * m + j] == BY_MODES:
                     pass_other(memory, at + kept + j * sensor, settings, j * row_length)
+                else:
+                    of_sensor = j * row_length + common
+                    memory[at] = memory[at] * (settings[of_sensor + LASTS] + settings[of_sensor + ENDS])
             walk = settings[row + OWN_SETTINGS + 2] * nominal[i, i]
             move(memory, at, n, 1, 0, Onset(0.0, 0.0, 0.0, 0.0, walk), moving, places)
             memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
