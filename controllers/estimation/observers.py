@@ -120,12 +120,8 @@ def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats,
     """
     best: tuple[Floats, Floats, Floats, int] | None = None
     hopeless = _remembers(A, C)
-    for rests in (
-        np.inf,
-        1.9,
-        1.0,
-    ):  # the second forgets, within one rest, modes without any noise; the third all others
-        slowest = FORGOTTEN ** (1.0 / (rests * LONGEST_REST))  # no pole of the filter with this memory is slower
+    for rests in (np.inf, 1.5, 1.0):  # poles of modes that hardly decay are twice as far from 1 as this memory's
+        slowest = FORGOTTEN ** (1.0 / (rests * LONGEST_REST))  # no pole of the filter is slower
         faded = A / slowest
         try:
             P = steady_prediction(faded, C, Q, R)

@@ -7,7 +7,7 @@ The backward pass corrects the filtered probabilities of a sensor's mode by thos
 from bayesftc.cosim.ops import square
 
 _TABLE, _TABLES = "float64[:, ::1]", "float64[:, :, ::1]"
-SMOOTH = f"void({_TABLES}, float64[::1], float64[::1], {_TABLES}, {_TABLES}, {_TABLE})"
+SMOOTH = f"void({_TABLES}, {_TABLE}, {_TABLES}, {_TABLES}, {_TABLE})"
 OFFSETS = (
     f"void({_TABLES}, {_TABLES}, {_TABLE}, {_TABLE}, float64[::1], int64, float64, float64, float64, float64[::1])"
 )
@@ -18,22 +18,23 @@ ONSETS, RECOVERIES, HEALTHY, FAULTY = range(4)
 """Counts of each mode: onsets, recoveries, and samples before which the sensor was healthy or in the mode."""
 
 
-def smooth(filtered, begins, ends, begun, lasts, counts):
+def smooth(filtered, chances, begun, lasts, counts):
     """Count how often each mode begins and ends, and how long it lasts.
 
     Parameters
     ----------
     filtered : array, steps x sensors x (1 + modes)
         Probability of each mode given the samples so far, healthy first.
-    begins, ends : array
-        Probabilities per sample of each mode.
+    chances : array, 3 x modes
+        Probabilities per sample that each mode begins, lasts and ends.
     begun, lasts : array, steps x sensors x modes
         Written: the probability given all samples that a mode begins with this sample; and that a present mode lasts to the next
         sample.
     counts : array, 4 x modes
         Increased by the expected counts.
     """
-    steps, sensors, modes = filtered.shape[0], filtered.shape[1], begins.shape[0]
+    steps, sensors, modes = filtered.shape[0], filtered.shape[1], chances.shape[1]
+    begins, stay, ends = chances[0], chances[1], chances[2]
     stays = 1.0
     for k in range(modes):
         stays -= begins[k]
@@ -54,8 +55,8 @@ def smooth(filtered, begins, ends, begun, lasts, counts):
             sound = was * stays * healed
             for k in range(modes):
                 p = filtered[t - 1, i, 1 + k]
-                factor = begun[0, i, k] / (was * begins[k] + p * (1.0 - ends[k]))
-                new, old, over = was * begins[k] * factor, p * (1.0 - ends[k]) * factor, p * ends[k] * healed
+                factor = begun[0, i, k] / (was * begins[k] + p * stay[k])
+                new, old, over = was * begins[k] * factor, p * stay[k] * factor, p * ends[k] * healed
                 begun[t, i, k] = new
                 lasts[t - 1, i, k] = old / (old + over) if old + over > 0.0 else 0.0
                 begun[0, i, k] = old + over

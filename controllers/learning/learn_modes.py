@@ -253,10 +253,10 @@ def _expect(
     smooth, offsets, scatter = _passes(len(y) > SHORT if compiled is None else compiled)
     begun, lasts = np.empty((2, *y.shape, len(modes)))
     counts, sizes = np.zeros((kernels.FAULTY + 1, len(modes))), np.zeros((len(modes), 3))
-    smooth(
-        filtered, np.array([step / m.time_to_fault for m in modes]), np.array([step / m.time_to_recovery for m in modes]),
-        begun, lasts, counts,
-    )  # fmt: skip
+    begins = np.array([step / m.time_to_fault for m in modes])
+    alone = np.array([m.alone(begins.sum() - begin) for m, begin in zip(modes, begins, strict=True)])
+    ends = np.array([step / m.time_to_recovery for m in modes])
+    smooth(filtered, np.stack([begins, alone * (1.0 - ends), alone * ends]), begun, lasts, counts)
     for k, mode in enumerate(modes):
         if isinstance(mode, Offset):
             squares = (float(size) * float(size) for size in (mode.jump, mode.slope, mode.walk))

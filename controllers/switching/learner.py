@@ -66,8 +66,9 @@ class SwitchingPrecision(PrecisionLearner):
 
     A sensor has ``P(healthy) + sum_k P(mode k) trust_k`` of its nominal precision. ``trust_k`` is 0 for a frozen sensor or one
     with an offset, and learned for a noisier one (that mode is the paper's learner). At each sample the modes first begin and
-    end. Then each mode gives the log density of the sample, so that no mode is lost. What a mode has learned about its fault is
-    merged with the prior of a fault that has just begun, as in an interacting-multiple-model filter.
+    end; a faulty sensor may fail anew as often as a healthy one (`FaultMode.alone`). Then each mode gives the log density of the
+    sample, so that no mode is lost. What a mode has learned about its fault is merged with the prior of a fault that has just
+    begun, as in an interacting-multiple-model filter.
 
     The model's standard deviations of sensors are a first guess. The noise of each sensor is learned while it is healthy, by a
     gamma distribution of its precision, and ``precision`` and ``R`` follow it (`noise_factor`). The share of samples that a
@@ -264,7 +265,7 @@ class SwitchingPrecision(PrecisionLearner):
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         mode_settings = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
         bank = self._has_bank(model)
-        among = sum(begin for mode, begin in zip(self.modes, begins, strict=True) if bank or not mode.joint_only)
+        failing = sum(begin for mode, begin in zip(self.modes, begins, strict=True) if bank or not mode.joint_only)
         units = self.offset_units(model) / np.diag(model.matrix("sensor_covariance"))
         first = [first_of(mode)[: 2 if bank and mode.own_hypothesis else None] for mode in self.modes]
         width = TRUST + max(map(len, first))
@@ -279,8 +280,8 @@ class SwitchingPrecision(PrecisionLearner):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 if isinstance(mode, Offset):
                     values = np.concatenate([values[:OFFSET_VARIANCES] * units[i], values[OFFSET_VARIANCES:]])
-                remains = 1.0 - (among - begin)  # no other mode replaces it
-                block = [begin, remains * (1.0 - end), remains * end, arrives, 1.0 - arrives, *values]
+                alone = mode.alone(failing - begin)
+                block = [begin, alone * (1.0 - end), alone * end, arrives, 1.0 - arrives, *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):

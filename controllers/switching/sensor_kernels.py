@@ -21,8 +21,8 @@ The settings of a sensor are from ``row`` on:
 - `KEEPS`, `SHAPE0`, `LEAST_NOISE`, `MOST_NOISE`: forgetting factor, prior shape, and bounds of its noise.
 - `WIDTH`, `REPEATS0`, `SAMPLES0`, `MOST_REPEATS`: the resolution, the expected numbers of repetitions and of samples, and the
   largest share of repetitions that is learned.
-- From `FIRST_SETTINGS` on a block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS` (if neither, another one
-  replaces it), that a sample arrives and is missing, and the mode's own settings.
+- From `FIRST_SETTINGS` on a block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and
+  is missing, and the mode's own settings. If it neither lasts nor ends, a second fault begins (`FaultMode.alone`).
 
 Probabilities are combined with log densities relative to the largest density, so that no mode is lost, however improbable a
 sample is: a probability is at least `LEAST`, and the relative density has a far smaller lower limit.
@@ -58,19 +58,15 @@ def held(e, variance):
 
 
 def pass_mode(memory, block, healthy, settings, row):
-    """Apply the transitions of one sample to a mode; return the increase of the probability of healthy.
-
-    A mode begins as often while another one is there, which it replaces. Otherwise a fault that changes nothing, as an offset
-    of nearly zero, would become more probable with each sample at which a healthy sensor might have failed, and did not.
-    """
+    """Apply the transitions of one sample to a mode; return the increase of the probability of healthy."""
     ended = memory[block + WEIGHT] * settings[row + ENDS]
-    begun = maximum(1.0 - memory[block + WEIGHT], 0.0) * settings[row + BEGINS]
+    begun = healthy * settings[row + BEGINS]
     weight = memory[block + WEIGHT] * settings[row + LASTS] + begun
     entered = begun / weight
     memory[block + WEIGHT] = weight
     memory[block + ENTERED] = entered
     memory[block + AGE] = (1.0 - entered) * (memory[block + AGE] + 1.0)
-    return ended - healthy * settings[row + BEGINS]
+    return ended - begun
 
 
 def learn_noise(squared, sound, memory, at, settings, row):

@@ -63,6 +63,14 @@ TELLING = 9.0
 """Squared common offset, in units of its variance, from which on it counts as an offset."""
 
 
+def alone(settings, row):
+    """Return the probability that no other fault begins on a sensor with a fault of this row.
+
+    A hypothesis of two faults of one sensor would be too improbable to follow, but as often true as of one on a healthy sensor.
+    """
+    return settings[row + LASTS] + settings[row + ENDS]
+
+
 @cache
 def make_pass_time(
     layout: Layout, pass_alone: Callable[..., None], pass_other: Callable[..., None]
@@ -160,7 +168,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
                     describe(memory, at, i, kinds[q])
                 move(memory, at, n, 1, 1, Onset(0.0, jump + slope, slope, slope, walk), moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-                memory[at] = memory[at] * (settings[row + LASTS] + settings[row + ENDS])
+                memory[at] = memory[at] * alone(settings, row)
                 ends = settings[row + ENDS]
                 if jumps[q]:
                     early = settings[haste] * measurable(memory, at, n, C, nominal)
@@ -190,7 +198,7 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
                         pass_other(memory, at + kept + j * sensor, settings, j * row_length)
                 move(memory, at, n, 0, 0, NO_OFFSET, moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
-                memory[at] = memory[at] * (settings[row + LASTS] + settings[row + ENDS])
+                memory[at] = memory[at] * alone(settings, row)
                 early = settings[haste] * measurable(memory, at, n, C, nominal)
                 collect(memory, at, ended(settings[row + ENDS], memory[at + OFFSET_AGE], early), i)
 
@@ -219,8 +227,7 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
                 if judged[h * m + j] == BY_MODES:
                     pass_other(memory, at + kept + j * sensor, settings, j * row_length)
                 else:
-                    of_sensor = j * row_length + common
-                    memory[at] = memory[at] * (settings[of_sensor + LASTS] + settings[of_sensor + ENDS])
+                    memory[at] = memory[at] * alone(settings, j * row_length + common)
             walk = settings[row + OWN_SETTINGS + 2] * nominal[i, i]
             move(memory, at, n, 1, 0, Onset(0.0, 0.0, 0.0, 0.0, walk), moving, places)
             memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0

@@ -54,6 +54,7 @@ def enumerated(y, modes, loss):
     """Return the density of all samples, and for each mode the mean numbers of onsets, recoveries, healthy and faulty steps."""
     enter, leave = ([STEP / getattr(mode, f"time_to_{what}") for mode in modes] for what in ("fault", "recovery"))
     T = np.array([[1 - sum(enter), *enter], [leave[0], 1 - leave[0], 0], [leave[1], 0, 1 - leave[1]]])
+    T[1:] *= 1 - np.array(enter[::-1])[:, None]  # while no second fault begins
     told, counts, total = list(densities(y, modes, loss)), np.zeros((4, 2)), 0.0
     for sequence in product(range(3), repeat=len(y)):
         path = (0, *sequence)
@@ -212,7 +213,8 @@ def test_the_pass_backward_is_one_of_probabilities():
     filtered = rng.dirichlet([5.0, 1.0, 0.5], (50, 3))
     begun, lasts = np.empty((2, 50, 3, 2))
     counts = np.zeros((4, 2))
-    smooth(filtered, np.array([0.01, 0.02]), np.array([0.1, 0.05]), begun, lasts, counts)
+    chances = np.array([[0.01, 0.02], [0.9, 0.94], [0.09, 0.05]])
+    smooth(filtered, chances, begun, lasts, counts)
     np.testing.assert_allclose(counts[2] + counts[3].sum(), 150.0, rtol=1e-12)
     np.testing.assert_allclose(counts[0] - counts[1], filtered[-1, :, 1:].sum(axis=0), rtol=1e-9)
     assert ((lasts >= 0) & (lasts <= 1)).all()

@@ -72,9 +72,8 @@ def enumerated(y, variance, modes, loss):
     frozen, dropped = modes
     enter = [STEP / mode.time_to_fault for mode in modes]
     leave = [STEP / mode.time_to_recovery for mode in modes]
-    T = np.array([[1 - sum(enter), *enter], [0, 0, enter[1]], [0, enter[0], 0]])  # a fault may replace another one
-    for k in (1, 2):
-        T[k, [0, k]] = (1 - T[k].sum()) * np.array([leave[k - 1], 1 - leave[k - 1]])
+    T = np.array([[1 - sum(enter), *enter], [leave[0], 1 - leave[0], 0], [leave[1], 0, 1 - leave[1]]])
+    T[1:] *= 1 - np.array(enter[::-1])[:, None]  # while no second fault begins
     width, dither = 1e-9 * np.sqrt(variance), 2 * frozen.dither**2 * variance
     last, evidence = np.nan, []
     for value in y:
@@ -118,10 +117,11 @@ def test_a_missing_sample_tells_nothing_but_that_it_is_missing():
     modes = (Offset(10.0, 5.0), Noisier(10.0, 5.0), Frozen(10.0, 5.0))
     rows = np.column_stack([[20.3, 22.5, 17.9, 22.6, np.nan, np.nan, np.nan]] * 2)
     said = [p[0] for p, *_ in learned(SwitchingPrecision(modes, loss=0.3), rows)]
-    before, enter, leave = said[3], STEP / 10.0, STEP / 5.0
+    before, enter, leave, alone = said[3], 3 * STEP / 10.0, STEP / 5.0, 1 - 2 * STEP / 10.0
     assert 0.01 < before < 0.99
     for now in said[4:]:
-        before = before * (1 - leave * (1 - 2 * enter)) + (1 - before) * 3 * enter
+        whole = before * alone + 1 - before  # while no second fault begins
+        before = (before * alone * (1 - leave) + (1 - before) * enter) / whole
         assert now == pytest.approx(before, rel=1e-9)
 
 
@@ -137,13 +137,11 @@ def test_in_an_outage_of_all_sensors_only_time_passes():
     )
     outs = [step(y=row) for row in rows]
     fails, recovers = STEP / 10.0, STEP / 5.0
+    T = np.array([[1 - 2 * fails, fails, fails], [recovers, 1 - recovers, 0], [recovers, 0, 1 - recovers]])
+    T[1:] *= 1 - fails  # while no second fault begins
     for before, now in pairwise(out.mode_probability for out in outs[39:45]):
-        healthy, *faulty = now.T
-        recovered = (1 - before[:, 0]) * recovers * (1 - fails)
-        np.testing.assert_allclose(healthy, before[:, 0] * (1 - 2 * fails) + recovered, rtol=1e-9)
-        stays = before[:, 1:].T * (1 - recovers) * (1 - fails)  # else the other fault replaces it
-        np.testing.assert_allclose(faulty, stays + (1 - before[:, 1:].T) * fails, rtol=1e-9, atol=1e-9)
-    assert outs[44].log_density == pytest.approx(0.0, abs=1e-15)
+        np.testing.assert_allclose(now, before @ T / (before @ T).sum(axis=1)[:, None], rtol=1e-9, atol=1e-9)
+    assert outs[44].log_density == pytest.approx(np.log((before @ T).sum(axis=1)).sum(), rel=1e-6)
     assert outs[45].mode_probability[0, 1] > 0.99
     assert outs[45].fault_size[0] == pytest.approx(8.0, abs=1.0)
     assert outs[59].mode_probability[1, 2] > 0.99
