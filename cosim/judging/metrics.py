@@ -2,7 +2,7 @@
 
 A figure is NaN if it is not defined (no fault, no detection, no probability), never an invented 0 or 1. It is also NaN if an
 estimate, a true value or a probability in it is not finite, so that a run that diverges cannot look good. The detection figures
-follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds and with alarms that last:
+follow river's ``drift/evaluate.py`` (delay, misses, blame of healthy sensors), in seconds and with alarms that last:
 
 - a *fault* is an unbroken sequence of samples in which it is present. An *alarm* is a sample with a probability of at least 0.5.
   For a controller without probabilities, it is a sample at which the controller reports a detected fault;
@@ -10,8 +10,9 @@ follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds a
   a detector. It counts in none of the figures below. A fault whose samples are all missing is *seen as missing*, neither
   detected nor missed;
 - a fault is *missed* if no sample of it has an alarm; else its *delay* is the time from its first sample to its first alarm;
-- the *false-alarm rate* is the share of the fault-free samples with an alarm, also directly after a fault, while the posterior
-  still returns;
+- a sensor is *blamed while healthy* in a fault-free sample with an alarm. The share of these samples (`false_alarm_rate`) counts
+  also those directly after a fault, while the posterior still returns, and those of an alarm that began during the fault and
+  was right. It is not the number of false alarms of `bayesftc.cosim.judging.alarms`, which begin without a fault;
 - the *AUC* is the probability that a sample with the fault has a higher score than a sample without it (equal scores count
   half). The score is the fault probability, or beta if there is no probability. The AUC needs no calibration.
 """
@@ -64,7 +65,7 @@ class Detection:
     delay : float
         Mean delay of the detected faults, in seconds.
     false_alarm_rate : float
-        Share of fault-free samples with an alarm.
+        Share of the fault-free samples in which the sensor is blamed.
     auc : float
         Area under the receiver operating characteristic.
     ranked_by : str or None
