@@ -16,7 +16,7 @@ from bayesftc.controllers.precision.gamma import GammaPrecision
 from bayesftc.controllers.precision.rate import Calibration, RateLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.base.announcing import reported
-from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.base.numbers import reals, short
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.judging.metrics import NAN
@@ -176,7 +176,7 @@ def calibrate(
     ModelError
         If the learner has no rate, the loop is unstable, or the run is too short or without faults. For a learner that gives a
         probability itself nothing is fitted. ``bayesftc calibrate`` measures its probability on such a run, and
-        `cosim.reliability` measures it on runs of your own.
+        `bayesftc.cosim.reliability` measures it on runs of your own.
 
     Examples
     --------
@@ -332,10 +332,10 @@ def simulated_sizes(model: LinearModel, magnitudes: Mapping[str, float | Sequenc
 
 
 def _for_each_sensor(name: str, given: float | Sequence[float], sensors: int) -> list[float]:
-    sizes = np.atleast_1d(np.asarray(given, dtype=np.float64))
-    if sizes.shape not in {(1,), (sensors,)}:
+    sizes = reals(given)
+    if sizes.shape not in {(), (sensors,)}:
         raise ModelError(
-            f"calibrate has {sizes.size} sizes of {name!r} for {sensors} sensors. Give one for all sensors, or one for each."
+            f"calibrate has {name}={brief(given)} for {sensors} sensors; give one number, or one for each."
         )
     return np.broadcast_to(sizes, sensors).tolist()  # type: ignore[no-any-return]
 

@@ -124,7 +124,7 @@ def test_each_sensor_has_sizes_in_its_own_noise_or_its_own_number(tmp_path):
     assert "jumps by 2.5, 5 (sensors 0 to 1) or drifts by 5 sd of its noise a second." in said
     refused = RUNNER.invoke(app, [*options, "--drift", "1", "--drift", "2", "--drift", "3"])
     assert refused.exit_code == 9
-    assert "has 3 sizes of 'drift' for 2 sensors. Give one for all sensors, or one for each." in refused.output
+    assert "has --drift [1.0, 2.0, 3.0] for 2 sensors; give one number, or one for each." in refused.output
 
 
 def test_help_says_that_nothing_is_fitted_with_the_default_learner():

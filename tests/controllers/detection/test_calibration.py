@@ -156,7 +156,14 @@ def test_reproducible():
     [
         ({"steps": 100}, "give at least 5000"),
         ({"precision": controllers.SERFDI()}, "SERFDI.* has no rate.*: GammaPrecision or .*VariationalBayesKF"),
-        ({"magnitudes": {"injection": [1.0, 2.0, 3.0]}}, "has 3 sizes of 'injection' for 2 sensors. Give one"),
+        (
+            {"magnitudes": {"injection": [1.0, 2.0, 3.0]}},
+            r"has injection=\[1.0, 2.0, 3.0\] for 2 sensors; give one number, or",
+        ),
+        (
+            {"magnitudes": {"drift": "fast"}},
+            "has drift='fast' for 2 sensors; give one number, or one for each",
+        ),
         ({"magnitudes": {"jump": 1.0}}, "has the unknown magnitude 'jump'"),
         ({"hazards": (2.8, 0.01)}, "mean_time_to_recovery=0.01, but a step of the model takes .* at least 0"),
         ({"hazards": (float("inf"), 0.4)}, "mean_time_to_fault=inf.* Give a finite number"),

@@ -27,6 +27,8 @@ OPTIONS = {
     "mean_time_to_fault": "--time-to-fault",
     "mean_time_to_recovery": "--time-to-recovery",
     "steps": "--steps",
+    "injection": "--injection",
+    "drift": "--drift",
 }
 """Arguments of `bayesftc.controllers.calibrate` that its errors name, and their options."""
 
@@ -68,7 +70,8 @@ def calibrate(
     is fitted on the rest, and printed as a line of TOML. For one that gives a probability itself, as the default learner does,
     nothing is fitted.
     """
-    magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size}
+    lists = {name: sizes for name, sizes in {"injection": injection, "drift": drift}.items() if sizes}
+    magnitudes = {name: sizes[0] if len(sizes) == 1 else sizes for name, sizes in lists.items()}
     if out is not None:
         output.check_folder(out, (DIAGRAM, NUMBERS), silent=True)
     loaded = load_scenario(scenario)
