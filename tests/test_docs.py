@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tomllib
 import unicodedata
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -17,7 +17,9 @@ import readme
 import repository_files
 
 from bayesftc import controllers, cosim, fmus, monitoring
+from bayesftc.cosim.judging import metrics
 from bayesftc.fmus._compiler import why_no_compiler
+from bayesftc.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parents[1]
 MADE = {"project", "api"}
@@ -332,6 +334,36 @@ def test_exit_codes_are_distinct_and_documented():
     assert len({kind.exit_code for kind in kinds}) == len(kinds)
     for kind in kinds:
         assert re.search(rf"^\| {kind.exit_code} \|.*`{kind.__name__}` \|$", text, re.M), kind.__name__
+
+
+COLUMNS = r"```\{columns\} (\S+)\n:prefix: (\S+)\n:rows: (\S+)\n```"
+"""A table of the page of columns of results: its record, the beginning of its columns, and the rows with their labels."""
+
+
+def test_each_column_of_results_is_defined_on_their_page():
+    site = pytest.importorskip("file_keys", exc_type=ImportError)
+    text = (ROOT / "docs" / "reference" / "result-columns.md").read_text(encoding="utf-8")
+    (module,) = re.findall(r"```\{definitions\} (\S+)\n```", text)
+    assert "- a sensor is *blamed while healthy* in" in "\n".join(site.definitions(module))
+    lines, labels = [], set()
+    for record, prefix, rows in re.findall(COLUMNS, text):
+        of_rows = site.labels_of(site.thing(rows))
+        lines += site.columns(site.thing(record), prefix, of_rows)
+        labels |= set(of_rows.values())
+    defined = set(re.findall(r"^\| `(\w+\.\w+\.\w+)` \|", "\n".join(lines), re.MULTILINE))
+    loop = load_scenario("cruise_control").loop()
+    found = {re.sub(r"^(\w+)\.(\w+)", _general, name) for name in cosim.LoopFigures().columns(loop)}
+    assert "sensors.N.faults" in found
+    assert found <= defined
+    for record in (metrics.Errors, metrics.Detection, metrics.InputFaults, metrics.ActuatorFaults):
+        for field in fields(record):
+            assert any(f".{field.name}` |" in line or f"| `{field.name}`, only" in line for line in lines), field.name
+    assert labels <= {line.split(" | ")[1] for line in lines if " | " in line}
+
+
+def _general(found):
+    """Return the beginning of a column as the page writes it."""
+    return {"sensors": "sensors.N", "tracking": "tracking.NAME", "belief": "tracking.NAME"}[found[1]]
 
 
 def test_every_public_name_has_a_page_of_the_site():

@@ -16,7 +16,7 @@ from bayesftc.controllers.precision.gamma import GammaPrecision
 from bayesftc.controllers.precision.rate import Calibration, RateLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.base.announcing import reported
-from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.base.numbers import reals, short
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.judging.metrics import NAN
@@ -90,7 +90,7 @@ class CalibrationReport:
     fault_share : float
         Share of faulty samples.
     samples : int
-        Number of samples in the test.
+        Number of samples in the test: those of all sensors in the last fifth of the run.
     reliability : Reliability or None
         The probability's reliability in ten bins of equal width; ``report.reliability.plot()`` draws its diagram.
     calibration_error_interval : tuple of float
@@ -125,7 +125,7 @@ class CalibrationReport:
 def calibrate(
     model: LinearModel,
     hazards: tuple[float, float] | None = None,
-    magnitudes: Mapping[str, float] | None = None,
+    magnitudes: Mapping[str, float | Sequence[float]] | None = None,
     *,
     precision: PrecisionLearner | None = None,
     reference: Block | float | Sequence[Block | float] | None = None,
@@ -148,13 +148,15 @@ def calibrate(
         Mean time to fault and mean time to recovery in seconds; by default those of `Hazards`, and with sample times above 0.1 s
         as many samples as these are with 0.1 s: 28 and 4.
     magnitudes : mapping
-        ``injection`` (constant offset) and ``drift`` (offset per second), in the sensors' units; by default 3 and 5 standard
-        deviations of the first sensor. The drift is as much slower as the faults last longer. Freezes have no magnitude.
+        ``injection`` (constant offset) and ``drift`` (offset per second), in the units of the sensors: a number for all sensors,
+        or a sequence with one for each. By default they are 3 and 5 standard deviations of the noise of each sensor. With sample
+        times above 0.1 s the default drift is slower by the factor by which the faults last longer. Freezes have no magnitude.
     precision : PrecisionLearner, optional
         The learner to calibrate, a `RateLearner`; by default ``GammaPrecision()``. An existing calibration is ignored.
     reference : source, number, or one for each goal, optional
-        By default a sine of five sensor standard deviations over 400 steps. On a constant reference a frozen sensor looks
-        healthier than a healthy one.
+        By default a sine over 400 steps for each goal. Its amplitude is five standard deviations of the best sensor of that goal,
+        or the median of all sensors if none measures the goal. On a constant reference a frozen sensor looks healthier than a
+        healthy one.
     feature : {"log", "linear"}
         Whether the map is linear in log(beta) or in beta.
     steps : int
@@ -173,7 +175,8 @@ def calibrate(
     ------
     ModelError
         If the learner has no rate, the loop is unstable, or the run is too short or without faults. For a learner that gives a
-        probability itself, use `judge_own_probability`.
+        probability itself nothing is fitted. ``bayesftc calibrate`` measures its probability on such a run, and
+        `bayesftc.cosim.reliability` measures it on runs of your own.
 
     Examples
     --------
@@ -218,7 +221,7 @@ def judge(calibration: Calibration, x: Floats, faulty: np.ndarray[Any, np.dtype[
 def judge_own_probability(
     model: LinearModel,
     hazards: tuple[float, float] | None = None,
-    magnitudes: Mapping[str, float] | None = None,
+    magnitudes: Mapping[str, float | Sequence[float]] | None = None,
     *,
     precision: PrecisionLearner,
     reference: Block | float | Sequence[Block | float] | None = None,
@@ -289,7 +292,7 @@ def _simulated(
     output: str,
     model: LinearModel,
     hazards: tuple[float, float] | None,
-    magnitudes: Mapping[str, float],
+    magnitudes: Mapping[str, float | Sequence[float]],
     learner: PrecisionLearner,
     reference: Block | float | Sequence[Block | float] | None,
     steps: int,
@@ -306,24 +309,52 @@ def _simulated(
         raise ModelError(f"calibrate has the unknown magnitude {sorted(unknown)[0]!r}; give 'injection' and 'drift'.")
     hazards = Hazards.usual(model.step) if hazards is None else hazards
     _check_hazards(hazards, model)
-    deviation, sizes = _deviation(model), simulated_sizes(model, magnitudes)
+    sizes = simulated_sizes(model, magnitudes)
     record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
     # The plant's outputs are all its states, of which the sensors may leave some out.
     with reported(f"Simulating {steps} steps with random faults."), noted_elsewhere():
-        loop = _loop(model, hazards, sizes, learner, reference, deviation, controller)
+        loop = _loop(model, hazards, sizes, learner, reference, controller)
         result = loop.simulate(steps * model.step, seed=seed, record=record)
     faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
     return result[record[0]][SKIPPED:], faulty
 
 
-def simulated_sizes(model: LinearModel, magnitudes: Mapping[str, float]) -> dict[str, float]:
-    """Return the sizes of the simulated faults: the given ones, else the defaults of `calibrate`."""
-    deviation = _deviation(model)
-    return {"injection": 3 * deviation, "drift": 5 * deviation / _longer(model.step), **magnitudes}
+def default_sizes(step: Fraction) -> dict[str, float]:
+    """Return the default sizes of the simulated faults, in standard deviations of the noise of each sensor."""
+    return {"injection": 3.0, "drift": 5.0 / _longer(step)}
 
 
-def _deviation(model: LinearModel) -> float:
-    return float(np.sqrt(model.matrix("sensor_covariance")[0, 0]))
+def simulated_sizes(model: LinearModel, magnitudes: Mapping[str, float | Sequence[float]]) -> dict[str, list[float]]:
+    """Return the sizes of the simulated faults of each sensor: the given ones, else the defaults of `calibrate`."""
+    deviations = _deviations(model)
+    sizes = {name: (size * deviations).tolist() for name, size in default_sizes(model.step).items()}
+    return sizes | {name: _for_each_sensor(name, given, model.sensors) for name, given in magnitudes.items()}
+
+
+def _for_each_sensor(name: str, given: float | Sequence[float], sensors: int) -> list[float]:
+    sizes = reals(given)
+    if sizes.shape not in {(), (sensors,)}:
+        raise ModelError(
+            f"calibrate has {name}={brief(given)} for {sensors} sensors; give one number, or one for each."
+        )
+    return np.broadcast_to(sizes, sensors).tolist()  # type: ignore[no-any-return]
+
+
+def _deviations(model: LinearModel) -> Floats:
+    """Return the standard deviation of the noise of each sensor."""
+    return np.sqrt(np.diag(model.matrix("sensor_covariance")))
+
+
+def _default_amplitudes(model: LinearModel, goals: Floats) -> list[float]:
+    """Return the amplitude of the default reference of each goal, a row of `goals`: what it is of the state."""
+    C, deviations = model.matrix("C"), _deviations(model)
+    amplitudes = []
+    for goal in goals:
+        scale = C @ goal / (goal @ goal)  # a sensor that measures the goal has this multiple of it
+        measures = (scale != 0) & np.isclose(C, np.outer(scale, goal), atol=0.0).all(axis=1)
+        of_goal = deviations[measures] / np.abs(scale[measures])
+        amplitudes.append(5.0 * float(of_goal.min() if measures.any() else np.median(deviations)))
+    return amplitudes
 
 
 def _check_hazards(hazards: tuple[float, float], model: LinearModel) -> None:
@@ -338,10 +369,9 @@ def _check_hazards(hazards: tuple[float, float], model: LinearModel) -> None:
 def _loop(
     model: LinearModel,
     hazards: tuple[float, float],
-    sizes: Mapping[str, float],
+    sizes: Mapping[str, Sequence[float]],
     learner: PrecisionLearner,
     reference: Block | float | Sequence[Block | float] | None,
-    deviation: float,
     settings: Mapping[str, Any],
 ) -> Diagram:
     from bayesftc import cosim
@@ -359,19 +389,18 @@ def _loop(
     A, B, C, D = map(as_rows, (model.matrix("A"), model.matrix("B"), np.eye(n), np.zeros((n, p))))
     system = LinearSystem(A, B, C, D, float(model.step), inputs, outputs)  # python-control takes a second to import
     plant = cosim.StateSpace(system, process_noise=model.matrix("process_covariance"), initial=controller.initial_mean)
-    goal: Any = cosim.Sine(amplitude=5 * deviation, period=float(400 * model.step))
     if reference is None:
-        reference = [goal] * controller.goals
-    kinds = (cosim.Freeze(), cosim.Injection(magnitude=sizes["injection"]), cosim.Drift(slope=sizes["drift"]))
+        amplitudes = _default_amplitudes(model, controller.goal_matrix[:, :n])
+        reference = [cosim.Sine(amplitude=each, period=float(400 * model.step)) for each in amplitudes]
     faults = [
         cosim.RandomFaults(
-            kinds=kinds,
+            kinds=(cosim.Freeze(), cosim.Injection(magnitude=injection), cosim.Drift(slope=drift)),
             sensor=i,
             mean_time_to_fault=hazards[0],
             mean_time_to_recovery=hazards[1],
             name=_fault_name(i),
         )
-        for i in range(model.sensors)
+        for i, (injection, drift) in enumerate(zip(sizes["injection"], sizes["drift"], strict=True))
     ]
     sensors = cosim.Sensors(
         count=model.sensors,

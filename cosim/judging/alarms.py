@@ -10,13 +10,14 @@
 - A sample whose score is missing (NaN) is left out, as if it did not exist. A fault without any score counts in no figure.
 
 Rates are per hour of one sensor: two sensors for one hour make two hours. As in `bayesftc.cosim.judging.metrics`, a figure is NaN
-if it is not defined. Intervals assume that faults and false alarms are independent of each other.
+if it is not defined. The intervals of delays and of missed faults assume that faults are independent of each other. Of several
+runs, the interval of the rate of false alarms holds also for alarms in clusters (`Alarms.rate_interval`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ LEVEL = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Alarms:
-    """The alarms of a detector; made by `judge_alarms`. The sum of two pools their records.
+    """The alarms of a detector in one or several runs; made by `judge_alarms` for one. The sum of two is that of all their runs.
 
     The docstring of the module has the definitions.
 
@@ -50,19 +51,21 @@ class Alarms:
         Fault-free time in hours, of all sensors together.
     false_hours : float
         Fault-free time with an alarm.
+    runs : ndarray of shape (runs, 2), optional
+        False alarms and fault-free hours of each run; None if there is only one.
 
     Examples
     --------
     >>> import numpy as np
     >>> from bayesftc import cosim
     >>> rng, faulty = np.random.default_rng(0), np.arange(36000) % 3600 >= 3000  # an hour with ten faults
-    >>> scores = rng.normal(size=(2, 36000)) + 3 * faulty
-    >>> first, second = (cosim.judge_alarms(score, faulty, threshold=4.0, step=0.1) for score in scores)
-    >>> alarms = first + second  # of two records
+    >>> scores = rng.normal(size=(5, 36000)) + 3 * faulty
+    >>> first, *others = (cosim.judge_alarms(score, faulty, threshold=4.0, step=0.1) for score in scores)
+    >>> alarms = sum(others, first)  # of five runs
     >>> alarms.faults, alarms.missed, alarms.delay(0.5), alarms.false_alarms
-    (20, 0, 3.0, 2)
+    (50, 0, 3.0, 6)
     >>> [round(bound, 2) for bound in alarms.rate_interval()]  # false alarms per hour
-    [0.15, 4.33]
+    [0.53, 3.13]
     """
 
     step: float
@@ -70,12 +73,13 @@ class Alarms:
     false_alarms: int
     hours: float
     false_hours: float
+    runs: Floats | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         return short(self, step="s", hours="h", false_hours="h")
 
     def __add__(self, other: Alarms) -> Alarms:
-        """Return the alarms of both records."""
+        """Return the alarms of the runs of both."""
         if not isinstance(other, Alarms):
             return NotImplemented
         if other.step != self.step:
@@ -89,7 +93,11 @@ class Alarms:
             self.false_alarms + other.false_alarms,
             self.hours + other.hours,
             self.false_hours + other.false_hours,
+            np.concatenate([self._of_runs(), other._of_runs()]),
         )
+
+    def _of_runs(self) -> Floats:
+        return np.array([[self.false_alarms, self.hours]]) if self.runs is None else self.runs
 
     @property
     def faults(self) -> int:
@@ -175,7 +183,16 @@ class Alarms:
         return low, float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
 
     def rate_interval(self, level: float = LEVEL) -> tuple[float, float]:
-        """Return the exact confidence interval of the false alarms per hour (Garwood 1936).
+        """Return the confidence interval of the false alarms per hour.
+
+        Of one run, and without a false alarm, it is Garwood's (1936). That one assumes that false alarms are independent of each
+        other (a Poisson process), and is too narrow if they come in clusters. Of several runs it is Garwood's of as many times
+        fewer alarms as the variance of their counts exceeds the mean. Then Student's t over runs widens it. It is never
+        narrower than that of independent alarms.
+
+        In simulations with a variance of 2.5 times the mean (negative binomial counts, and Poisson clusters of geometric size),
+        the 95 % interval contains the rate in 92 to 99 % of the cases with 3 to 40 runs, and in 87 to 98 % with two runs.
+        Garwood's contains it in 77 to 93 %. With independent alarms it is 96 to 99 %.
 
         Parameters
         ----------
@@ -184,11 +201,13 @@ class Alarms:
         """
         from scipy.special import gammaincinv
 
-        k, tail = self.false_alarms, (1.0 - level) / 2
         if not self.hours:
             return NAN, NAN
+        dispersion, wider = _scatter(self._of_runs(), level)
+        k, hours, tail = self.false_alarms / dispersion, self.hours / dispersion, (1.0 - level) / 2
         low = float(gammaincinv(k, tail)) if k else 0.0
-        return low / self.hours, float(gammaincinv(k + 1, 1.0 - tail)) / self.hours
+        high, rate = float(gammaincinv(k + 1, 1.0 - tail)), self.false_alarms_per_hour
+        return max(0.0, rate - wider * (rate - low / hours)), rate + wider * (high / hours - rate)
 
     def to_dict(self) -> dict[str, Any]:
         """Return all figures as plain data for a JSON file, with 95 % intervals; NaN and infinity become None."""
@@ -212,10 +231,27 @@ class Alarms:
         return plain
 
 
+def _scatter(runs: Floats, level: float) -> tuple[float, float]:
+    """Return the dispersion of the false alarms of runs, at least 1, and by how much its own uncertainty widens an interval.
+
+    The dispersion, variance over mean, is Pearson's chi-square over its degrees of freedom (McCullagh and Nelder 1989).
+    It widens as Student's t does beside the normal distribution.
+    """
+    from scipy.special import ndtri, stdtrit
+
+    counts, hours = runs[runs[:, 1] > 0].T
+    if len(counts) < 2 or not counts.sum():
+        return 1.0, 1.0
+    expected = counts.sum() * hours / hours.sum()
+    freedom, upper = len(counts) - 1, 0.5 + level / 2
+    dispersion = float(((counts - expected) ** 2 / expected).sum()) / freedom
+    return (dispersion, float(stdtrit(freedom, upper) / ndtri(upper))) if dispersion > 1.0 else (1.0, 1.0)
+
+
 def judge_alarms(
     score: ArrayLike, faulty: ArrayLike, *, threshold: float, step: float, left_out: ArrayLike | None = None
 ) -> Alarms:
-    """Return the alarms of a detector at a threshold, compared with the faults of a record.
+    """Return the alarms of a detector at a threshold, compared with the faults of a run.
 
     Parameters
     ----------
@@ -263,7 +299,7 @@ def judge_alarms(
     total = pieces[0]
     for piece in pieces[1:]:
         total = total + piece
-    return total
+    return replace(total, runs=None)  # sensors of one run may depend on each other
 
 
 def _of_sensor(score: Floats, faulty: Flags, left_out: Flags, threshold: float, step: float) -> Alarms:

@@ -117,7 +117,10 @@ def plain_findings(signals: LoopSignals) -> list[dict[str, Any]] | None:
 def numbers_of(signals: LoopSignals) -> dict[str, Any]:
     """Return the figures of a run, the controller's lag, units, and findings, as plain data for `tables_of` and files."""
     units = {q.name: q.unit for q in signals.quantities}
-    return {"law": signals.lag, "units": units, **figures(signals).to_dict(), "findings": plain_findings(signals)}
+    step = float(signals.time[1] - signals.time[0]) if len(signals.time) > 1 else None
+    return {
+        "law": signals.lag, "units": units, "step": step, **figures(signals).to_dict(), "findings": plain_findings(signals)
+    }  # fmt: skip
 
 
 def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:

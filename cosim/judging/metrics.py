@@ -2,16 +2,17 @@
 
 A figure is NaN if it is not defined (no fault, no detection, no probability), never an invented 0 or 1. It is also NaN if an
 estimate, a true value or a probability in it is not finite, so that a run that diverges cannot look good. The detection figures
-follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds and with alarms that last:
+follow river's ``drift/evaluate.py`` (delay, misses, blame of healthy sensors), in seconds and with alarms that last:
 
-- a *fault* is an unbroken sequence of samples in which it is present. An *alarm* is a sample with a probability of at least 0.5.
-  For a controller without probabilities, it is a sample at which the controller reports a detected fault;
+- a *fault* is an unbroken sequence of samples in which it is present. A sample has an *alarm* if its probability is at least 0.5.
+  For a controller without probabilities, it has one if the controller reports a detected fault;
 - a *missing* sample (NaN) needs no detector, because the controller leaves it out immediately, and contains no information for
   a detector. It counts in none of the figures below. A fault whose samples are all missing is *seen as missing*, neither
   detected nor missed;
 - a fault is *missed* if no sample of it has an alarm; else its *delay* is the time from its first sample to its first alarm;
-- the *false-alarm rate* is the share of the fault-free samples with an alarm, also directly after a fault, while the posterior
-  still returns;
+- a sensor is *blamed while healthy* in a fault-free sample with an alarm. The share of these samples (`false_alarm_rate`) counts
+  also those directly after a fault, while the posterior still returns, and those of an alarm that began during the fault and
+  was right. It is not the number of false alarms of `bayesftc.cosim.judging.alarms`, which begin without a fault;
 - the *AUC* is the probability that a sample with the fault has a higher score than a sample without it (equal scores count
   half). The score is the fault probability, or beta if there is no probability. The AUC needs no calibration.
 """
@@ -33,7 +34,21 @@ NAN = float("nan")
 
 @dataclass(frozen=True)
 class Errors:
-    """Root-mean-square errors: over the whole run, before the first fault, during faults, and after (or between) faults."""
+    """Root-mean-square errors of a signal, in its unit.
+
+    A fault is here one of any sensor or input of the plant.
+
+    Attributes
+    ----------
+    overall : float
+        Over the whole run.
+    before : float
+        Before the first fault.
+    during : float
+        While at least one fault is present.
+    after : float
+        After the first fault has begun, while none is present: after or between faults.
+    """
 
     overall: float
     before: float
@@ -64,13 +79,15 @@ class Detection:
     delay : float
         Mean delay of the detected faults, in seconds.
     false_alarm_rate : float
-        Share of fault-free samples with an alarm.
+        Share of the fault-free samples in which the sensor is blamed.
     auc : float
         Area under the receiver operating characteristic.
     ranked_by : str or None
         The score of the AUC: ``"fault_probability"`` or ``"beta"``.
-    precision_healthy, precision_faulty : float
-        Mean precision without and with the fault, in one over the unit squared.
+    precision_healthy : float
+        Mean precision without a fault, in one over the unit squared.
+    precision_faulty : float
+        Mean precision with a fault, in one over the unit squared.
     title : str
         What tables call the sensor: its number, and of several quantities the one that it measures.
     """
@@ -130,8 +147,14 @@ class ActuatorFaults:
         Mean fault probability over the run.
     alarm_share : float
         Share of time with an alarm.
-    missed, delay, false_alarm_rate, auc : float
-        Detection of the faults between the control and the plant.
+    missed : float
+        Number of faults between the control and the plant that were missed.
+    delay : float
+        Mean delay of the detected ones, in seconds.
+    false_alarm_rate : float
+        Share of the fault-free samples in which the actuator is blamed.
+    auc : float
+        Area under the receiver operating characteristic of the fault probability.
     kind : str or None
         The mode that was most often the most probable during alarms; None without alarms.
     size : float
@@ -235,7 +258,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
         unit=signals.unit,
         fault_share=_share(faulty),
         missing_share=missing,
-        faults=len(samples_of_faults),
+        faults=float(len(samples_of_faults)),
         seen_as_missing=NAN if signals.missing is None else float(len(samples_of_faults) - len(visible)),
         missed=missed,
         delay=delay,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +40,7 @@ SENSOR_ROWS: Sequence[Row] = (
     ("faults seen as missing samples", "seen_as_missing", "{:.0f}"),
     ("faults missed", "missed", "{:.0f}"),
     ("mean detection delay (s)", "delay", "{:.2f}"),
-    ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
+    ("blamed while healthy (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
     ("AUC", "auc", "{:.3f}"),
     ("mean precision without fault", "precision_healthy", "{:.3g}"),
     ("mean precision in fault", "precision_faulty", "{:.3g}"),
@@ -56,7 +57,7 @@ ACTUATOR_ROWS: Sequence[Row] = (
     ("alarms (share of time)", "alarm_share", "{:.1%}"),
     ("faults missed", "missed", "{:.0f}"),
     ("mean detection delay (s)", "delay", "{:.2f}"),
-    ("false alarms (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
+    ("blamed while healthy (share of fault-free time)", "false_alarm_rate", "{:.2%}"),
     ("AUC", "auc", "{:.3f}"),
     ("kind during alarms, mostly", "kind", "{}"),
     ("mean size of that kind", "size", "{:.4g}"),
@@ -128,7 +129,8 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
     ----------
     numbers : mapping
         Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, ``units``, the unit of each quantity, ``findings``, the
-        inferred faults, which are None if nothing is inferred, and possibly ``law``, a sentence about the lag of the controller.
+        inferred faults, which are None if nothing is inferred, and possibly ``law``, a sentence about the lag of the controller,
+        and ``step``, the time between two rows in seconds.
     """
     if numbers["tracking"]:
         rows = [
@@ -142,14 +144,14 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
         ]
         remark = f"{TRACKING} {numbers.get('law', '')}".rstrip()
         yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), remark)
-    sensors, inferred = numbers["sensors"], numbers.get("findings")
+    sensors, inferred, step = numbers["sensors"], numbers.get("findings"), numbers.get("step")
     if inferred:
         yield findings_table(inferred)
     yield FiguresTable(
         "sensors",
         "Faults and their detection",
         tuple(s["title"] for s in sensors),
-        tuple(_of_sensors(sensors)),
+        tuple(_of_sensors(sensors, step)),
         NOTHING_FOUND if inferred == [] else "",
     )
     for key, heading, listed, remark in (
@@ -157,7 +159,7 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
         ("actuators", "Actuator faults that the controller estimates", ACTUATOR_ROWS, ACTUATORS),
     ):
         if found := numbers[key]:
-            rows = [(label, tuple(each[name] for each in found), form) for label, name, form in listed]
+            rows = [(label, tuple(each[name] for each in found), form) for label, name, form in _timed(listed, step)]
             columns = tuple(with_unit(each["name"], each["unit"]) for each in found)
             yield FiguresTable(key, heading, columns, tuple(rows), remark)
 
@@ -177,11 +179,18 @@ def findings_table(inferred: Sequence[Mapping[str, Any]]) -> FiguresTable:
     return FiguresTable("findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK + process + only)
 
 
-def _of_sensors(sensors: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, tuple[Any, ...], str]]:
+def _timed(rows: Sequence[Row], step: float | None) -> Iterator[Row]:
+    """Yield rows with as many decimals of the delay as the step needs: a delay of one step must not look like none."""
+    decimals = -int(Decimal(f"{step:.2g}").as_tuple().exponent) if step else 0
+    for label, key, form in rows:
+        yield label, key, f"{{:.{max(2, decimals)}f}}" if key == "delay" else form
+
+
+def _of_sensors(sensors: Sequence[Mapping[str, Any]], step: float | None) -> Iterator[tuple[str, tuple[Any, ...], str]]:
     units = {s["unit"] for s in sensors}
     unit = units.pop() if len(units) == 1 else None
     missing = any(s["missing_share"] for s in sensors)
-    for label, key, form in SENSOR_ROWS:
+    for label, key, form in _timed(SENSOR_ROWS, step):
         if key in MISSING_ROWS and not missing:
             continue
         title = label

@@ -48,6 +48,7 @@ class AlarmCounts:
             int(self.false_alarms[:, index].sum()),
             float(self.hours.sum()),
             float(self.false_hours[:, index].sum()),
+            np.column_stack([self.false_alarms[:, index], self.hours]),
         )
 
 

@@ -51,10 +51,10 @@ def delay_curve(
         The lowest scores of an alarm; or their number. A number of thresholds is chosen so that the share of fault-free samples
         above them falls by the same factor from each to the next.
     level : float
-        Probability that an interval contains the true value. Intervals are by Student's t over runs, for the ratio of two sums
-        (delta method). The interval of the median follows, by Woodruff's method (1952), from that of the share of faults that
-        are found sooner. If no run has a false alarm, or no fault or all faults are missed, runs do not scatter. Then it is the
-        exact interval of `Alarms`.
+        Probability that an interval contains the true value. The interval of the false alarms per hour is that of `Alarms`, which
+        widens with the scatter of the runs. The others are by Student's t over runs, for the ratio of two sums (delta method).
+        The interval of the median follows, by Woodruff's method (1952), from that of the share of faults that are found sooner.
+        If no fault or all faults are missed, runs do not scatter. Then it is the exact interval of `Alarms`.
 
     Returns
     -------
@@ -127,9 +127,8 @@ def _row(counts: AlarmCounts, index: int, level: float) -> dict[str, Any]:
     seconds = of_runs(is_found, total.delays[is_found] * total.step)
     # If more than half are missed, the interval of the median follows from the faults that are found.
     sooner = of_runs(is_found if np.isnan(median) else total.delays <= median)
-    rate = _rate(total, counts.false_alarms[:, index], counts.hours, level)
     return {
-        **_named("false_alarms_per_hour", total.false_alarms_per_hour, rate),
+        **_named("false_alarms_per_hour", total.false_alarms_per_hour, total.rate_interval(level)),
         "false_share": total.false_share,
         **_named("missed_share", total.missed_share, _missed(total, faults - detected, faults, level)),
         **_named("median_delay", median * total.step, _median(total, sooner, faults, level)),
@@ -149,13 +148,6 @@ def _ratio(ours: Floats, theirs: Floats, level: float) -> tuple[float, list[floa
     if len(theirs) < 2:
         return float(ours.sum() / theirs.sum()), [NAN, NAN]
     return ratio(ours, theirs, level)
-
-
-def _rate(total: Alarms, alarms: Floats, hours: Floats, level: float) -> Sequence[float]:
-    if not total.false_alarms:
-        return total.rate_interval(level)
-    low, high = _ratio(alarms, hours, level)[1]
-    return max(low, 0.0), high
 
 
 def _missed(total: Alarms, missed: Floats, faults: Floats, level: float) -> Sequence[float]:

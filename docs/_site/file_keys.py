@@ -1,20 +1,24 @@
-"""Tables of the keys of scenario, campaign and monitor files; ``bayesftc keys`` prints the same.
+"""Tables of the keys of scenario, campaign and monitor files (``bayesftc keys`` prints the same), and of the columns of results.
 
 ``{keys} bayesftc.cosim.Freeze`` is a table of a class's or function's keys; ``{kinds} bayesftc.cosim.FAULTS`` has one for each
-class of a list.
+class of a list. ``{columns} bayesftc.cosim.judging.metrics.Errors`` is a table of a record's figures, and ``{definitions}
+bayesftc.cosim.judging.metrics`` the text of a module's docstring.
 """
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import re
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, get_type_hints
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
 from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 
-from bayesftc.scenario._keys import keys_of, summary, thing
+from bayesftc.scenario._keys import described, keys_of, summary, thing
 
 
 def meaning(text: str) -> str:
@@ -65,8 +69,51 @@ class Kinds(Keys):
         return out
 
 
+def columns(record: Any, prefix: str, labels: Mapping[str, str]) -> list[str]:
+    """Return the Markdown table of a record's figures: name of the column, label in printed tables, meaning.
+
+    Texts and numbers of sensors are no figures: they are in files, but no columns of a campaign.
+    """
+    hints, rows = get_type_hints(record), []
+    for name, words in described(record).items():
+        column = f"`{prefix}{name}`" if hints[name] is float else f"`{name}`, only in `figures.json`"
+        rows.append(f"| {column} | {labels.get(name, ' ')} | {meaning(words)} |")
+    return ["| column | in printed tables | meaning |", "|---|---|---|", *rows, ""]
+
+
+def labels_of(rows: Mapping[str, str] | Iterable[tuple[str, str, str]]) -> dict[str, str]:
+    """Return the label of each figure in printed tables, from the rows of such a table."""
+    return dict(rows) if isinstance(rows, Mapping) else {key: label for label, key, _ in rows}
+
+
+class Columns(Keys):
+    """A table of the columns that a record of figures has in results; `prefix` precedes their names, `rows` has their labels."""
+
+    option_spec = {"prefix": str, "rows": str}  # noqa: RUF012 - as docutils has it
+
+    def lines(self, chosen: Any) -> list[str]:
+        """Return the text."""
+        return columns(chosen, self.options["prefix"], labels_of(thing(self.options["rows"])))
+
+
+def definitions(module: str) -> list[str]:
+    """Return the docstring of a module as Markdown, without its first paragraph."""
+    text = inspect.getdoc(importlib.import_module(module)) or ""
+    return re.sub(r"``(.+?)``", r"`\1`", text.partition("\n\n")[2]).splitlines()
+
+
+class Definitions(Keys):
+    """The docstring of a module, without its first paragraph."""
+
+    def run(self) -> list[nodes.Node]:
+        """See the class."""
+        return self.parsed(definitions(self.arguments[0]))
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the extension."""
     app.add_directive("keys", Keys)
     app.add_directive("kinds", Kinds)
+    app.add_directive("columns", Columns)
+    app.add_directive("definitions", Definitions)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

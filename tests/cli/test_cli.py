@@ -778,6 +778,10 @@ def test_scenarios_are_compared_with_the_same_seeds(bayesftc_, tmp_path):
     shown = bayesftc_("run", fixed, ours, "--compare", "--seeds", 2).output
     assert "Tracking error of v (m/s), whole run" in shown
     assert "relative to fixed" in shown
+    assert "blamed*" in shown
+    assert "* Blamed while healthy: the share of the fault-free samples with an alarm, mean of all" in " ".join(
+        shown.split()
+    )
 
 
 def test_wrong_comparisons_are_refused(bayesftc_, tmp_path):

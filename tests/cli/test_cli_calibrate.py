@@ -75,8 +75,11 @@ def test_of_a_learner_that_gives_a_probability_it_is_said_how_good_it_is():
     said = " ".join(RUNNER.invoke(app, options).output.split())
     assert f"AUC {report['auc']:.3f}, Brier score {report['brier']:.4f}" in said
     assert "SwitchingPrecision gives a fault probability itself, so there is no map to fit" in said
-    assert "it freezes, jumps by 3 or drifts by 5 a second. A fault lasts 0.4 s on average, and the next" in said
-    assert "begins 2.8 s after it on average." in said
+    assert (
+        "it freezes, jumps by 3 sd of its noise or drifts by 5 sd of its noise a second. A fault lasts 0.4 s on" in said
+    )
+    assert f"On {report['samples']} samples of the 2 sensors, the last fifth of the run, " in said
+    assert "average, and the next one begins 2.8 s after it on average." in said
     assert "Do not rely" not in said
 
 
@@ -106,9 +109,28 @@ def test_probabilities_that_are_not_to_be_trusted_are_named_with_the_worst_senso
     assert "compare with joint = false in [controller.precision]" in said
     report = json.loads(RUNNER.invoke(app, [*options, "--json"]).output)
     assert report["simulated"] == {
-        "mean_time_to_fault": 2.8, "mean_time_to_recovery": 2.0, "injection": 0.5, "drift": 0.1
+        "mean_time_to_fault": 2.8, "mean_time_to_recovery": 2.0, "injection": [0.5, 0.5], "drift": [0.1, 0.1]
     }  # fmt: skip
     assert len(report["sensors"]) == 2
+
+
+def test_each_sensor_has_sizes_in_its_own_noise_or_its_own_number(tmp_path):
+    file = tmp_path / "car.toml"
+    two = SHIPPED.replace("sensor_covariance = 1.0", "sensor_covariance = [[1.0, 0.0], [0.0, 4.0]]")
+    file.write_text(two, encoding="utf-8")
+    options = ["calibrate", str(file), "--steps", "6000"]
+    assert json.loads(RUNNER.invoke(app, [*options, "--json"]).output)["simulated"]["injection"] == [3.0, 6.0]
+    said = " ".join(RUNNER.invoke(app, [*options, "--injection", "2.5", "--injection", "5"]).output.split())
+    assert "jumps by 2.5, 5 (sensors 0 to 1) or drifts by 5 sd of its noise a second." in said
+    refused = RUNNER.invoke(app, [*options, "--drift", "1", "--drift", "2", "--drift", "3"])
+    assert refused.exit_code == 9
+    assert "has --drift [1.0, 2.0, 3.0] for 2 sensors; give one number, or one for each." in refused.output
+
+
+def test_help_says_that_nothing_is_fitted_with_the_default_learner():
+    said = " ".join(RUNNER.invoke(app, ["calibrate", "--help"]).output.split())
+    assert "Measure the accuracy of the fault probability on simulated faults." in said
+    assert "The default learner gives a probability itself, and nothing is fitted." in said
 
 
 def test_the_controller_of_the_scenario_is_that_of_the_simulation():

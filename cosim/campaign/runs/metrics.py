@@ -356,7 +356,7 @@ class LoopFigures(Metric):
     """The figures of a closed loop, as ``bayesftc run`` prints them: errors of tracking and belief, and fault detection.
 
     They are all numbers of `bayesftc.cosim.judging.metrics.figures`, with names such as ``tracking.v.overall`` and
-    ``sensors.0.delay``.
+    ``sensors.0.delay``. The page "Columns of results" of the documentation defines each.
 
     Parameters
     ----------

@@ -45,7 +45,8 @@ COMMANDS = {
     "keys": ("loops", "Print the keys of scenario, campaign and monitor files: bayesftc keys scenario faults."),
     "calibrate": (
         "loops",
-        "Fit the map from beta to a fault probability on simulated faults, and print it for the scenario file.",
+        "Measure the accuracy of the fault probability on simulated faults. The default learner gives a probability itself, and "
+        "nothing is fitted. For a learner that gives only beta, fit the map from beta to a probability.",
     ),
     "monitor": (
         "recordings",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.campaign.designs.plan import OK
+from bayesftc.cosim.judging.signals import ALARM
 from bayesftc.report.svg import INK, error_bars, figure, legend, words
 
 if TYPE_CHECKING:
@@ -137,7 +138,6 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
     """Return the curves of all levels: detected faults against false alarms, and delay against false alarms."""
     from matplotlib.ticker import NullLocator
 
-    from bayesftc.cosim.judging.signals import ALARM
     from bayesftc.cosim.statistics import delay_curve, roc
 
     made, (left, right) = figure(3.2 + LINE * len(detection), 1, 2)
@@ -166,7 +166,7 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
             )  # whole, also at a delay of 0
             alarms.append(
                 f"{'' if level is None else f'{contents.name(level)}: '}alarms in {false:.2%} of the fault-free time, "
-                f"{missed:.1%} of the faults missed, median delay {_seconds(delay)}"
+                f"{missed:.1%} of the faults missed, median delay {_seconds(delay)}{_blamed_most(each)}"
             )
     left.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     left.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1.02))
@@ -182,11 +182,26 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
     )
     return made, (
         f"Detection of sensor faults by {' or '.join(sorted(names))}, {_chosen(detection)}. Left: mean of the seeds' curves, "
-        f"with the AUC of all samples{seeds}; dotted: detection by chance. Right: delay of alarms over the share of false "
-        "alarms, for all thresholds; a curve ends where most faults are missed."
-        + (f" At a fault probability of {ALARM:g} (open mark): {'; '.join(alarms)}." if alarms else "")
+        f"with the AUC of all samples{seeds}; dotted: detection by chance. Right: delay of alarms over the share of "
+        "fault-free time with an alarm, of all sensors together, for all thresholds; a curve ends where most faults are missed."
+        + (
+            f" At a fault probability of {ALARM:g} (open mark), of all sensors together: {'; '.join(alarms)}."
+            if alarms
+            else ""
+        )
         + _without(contents, detection)
     )
+
+
+def _blamed_most(level: Level) -> str:
+    """Return which of several sensors has the largest share of its fault-free time with an alarm; nothing if none has any."""
+    score, healthy = np.concatenate(level.score), ~np.concatenate(level.truth) & ~np.isnan(np.concatenate(level.score))
+    samples, blamed = healthy.sum(axis=0), (healthy & (score >= ALARM)).sum(axis=0)
+    if score.shape[1] < 2 or not blamed.any():
+        return ""
+    shares = blamed / np.maximum(samples, 1)
+    worst = int(shares.argmax())
+    return f" (sensor {worst} is blamed most while healthy: {shares[worst]:.2%} of its fault-free time)"
 
 
 def _seconds(delay: float) -> str:

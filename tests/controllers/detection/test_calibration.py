@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers.detection.calibration import judge
+from bayesftc.controllers.detection.calibration import _default_amplitudes, judge, simulated_sizes
 from bayesftc.cosim.errors import ModelError
 
 MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, 0.02)
@@ -112,6 +112,41 @@ def test_a_slow_plant_is_calibrated_without_settings():
     assert reports[0].auc == pytest.approx(reports[1].auc, abs=1e-6)
 
 
+def of_two_units(rows):
+    """Return a model whose sensors measure the same, one in m (number 0) and the other in mm, in the given order."""
+    scale = np.array([1.0, 1000.0])[rows]
+    covariance = np.diag((np.array([0.1, 0.3])[rows] * scale) ** 2)
+    return controllers.LinearModel([[0.95]], [[0.1]], scale[:, None], 1e-3, covariance, 0.1)
+
+
+def test_sizes_are_those_of_the_noise_of_each_sensor_whatever_their_order():
+    one, other = of_two_units([0, 1]), of_two_units([1, 0])
+    assert simulated_sizes(one, {})["injection"] == pytest.approx([0.3, 900.0])
+    assert simulated_sizes(other, {})["injection"] == pytest.approx([900.0, 0.3])
+    assert simulated_sizes(one, {"drift": 2.0, "injection": [1.0, 7.0]}) == {
+        "injection": [1.0, 7.0],
+        "drift": [2.0, 2.0],
+    }
+    goals = np.array([[1.0]])
+    assert _default_amplitudes(one, goals) == _default_amplitudes(other, goals) == pytest.approx([0.5])
+
+
+def test_units_of_sensors_change_nothing():
+    in_m = controllers.LinearModel([[0.95]], [[0.1]], [[1.0], [1.0]], 1e-3, np.diag([0.01, 0.09]), 0.1)
+    reports = [controllers.calibrate(model, steps=6_000) for model in (in_m, of_two_units([0, 1]))]
+    assert [r.auc for r in reports] == pytest.approx([reports[0].auc] * 2, abs=1e-6)
+    assert [r.brier for r in reports] == pytest.approx([reports[0].brier] * 2, rel=1e-4)
+
+
+def test_a_goal_that_no_sensor_measures_has_a_default_reference():
+    model = controllers.LinearModel(
+        np.eye(2), np.eye(2), [[2.0, 0.0], [-4.0, 0.0]], np.eye(2), np.diag([1.0, 9.0]), 0.1
+    )
+    assert _default_amplitudes(model, np.eye(2)) == pytest.approx(
+        [2.5, 10.0]
+    )  # 5 * 1 / 2, and 5 times the median of 1 and 3
+
+
 def test_reproducible():
     assert fit(seed=2, steps=6_000) == fit(seed=2, steps=6_000)
 
@@ -121,6 +156,14 @@ def test_reproducible():
     [
         ({"steps": 100}, "give at least 5000"),
         ({"precision": controllers.SERFDI()}, "SERFDI.* has no rate.*: GammaPrecision or .*VariationalBayesKF"),
+        (
+            {"magnitudes": {"injection": [1.0, 2.0, 3.0]}},
+            r"has injection=\[1.0, 2.0, 3.0\] for 2 sensors; give one number, or",
+        ),
+        (
+            {"magnitudes": {"drift": "fast"}},
+            "has drift='fast' for 2 sensors; give one number, or one for each",
+        ),
         ({"magnitudes": {"jump": 1.0}}, "has the unknown magnitude 'jump'"),
         ({"hazards": (2.8, 0.01)}, "mean_time_to_recovery=0.01, but a step of the model takes .* at least 0"),
         ({"hazards": (float("inf"), 0.4)}, "mean_time_to_fault=inf.* Give a finite number"),

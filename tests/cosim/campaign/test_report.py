@@ -311,6 +311,14 @@ def test_areas_under_the_curve_are_those_of_scikit_learn(stored):
         pooled = sum(alarms[1:], alarms[0])
         assert float(said[1]) == round(100 * pooled.false_share, 2)
         assert float(said[2]) == round(100 * pooled.missed_share, 1)
+        shares = [
+            ((p >= 0.5) & ~(f > 0)).sum() / (~(f > 0)).sum() for p, f in zip(probability.T, faulty.T, strict=True)
+        ]
+        of_level = caption.partition(f"{level}: ")[2].partition(";")[0]
+        most = re.search(r"\(sensor (\d) is blamed most while healthy: ([\d.]+)% of its fault-free time\)", of_level)
+        assert int(most[1]) == np.argmax(shares)
+        assert float(most[2]) == round(100 * max(shares), 2)
+    assert "of all sensors together: " in caption
     assert {"Detection", "Reliability"} <= set(read(report(store)).headings)
 
 

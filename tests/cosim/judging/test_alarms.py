@@ -1,5 +1,9 @@
 """Detectors at a threshold and calibrated probabilities: by hand, by brute force, against scikit-learn and by Monte Carlo."""
 
+from dataclasses import replace
+from functools import reduce
+from operator import add
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -116,6 +120,42 @@ def test_intervals_are_those_of_scipy_and_cover_as_often_as_they_say():
     assert np.isnan([*nothing.delay_interval(), *nothing.missed_interval(), *nothing.rate_interval()]).all()
     assert np.isnan([nothing.delay(), nothing.missed_share, nothing.false_share, nothing.false_alarms_per_hour]).all()
     assert cosim.Alarms(1.0, np.zeros(5), 0, 2.0, 0.0).missed_interval()[0] == 0
+
+
+def of_counts(counts):
+    """Return the alarms of runs of an hour with these numbers of false alarms."""
+    return reduce(add, [cosim.Alarms(1.0, np.array([]), int(count), 1.0, 0.0) for count in counts])
+
+
+def in_clusters(rng, mean, runs):
+    """Return numbers of alarms that come in clusters of a geometric number, with a variance of 2.5 times the mean."""
+    return [rng.geometric(1 / 1.75, clusters).sum() for clusters in rng.poisson(mean / 1.75, runs)]
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [in_clusters, lambda rng, mean, runs: rng.negative_binomial(mean / 1.5, 0.4, runs)],
+    ids=["clusters", "negative binomial"],
+)
+@pytest.mark.parametrize("runs", [5, 40])
+def test_interval_of_the_rate_covers_alarms_in_clusters(counts, runs):
+    rng = np.random.default_rng(5)
+    hits = {"runs": 0, "one": 0}
+    for _ in range(400):
+        drawn = of_counts(counts(rng, 3.0, runs))
+        for name, alarms in (("runs", drawn), ("one", replace(drawn, runs=None))):
+            low, high = alarms.rate_interval()
+            hits[name] += low <= 3.0 <= high
+    assert 0.92 < hits["runs"] / 400 < 0.985
+    assert hits["one"] / 400 < 0.86  # Garwood's, of independent alarms
+
+
+def test_sensors_of_one_run_are_one_run():
+    score = np.zeros((3600, 4))
+    score[::100, :2] = 1.0
+    found = cosim.judge_alarms(score, np.zeros_like(score), threshold=0.5, step=1.0)
+    wanted = stats.chi2.ppf(0.025, 144) / 8, stats.chi2.ppf(0.975, 146) / 8
+    assert found.rate_interval() == pytest.approx(wanted)
 
 
 def test_reliability_is_that_of_its_definition():

@@ -9,9 +9,10 @@ import pytest
 from bayesftc import controllers, cosim
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.findings import numbers_of
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
-from bayesftc.cosim.run.summary import findings_table
+from bayesftc.cosim.run.summary import findings_table, tables_of
 from bayesftc.scenario import load_scenario
 
 
@@ -37,6 +38,26 @@ def test_its_numbers_are_the_figures_of_the_run(loop, result):
     assert sensors.loc["faults"].tolist() == [1, 0]
     assert sensors.loc["mean precision in fault (1/(m/s)²)", "sensor 0"] == numbers.sensors[0].precision_faulty
     assert math.isnan(sensors.loc["faults missed", "sensor 1"])
+
+
+def test_a_share_of_alarms_is_not_called_false_alarms(loop, result):
+    summary = result.summary()
+    shares = [each.false_alarm_rate for each in figures(loop_signals(loop, result)).sensors]
+    assert summary["sensors"].loc["blamed while healthy (share of fault-free time)"].tolist() == shares
+    assert "false alarms" not in repr(summary)
+
+
+@pytest.mark.parametrize(
+    ("step", "delay", "printed"),
+    [(0.005, 0.005, "0.005"), (0.02, 0.02, "0.02"), (0.1, 0.1, "0.10"), (1 / 30, 1 / 30, "0.033"), (1e-5, 3e-5, "0.00003"),
+     (150.0, 300.0, "300.00"), (None, 0.5, "0.50")],
+)  # fmt: skip
+def test_a_delay_of_one_step_does_not_look_like_none(result, loop, step, delay, printed):
+    numbers = numbers_of(loop_signals(loop, result))
+    assert numbers["step"] == pytest.approx(0.02)
+    numbers["sensors"][0]["delay"], numbers["step"] = delay, step
+    (table,) = (each for each in tables_of(numbers) if each.key == "sensors")
+    assert next(row for row in table.texts() if row[0] == "mean detection delay (s)")[1] == printed
 
 
 def test_it_prints_aligned_tables(result):

@@ -6,9 +6,10 @@ from operator import add
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from scipy import stats
 
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.judging.alarms import judge_alarms
+from bayesftc.cosim.judging.alarms import Alarms, judge_alarms
 from bayesftc.cosim.statistics import delay_curve, ratio
 from bayesftc.cosim.statistics._alarm_counts import count_alarms
 
@@ -39,6 +40,18 @@ def streams(rng, runs, steps=300, faults=2, size=2.0, spread=0.5):
     return level + rng.normal(size=(runs, steps)) + size * faulty, faulty
 
 
+def garwood_over_runs(alarms, hours):
+    """Return the interval of a rate by its definition: Garwood's, with dispersion, and as much wider as Student's t."""
+    rate, freedom = alarms.sum() / hours.sum(), len(alarms) - 1
+    wider = 1.0
+    if (factor := stats.chisquare(alarms, rate * hours).statistic / freedom) > 1:
+        wider = stats.t.ppf(0.975, freedom) / stats.norm.ppf(0.975)
+    factor = max(1.0, factor)
+    shape, scale = alarms.sum() / factor, factor / hours.sum()
+    low, high = stats.gamma.ppf(0.025, shape) * scale, stats.gamma.ppf(0.975, shape + 1) * scale
+    return max(rate - wider * (rate - low), 0.0), rate + wider * (high - rate)
+
+
 def test_figures_are_those_of_all_runs_together():
     score, faulty = streams(np.random.default_rng(0), 20)
     score[3, 100:] = np.nan
@@ -57,10 +70,10 @@ def test_figures_are_those_of_all_runs_together():
         assert row["median_delay"] == pytest.approx(0.1 * total.delay())
         assert row["mean_delay"] == pytest.approx(0.1 * total.delays[np.isfinite(total.delays)].mean())
         alarms, hours = np.array([a.false_alarms for a in each]), np.array([a.hours for a in each])
-        bounds = ratio(alarms, hours)[1]
-        assert (row["false_alarms_per_hour_low"], row["false_alarms_per_hour_high"]) == pytest.approx(
-            (max(bounds[0], 0), bounds[1])
-        )
+        bounds = garwood_over_runs(alarms, hours)
+        assert (row["false_alarms_per_hour_low"], row["false_alarms_per_hour_high"]) == pytest.approx(bounds)
+        if alarms.sum() > 100:  # of many alarms it is about that of a ratio over runs
+            assert np.ptp(bounds) == pytest.approx(np.ptp(ratio(alarms, hours)[1]), rel=0.1)
     assert (np.diff(found["missed_share"]) > 0).all()
     assert (np.diff(found["median_delay"]) > 0).all()
 
@@ -126,6 +139,18 @@ def test_intervals_cover_as_often_as_they_say():
         dict.fromkeys((n for n in names if not n.startswith("median")), 0.95), abs=0.045
     )
     assert hits["median_delay"] / 200 >= 0.905
+
+
+def test_false_alarms_of_runs_of_unequal_rates_widen_their_interval():
+    rng = np.random.default_rng(4)
+    alarms, hours = 20.0 * np.arange(6), np.full(6, 2.0)
+    runs = [Alarms(1.0, np.array([]), int(k), h, 0.0) for k, h in zip(alarms, hours)]
+    assert reduce(add, runs).rate_interval() == pytest.approx(garwood_over_runs(alarms, hours))
+    shuffled = [runs[i] for i in rng.permutation(6)]
+    halves = reduce(add, shuffled[:3]) + reduce(add, shuffled[3:])  # in any order
+    assert halves.rate_interval() == pytest.approx(garwood_over_runs(alarms, hours))
+    together = Alarms(1.0, np.array([]), int(alarms.sum()), float(hours.sum()), 0.0)
+    assert np.ptp(together.rate_interval()) < 0.25 * np.ptp(halves.rate_interval())
 
 
 @pytest.mark.filterwarnings("error")

@@ -103,7 +103,7 @@ def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], out: Path | N
             if all(row[f"error{ending}"] is None for row in selected):
                 continue
             say(f"Tracking error of {signal}{unit}, {phase}", "bold")
-            columns = ("error", "difference", "95 % interval", "wins", "false alarms*", "failed")
+            columns = ("error", "difference", "95 % interval", "wins", "blamed*", "failed")
             table = output.plain_table("loop", *columns, right=columns, whole=("loop", *columns[:2]))
             for row in selected:
                 table.add_row(row["loop"], *_cells(row, ending))
@@ -111,8 +111,9 @@ def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], out: Path | N
     runs, failed = rows[0]["runs"], sum(row["failed"] for row in rows if row["signal"] == rows[0]["signal"])
     say(
         f"Each loop has {runs} runs with the same seeds. An error is the mean of the runs' root-mean-square errors. Differences "
-        f"and wins are relative to {first}, without the seeds where a run failed. * Share of the fault-free samples, over the "
-        "whole run." + (f" {failed} runs failed." if failed else "")
+        f"and wins are relative to {first}, without the seeds where a run failed. * Blamed while healthy: the share of the "
+        "fault-free samples with an alarm, mean of all sensors, over the whole run."
+        + (f" {failed} runs failed." if failed else "")
     )
     for reason, count in (
         comparison.runs.loc[comparison.runs["status"] != "ok", "reason"].value_counts().head(3).items()

@@ -13,7 +13,7 @@ import typer
 from bayesftc import controllers
 from bayesftc.cli import output
 from bayesftc.cli.options import AScenario, Json, by_options
-from bayesftc.controllers.detection.calibration import judge_own_probability, simulated_sizes
+from bayesftc.controllers.detection.calibration import default_sizes, judge_own_probability, simulated_sizes
 from bayesftc.controllers.detection.doubt import doubt
 from bayesftc.controllers.precision.rate import RateLearner
 from bayesftc.cosim.errors import ModelError
@@ -27,6 +27,8 @@ OPTIONS = {
     "mean_time_to_fault": "--time-to-fault",
     "mean_time_to_recovery": "--time-to-recovery",
     "steps": "--steps",
+    "injection": "--injection",
+    "drift": "--drift",
 }
 """Arguments of `bayesftc.controllers.calibrate` that its errors name, and their options."""
 
@@ -39,21 +41,37 @@ def calibrate(
     time_to_recovery: Annotated[
         float | None, typer.Option(help="Mean time to recovery in seconds, by default 0.4 or 4 samples.")
     ] = None,
-    injection: Annotated[float | None, typer.Option(help="Offset of an injection; by default 3 sensor sd.")] = None,
-    drift: Annotated[float | None, typer.Option(help="Drift per second; by default 5 sensor sd.")] = None,
-    steps: Annotated[int, typer.Option(help="Length of the simulated run.")] = 80_000,
+    injection: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Offset of an injection in the unit of the sensor, by default 3 sd of each sensor. One number is for all "
+            "sensors; else repeat the option for each."
+        ),
+    ] = None,
+    drift: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Drift per second, likewise, by default 5 sd of each sensor (less with samples above 0.1 s)."
+        ),
+    ] = None,
+    steps: Annotated[
+        int, typer.Option(help="Length of the simulated run in steps; the last fifth is the test.")
+    ] = 80_000,
     seed: Annotated[int, typer.Option(help="Seed of its noise and faults.")] = 0,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help=f"Write {DIAGRAM} and {NUMBERS} there.")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Fit the map for a scenario's model, learner, controller and reference, and print it as a line of TOML.
+    """Measure the accuracy of a scenario's fault probability on simulated faults of the sensors.
 
-    The scenario's model is simulated; its plant and faults are not used. A learner that gives a probability itself needs no map.
-    Then only the quality of that probability is printed.
+    The scenario's model is simulated with its learner, controller and reference; its plant and faults are not used. The last
+    fifth of the run is the test. For a learner with the residual beta, such as GammaPrecision, the map from beta to a probability
+    is fitted on the rest, and printed as a line of TOML. For one that gives a probability itself, as the default learner does,
+    nothing is fitted.
     """
-    magnitudes = {n: size for n, size in {"injection": injection, "drift": drift}.items() if size is not None}
+    lists = {name: sizes for name, sizes in {"injection": injection, "drift": drift}.items() if sizes}
+    magnitudes = {name: sizes[0] if len(sizes) == 1 else sizes for name, sizes in lists.items()}
     if out is not None:
         output.check_folder(out, (DIAGRAM, NUMBERS), silent=True)
     loaded = load_scenario(scenario)
@@ -94,9 +112,11 @@ def calibrate(
         typer.echo(output.as_json(numbers))
         return
     c = report.calibration
-    typer.echo(_simulated(hazards, sizes))
+    typer.echo(_simulated(hazards, sizes, controller.model, magnitudes))
+    sensors = f"the {len(report.sensors)} sensors" if len(report.sensors) > 1 else "the sensor"
     typer.echo(
-        f"On {report.samples} samples{'' if c is None else ' not used for the fit'}, {report.fault_share:.1%} of them in fault: "
+        f"On {report.samples} samples of {sensors}, the last fifth of the run{'' if c is None else ', not used for the fit'}, "
+        f"{report.fault_share:.1%} of them in fault: "
         f"AUC {report.auc:.3f}, Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), "
         f"calibration error {report.calibration_error:.3f}."
     )
@@ -115,14 +135,30 @@ def calibrate(
     typer.echo(f'calibration = {{ slope = {c.slope:.4g}, intercept = {c.intercept:.4g}, feature = "{c.feature}" }}')
 
 
-def _simulated(hazards: controllers.Hazards, sizes: Mapping[str, float]) -> str:
+def _simulated(
+    hazards: controllers.Hazards,
+    sizes: Mapping[str, list[float]],
+    model: controllers.LinearModel,
+    given: Mapping[str, Any],
+) -> str:
     """Return which faults were simulated."""
+    usual = default_sizes(model.step)
+    injection, drift = (_size(sizes[name], None if name in given else usual[name]) for name in ("injection", "drift"))
     return (
-        f"Simulated faults of each sensor: it freezes, jumps by {sizes['injection']:.3g} or drifts by {sizes['drift']:.3g} a "
-        f"second. A fault lasts {hazards.mean_time_to_recovery:.4g} s on average, and the next one begins "
+        f"Simulated faults of each sensor: it freezes, jumps by {injection} or drifts by {drift} a second. "
+        f"A fault lasts {hazards.mean_time_to_recovery:.4g} s on average, and the next one begins "
         f"{hazards.mean_time_to_fault:.4g} s after it on average. For faults as in your plant, give --injection, --drift, "
         "--time-to-recovery and --time-to-fault."
     )
+
+
+def _size(sizes: list[float], deviations: float | None) -> str:
+    """Return the size of a fault in words: a number of standard deviations, or the given numbers."""
+    if deviations is not None:
+        return f"{deviations:.3g} sd of its noise"
+    if len(set(sizes)) == 1:
+        return f"{sizes[0]:.3g}"
+    return f"{', '.join(f'{size:.3g}' for size in sizes)} (sensors 0 to {len(sizes) - 1})"
 
 
 def _remedy(learner: object) -> str:

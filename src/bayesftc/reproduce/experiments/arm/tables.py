@@ -32,7 +32,7 @@ def show(report: dict[str, Any]) -> Iterator[RenderableType]:
         missed = "in no run" if not result["missed"] else f"in {result['missed']} of {result['n']} runs"
         yield (
             f"{names[name]} detects the frozen encoder after {result['delay_mean'] * 1e3:.0f} ms on average and misses it "
-            f"{missed}. Without a fault it gives false alarms in {100 * result['healthy_share']:.2g} % of the time."
+            f"{missed}. Without a fault it blames a sensor in {100 * result['healthy_share']:.2g} % of the time."
         )
     if report["grid"] is not None:
         yield from _grid(report)

@@ -24,7 +24,7 @@ def results(report: Mapping[str, Any]) -> str:
     """Return the text for a page: a row for each learner, a column for each group, and the losses of the first learner."""
     groups, table, settings = by_group(report), report["table"], report["settings"]
     sizes = {group: sum(of == group for of in report["groups"].values()) for group in groups}
-    heads = [f"all ({len(table)})", *(f"{group} ({sizes[group]})" for group in groups), "false alarms"]
+    heads = [f"all ({len(table)})", *(f"{group} ({sizes[group]})" for group in groups), "blamed while healthy"]
     rows = [f"| learner | {' | '.join(heads)} |", "|---" * (1 + len(heads)) + "|"]
     for name in report["summary"]:
         whole = figures([of[name] for of in table.values()])

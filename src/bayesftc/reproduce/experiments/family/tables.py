@@ -16,7 +16,7 @@ MARK = "*"
 
 
 def show(report: dict[str, Any]) -> Iterator[RenderableType]:
-    """Yield the errors relative to the oracle, false alarms and delays of detecting learners, and each learner's worst case."""
+    """Yield the errors relative to the oracle, blame and delays of detecting learners, and each learner's worst case."""
     settings, cells = report["settings"], report["table"]
     learners = list(settings["learners"])
     title = f"root-mean-square error over that of the oracle, {settings['runs']} runs a case ({MARK}: above {settings['bar']:g})"

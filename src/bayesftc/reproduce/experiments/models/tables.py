@@ -19,7 +19,7 @@ COLUMNS = 4
 
 ALARMS = (
     ("false alarms per hour of one sensor (in {:.2g} h)", "alarms", "{healthy[alarms][false_alarms_per_hour]:.0f}"),
-    ("share of time in false alarm", "alarms", "{healthy[alarms][false_share]:.1%}"),
+    ("share of time in which a healthy sensor is blamed", "alarms", "{healthy[alarms][false_share]:.1%}"),
     ("share of time with an actuator alarm", "actuator_alarms", "{healthy[actuator_alarms][false_share]:.1%}"),
 )
 """The tables of alarms with healthy sensors: title, key of the report, and form."""
