@@ -141,7 +141,7 @@ class ModelFinding:
 def diagnose(
     signals: Mapping[str, Any], controller: Any, *, y: str | None = None, name: str = "controller"
 ) -> ModelFinding | None:
-    """Diagnose the model of a controller or estimator from a recorded run; None if there is no evidence against it.
+    """Diagnose the model of a controller or estimator from a recorded run; None without enough evidence against it.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def diagnose(
     -------
     ModelFinding or None
         The best explanation of the run. Without one, but with a recorded `model_suspect` above one half, the kind is
-        ``"unknown"``.
+        ``"unknown"``. None does not show that the model is right: a longer run may have enough evidence.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def compared_samples(model: LinearModel | NonlinearModel, samples: int) -> int:
 def diagnose_recording(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0
 ) -> ModelFinding | None:
-    """Diagnose a model from recorded samples and controls; None if there is no evidence against it.
+    """Diagnose a model from recorded samples and controls; None without enough evidence against it.
 
     Parameters
     ----------

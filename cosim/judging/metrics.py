@@ -220,13 +220,12 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
     # For each fault the indices of the samples that are not missing; a dropout has none.
     samples_of_faults = [a + np.flatnonzero(present[a:b]) for a, b in periods(faulty)]
     visible = [samples for samples in samples_of_faults if len(samples)]
-    missed = delay = false_alarms = NAN
+    missed = delay = NAN
     alarm = signals.alarm
     if alarm is not None:
         delays = [time[s[np.argmax(alarm[s])]] - time[s[0]] for s in visible if alarm[s].any()]
         missed = float(len(visible) - len(delays)) if visible else NAN
         delay = float(np.mean(delays)) if delays else NAN
-        false_alarms = _share(alarm[~faulty & present])
     candidates = {"fault_probability": probability, "beta": signals.beta}
     scores = {name: score for name, score in candidates.items() if score is not None and not np.isnan(score).all()}
     ranked_by = next(iter(scores), None)
@@ -239,7 +238,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
         seen_as_missing=NAN if signals.missing is None else float(len(samples_of_faults) - len(visible)),
         missed=missed,
         delay=delay,
-        false_alarm_rate=false_alarms,
+        false_alarm_rate=false_alarm_rate(signals),
         auc=auc(faulty[present], scores[ranked_by][present])
         if ranked_by and not np.isnan(scores[ranked_by][present]).any()
         else NAN,
@@ -247,6 +246,14 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
         precision_healthy=_mean(signals.precision, ~faulty & present),
         precision_faulty=_mean(signals.precision, faulty & present),
     )
+
+
+def false_alarm_rate(signals: SensorSignals) -> float:
+    """Return the share of a sensor's fault-free samples with an alarm; NaN if its faults or alarms are not known."""
+    faulty, alarm, missing = signals.faulty, signals.alarm, signals.missing
+    if faulty is None or alarm is None:
+        return NAN
+    return _share(alarm[~faulty if missing is None else ~(faulty | missing)])
 
 
 def input_faults(signals: InputSignals) -> InputFaults:
