@@ -18,17 +18,35 @@ follow river's ``drift/evaluate.py`` (delay, misses, false alarms), in seconds a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, InputSignals, LoopSignals, SensorSignals
+from bayesftc.cosim.judging.signals import (
+    ALARM,
+    ActuatorSignals,
+    ControlSignals,
+    Flags,
+    InputSignals,
+    LoopSignals,
+    SensorSignals,
+)
 from bayesftc.cosim.types import Floats
 
 NAN = float("nan")
+
+LIMITED, SWINGS = 0.3, 0.1
+"""Share of a run at the limits of a control from which the run has a note; share at each of two between which it swings."""
+
+REACH = "Is the goal within its reach?"
+AGGRESSIVE = (
+    "The controller is too aggressive for these limits. Give a larger goal_covariance or a smaller control_covariance (in design "
+    "a larger acceptable_error or a smaller acceptable_control), or larger limits if the actuator allows them."
+)
+"""Advice on controls at their limits."""
 
 
 @dataclass(frozen=True)
@@ -298,6 +316,44 @@ def figures(signals: LoopSignals) -> Figures:
         inputs=tuple(input_faults(each) for each in signals.inputs),
         actuators=tuple(actuator_faults(each, signals.time) for each in signals.actuators),
     )
+
+
+def limited(signals: LoopSignals) -> Iterator[tuple[str, str]]:
+    """Yield a note and advice on each control that is at its limits for a large part of a run."""
+    for control in signals.controls:
+        if not len(control.sent):  # the run stopped at its first step
+            continue
+        low = 0.0 if control.low is None else _share(control.sent <= control.low)
+        high = 0.0 if control.high is None else _share(control.sent >= control.high)
+        fast, name = _at_rate(control, signals.time), f"control {control.name}"
+        unit = f" {control.unit}" if control.unit else ""
+        per_second = f"{unit}/s" if unit else " per second"
+        rate = f", and changes at its limit of {control.rate:g}{per_second} for {fast:.0%}" if fast >= LIMITED else ""
+        if min(low, high) >= SWINGS and low + high >= LIMITED:
+            yield (
+                f"{name} swings between its limits, {control.low:g}{unit} ({low:.0%} of the run) and {control.high:g}{unit} "
+                f"({high:.0%}){rate}",
+                AGGRESSIVE,
+            )
+        elif max(low, high) >= LIMITED:
+            limit = control.low if low > high else control.high
+            where = rate or ", where it cannot do more"
+            yield f"{name} is at its limit of {limit:g}{unit} for {max(low, high):.0%} of the run{where}", REACH
+
+
+def _at_rate(control: ControlSignals, time: Floats) -> float:
+    """Return the share of a control's values at the limit of its rate, as the one before; 0 if not every value is recorded.
+
+    A control that follows noise changes at this limit as well, but up and down.
+    """
+    rows = time[1] - time[0] if len(time) > 1 else 0.0
+    if control.rate is None or control.dt is None or not 0.0 < rows <= 1.001 * control.dt:
+        return 0.0
+    every = round(control.dt / rows)
+    values, largest = control.sent[::every], control.rate * control.dt
+    change = np.diff(values)
+    at = np.sign(change) * (np.abs(change) >= largest - 1e-9 * (largest + np.abs(values[1:])))
+    return _share((at[1:] != 0.0) & (at[1:] == at[:-1]))
 
 
 def _difference(one: Floats | None, other: Floats | None) -> Floats | None:

@@ -243,7 +243,7 @@ class Result(Mapping[str, Floats]):
 
     @property
     def notes(self) -> list[str]:
-        """What a reader must know of the run: that it stopped, or what speaks against the controller's model."""
+        """What a reader must know of a run: that it stopped, what speaks against the model, and controls at their limits."""
         return self._explained("")
 
     def _explained(self, why: str = f" ({DIAGNOSE} says why)") -> list[str]:
@@ -251,7 +251,8 @@ class Result(Mapping[str, Floats]):
         notes = ["stopped early"] if self.stopped else []
         wrong = [f"model of {block} suspect from t = {self.time[k]:g} s" for block, k in self._suspect.items()]
         model, start, often = (self._agreement[of] for of in ("model", "start", "often"))
-        return [*notes, *(f"{text}{why}" for text in wrong or model), *start, *([] if wrong else often)]
+        limited = [note for note, _ in self._limited]
+        return [*notes, *(f"{text}{why}" for text in wrong or model), *start, *([] if wrong else often), *limited]
 
     def _sentences(self) -> list[str]:
         """Return the notes as sentences."""
@@ -267,7 +268,8 @@ class Result(Mapping[str, Floats]):
         )
         cause = f"Sensors may be blamed because of it. {DIAGNOSE} looks for the cause."
         blamed = [] if wrong else [f"{text} {LOOK_AT_MODEL}" for text in often]
-        return [*notes, *(f"{text} {cause}" for text in wrong or model), *start, *blamed]
+        limited = [f"The {note}. {advice}" for note, advice in self._limited]
+        return [*notes, *(f"{text} {cause}" for text in wrong or model), *start, *blamed, *limited]
 
     @cached_property
     def _suspect(self) -> dict[str, int]:
@@ -305,6 +307,14 @@ class Result(Mapping[str, Floats]):
         together = blamed_together(signals, self.decimation)
         often = None if any(together.values()) else often_blamed(signals)
         return {**together, "often": [] if often is None else [often[1]]}
+
+    @cached_property
+    def _limited(self) -> list[tuple[str, str]]:
+        """Notes and advice on controls at their limits."""
+        from bayesftc.cosim.judging.metrics import limited
+        from bayesftc.cosim.judging.roles import signals_of
+
+        return [] if self.roles is None else list(limited(signals_of(self.roles, self, drawn=False)))
 
     def _repr_html_(self) -> str:
         """Return a table of the signals with their ranges, for notebooks."""

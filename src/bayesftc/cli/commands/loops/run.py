@@ -22,7 +22,7 @@ from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.findings import LOOK_AT_MODEL, blamed_together, never_began, numbers_of, often_blamed
-from bayesftc.cosim.judging.metrics import without_nan
+from bayesftc.cosim.judging.metrics import limited, without_nan
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.running import Progress
     from bayesftc.cosim.types import Floats
 
-LIMITED = 0.3
-"""Share of a run at a limit of a control from which a run ends with a note."""
 COMPARED = 20_000
 """Samples over which a run with our SER baseline is compared with filterpy's: less than a second."""
 UNKNOWN = "The comparison with filterpy has no result, because one of its numbers is not finite."
@@ -196,7 +194,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         **numbers_of(signals),
         "notes": [
             *_notes(scenario, signals, _unrecorded(loop, result)),
-            *_limited(loop, result),
+            *(f"The {note}. {advice}" for note, advice in limited(signals)),
             *(never_began(loop, result) if result.decimation == 1 else ()),
         ],
     }
@@ -204,23 +202,6 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         numbers["pace"] = pace
         numbers["notes"].append(_in_time(pace))
     return numbers, signals
-
-
-def _limited(loop: Diagram, result: Result) -> Iterator[str]:
-    """Give a sentence for each control that is at one of its limits for a large part of a run."""
-    roles = find_roles(loop)
-    name = f"{roles.controller}.u"
-    if name not in result or not len(result.time):  # it may have stopped at its first step
-        return
-    for control, u in zip(roles.controls, result[name].reshape(len(result.time), -1).T, strict=True):
-        for limit, at in ((control.low, u <= (-np.inf if control.low is None else control.low)),
-                          (control.high, u >= (np.inf if control.high is None else control.high))):  # fmt: skip
-            if limit is not None and (share := float(at.mean())) >= LIMITED:
-                unit = f" {control.unit}" if control.unit else ""
-                yield (
-                    f"The control {control.name} is at its limit of {limit:g}{unit} for {share:.0%} of the run, "
-                    "where it cannot do more. Is the goal within its reach?"
-                )
 
 
 def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int]:
