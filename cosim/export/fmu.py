@@ -182,6 +182,7 @@ def _variable(
         element_dependencies=elements,
         shape=signal.shape,
         origin=_renamed(signal) if isinstance(signal, Signal) else "",
+        element_descriptions=signal.element_descriptions if isinstance(signal, Signal) else (),
     )
 
 
