@@ -57,6 +57,7 @@ def port(
     default: float | None = None,
     applied: bool = False,
     of: Sequence[str] = (),
+    elements: Sequence[str] = (),
 ) -> Port:
     """Return the port of a signal of a controller.
 
@@ -70,13 +71,23 @@ def port(
         Of an input ``u``: whether it is the input that the plant gets.
     of : sequence of str
         Names of the elements in the model, for the description.
+    elements : sequence of str
+        Names for the description of each element; by default `of`.
     """
     description = "Input of the plant from this sample to the next" if applied else _SIGNALS.get(name, "")
+    each = tuple(_with_names(description, [name]) for name in (elements or of))
     if of:
         shown = [*of[:MOST_NAMES], *["..."] * (len(of) > MOST_NAMES)]
-        first, semicolon, rest = description.partition(";")
-        description = f"{first} ({', '.join(shown)}){semicolon}{rest}"
-    return Port(name, shape, feedthrough=feedthrough, default=default, description=description)
+        description = _with_names(description, shown)
+    return Port(
+        name, shape, feedthrough=feedthrough, default=default, description=description, element_descriptions=each
+    )
+
+
+def _with_names(description: str, names: Sequence[str]) -> str:
+    """Return a description with names behind its first part."""
+    first, semicolon, rest = description.partition(";")
+    return f"{first} ({', '.join(names)}){semicolon}{rest}"
 
 
 def named(model: Any, which: str) -> Sequence[str]:

@@ -44,6 +44,8 @@ class Port:
         What the signal is, in a few words, for the users of an exported FMU.
     units : tuple of (str or None)
         For a vector whose elements have different units: the unit of each element, in place of `unit`.
+    element_descriptions : tuple of str
+        What each element is, for the users of an exported FMU in which each is a variable; without them, `description`.
 
     Raises
     ------
@@ -69,6 +71,7 @@ class Port:
     meaning: Unit | None = field(default=None, compare=False, repr=False, metadata={"derived": True})
     description: str = field(default="", compare=False, repr=False)
     units: tuple[str | None, ...] = field(default=(), repr=False)
+    element_descriptions: tuple[str, ...] = field(default=(), compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, tuple) or not all(isinstance(n, int | np.integer) and n >= 1 for n in self.shape):

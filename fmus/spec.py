@@ -84,6 +84,8 @@ class Variable:
         which its initial value is computed.
     origin : str
         For an exported block: the variable's name in the diagram, if it is different. Written as a vendor annotation.
+    element_descriptions : tuple of str
+        In place of `description` where each element is one variable, as in FMI 2.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Variable:
     shape: tuple[int, ...] = ()
     element_dependencies: tuple[tuple[str, ...], ...] = ()
     origin: str = ""
+    element_descriptions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -132,6 +135,11 @@ class Variable:
         """The name of each element; for a number, its own name."""
         indices = product(*map(range, self.shape))
         return tuple(self.name + (f"[{','.join(map(str, index))}]" if index else "") for index in indices)
+
+    @property
+    def described(self) -> tuple[str, ...]:
+        """The description of each element."""
+        return self.element_descriptions or (self.description,) * self.size
 
     @property
     def calculated(self) -> bool:
@@ -257,6 +265,8 @@ class Model:
                 replace(
                     variable,
                     name=name,
+                    description=description,
+                    element_descriptions=(),
                     start=start,
                     shape=(),
                     dependencies=each(variable.dependencies),
@@ -265,6 +275,8 @@ class Model:
                     origin=variable.origin and variable.origin + name.removeprefix(variable.name),
                 )
                 for variable in self.variables
-                for name, start, exact in zip(variable.elements, variable.starts, of_elements(variable), strict=True)
+                for name, start, exact, description in zip(
+                    variable.elements, variable.starts, of_elements(variable), variable.described, strict=True
+                )
             ),
         )

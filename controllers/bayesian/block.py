@@ -235,8 +235,12 @@ class BayesianBlock(Block, ABC):
             "beta": (m,),
         }
         names = {"u": named(self.model, "controls"), "x_hat": named(self.model, "states")}
+        elements = {"x_hat": getattr(self.model, "state_names", ())}
         return (
-            *(port(name, shape, of=names.get(name, ())) for name, shape in shapes.items()),
+            *(
+                port(name, shape, of=names.get(name, ()), elements=elements.get(name, ()))
+                for name, shape in shapes.items()
+            ),
             port("fault_probability", (m,)),
             port("model_suspect"),
             *self._posterior_ports,

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayesftc.controllers.diagnosis.changes import changes
 from bayesftc.controllers.diagnosis.explanations import (
+    Recording,
     delayed,
     earlier,
     faster,
@@ -22,7 +23,7 @@ from bayesftc.controllers.diagnosis.judge import RELEVANT, Explanation, Judge
 from bayesftc.controllers.diagnosis.offsets import offsets
 from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.estimation.observers import observers
-from bayesftc.controllers.models.disturbances import has_loads
+from bayesftc.controllers.models.disturbances import has_loads, with_loads
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -56,6 +57,9 @@ EQUAL = 0.1
 
 Course = tuple[str, tuple[float, ...], "Floats"]
 """A kind, its values, and the assumed controls at the plant."""
+
+_Fitted = tuple[tuple[float, ...], int, "LinearModel", "Observers"]
+"""Values, the number of them that are fitted, another model, and its observers."""
 
 
 def explanations(judge: Judge) -> list[Explanation]:
@@ -97,18 +101,38 @@ def _noisy(
     return None if bank is None else (changed, bank)
 
 
-def noisier(judge: Judge) -> list[Explanation]:
+@lru_cache(maxsize=512)
+def _loaded(
+    model: LinearModel, sets: tuple[tuple[int, ...], ...], control: int, covariance: float
+) -> tuple[LinearModel, Observers] | None:
+    """Return the model with a load on a control, a random walk, and its observers; None if they do not exist."""
+    changed = with_loads(model, covariance, [control])
+    bank = observers(changed, sets)
+    return None if bank is None else (changed, bank)
+
+
+def noisier(judge: Judge, constant: Explanation | None = None) -> list[Explanation]:
     """Return the best explanation by more process noise on one state of the plant, on all, or on one load; none if there is none.
 
-    Without the loads, a force that wanders faster than the model's disturbance looks like a nonlinear plant.
+    Without the loads, a force that wanders faster than the model's disturbance, or that the model does not have, looks like a
+    nonlinear plant or like other dynamics. `constant` is the best constant load.
     """
-    model, plant = judge.model, judge.model.plant_states
-    first = model.states - model.disturbances
-    loads = slice(first, first + model.controls * has_loads(model))
+    model = judge.model
     try:
         belief = np.diag(steady_covariance(model.moving))
     except (ModelError, np.linalg.LinAlgError):
         return []
+    found = _with_noise(judge, belief)
+    if not has_loads(model):
+        found += _wandering(judge, belief, constant)
+    return [max(found, key=lambda x: x.total)] if found else []
+
+
+def _with_noise(judge: Judge, belief: Floats) -> list[Explanation]:
+    """Judge more noise on the states that the model has, of which the steady belief has these variances."""
+    model, plant = judge.model, judge.model.plant_states
+    first = model.states - model.disturbances
+    loads = slice(first, first + model.controls * has_loads(model))
 
     def tried(noises: list[Floats]) -> list[tuple[Explanation, Floats]]:
         found = [(noise, _noisy(model, judge.bank.sensors, tuple(noise.tolist()))) for noise in noises if noise.any()]
@@ -127,6 +151,35 @@ def noisier(judge: Judge) -> list[Explanation]:
     return [max([best, *(x for x, _ in fine)], key=lambda x: x.total)]
 
 
+def _wandering(judge: Judge, belief: Floats, constant: Explanation | None) -> list[Explanation]:
+    """Judge a load on one control, a random walk: its covariance and its first value are fitted."""
+    model, sets = judge.model, judge.bank.sensors
+    first = model.states - model.disturbances
+    recording = replace(judge.recording, mean=np.insert(judge.recording.mean, first, 0.0))
+    loads = constant.values if constant is not None and constant.counts else (0.0,) * model.controls
+
+    def tried(sizes: list[tuple[int, float]]) -> list[Explanation]:
+        possible: list[_Fitted] = [
+            ((float(first + j), size**0.5, loads[j]), 2, *changed)
+            for j, size in sizes
+            if (changed := _loaded(model, sets, j, size)) is not None
+        ]
+        return _by_models(judge, "noise", possible, recording)
+
+    scales = {j: _share(model.effects[:, j], belief) for j in range(model.controls) if model.effects[:, j].any()}
+    coarse = tried([(j, times * scale) for j, scale in scales.items() for times in NOISES])
+    if not coarse:
+        return []
+    state, std, _ = max(coarse, key=lambda x: x.total).values
+    return coarse + tried([(int(state) - first, std**2 * times) for times in (10.0**-0.5, 10.0**0.5)])
+
+
+def _share(effect: Floats, belief: Floats) -> float:
+    """Return the variance of a control whose effect has, in one state, the variance of the belief, and less in all others."""
+    moved = np.flatnonzero(effect)
+    return float(np.min(belief[moved] / effect[moved] ** 2))
+
+
 def _size(noise: Floats) -> tuple[tuple[float, ...], int]:
     """Return the state with noise (-1 for all) and its standard deviation, and the number of fitted parameters."""
     states = np.flatnonzero(noise)
@@ -135,14 +188,20 @@ def _size(noise: Floats) -> tuple[tuple[float, ...], int]:
 
 
 def _by_models(
-    judge: Judge, kind: str, possible: list[tuple[tuple[float, ...], int, LinearModel, Observers]]
+    judge: Judge,
+    kind: str,
+    possible: list[_Fitted],
+    recording: Recording | None = None,
 ) -> list[Explanation]:
-    """Judge other models, each with its values, the number of them that are fitted, and its observers."""
+    """Judge other models by their observers.
+
+    `recording` is the judge's, by default itself, with the belief before the first sample of these models.
+    """
     if not possible:
         return []
     models, banks = [model for *_, model, _ in possible], [bank for *_, bank in possible]
     moved = np.array([(judge.recording.u @ model.matrix("B").T)[None] for model in models])
-    whites, _ = innovations(models, banks, judge.recording, moved)
+    whites, _ = innovations(models, banks, recording or judge.recording, moved)
     return [
         judge.of(kind, [values], judge.cost(white[:, :1], bank, judge.beginnings(white)), fitted)[0]
         for (values, fitted, _, bank), white in zip(possible, whites, strict=True)

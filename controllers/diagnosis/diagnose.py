@@ -54,6 +54,9 @@ After a loss of the plant, such as a fallen pendulum, no linear model holds; the
 SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "offset"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
+FLEXIBLE = frozenset({"dynamics", "nonlinear"})
+"""Kinds with many parameters."""
+
 WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
 """What begins during a run, and what acts all the time: where both explain it about as well, the latter does."""
 
@@ -62,6 +65,11 @@ SIMPLEST = 4
 
 NEARLY = 5.0
 """Log-likelihood ratio within which a flexible explanation counts as nearly as good; for simple ones it is `EVIDENCE`."""
+
+MUCH = 0.8
+"""Share of a flexible explanation's evidence from which more noise counts as an alternative to it.
+
+A force that wanders, and to which the controls react, looks like other dynamics, which have more parameters than the noise."""
 
 LEAST_SAMPLES = 8
 """Least number of samples for a diagnosis."""
@@ -82,7 +90,8 @@ class ModelFinding:
         point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of
         the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run), ``"offset"``
         (all sensors of a quantity have a constant offset), ``"noise"``
-        (more process noise than in the model; only where another kind would count without it, or `model_suspect` was raised),
+        (more process noise than in the model, or a load that changes all the time; only where another kind would count without
+        it, or `model_suspect` was raised),
         ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
@@ -94,7 +103,8 @@ class ModelFinding:
         model's, and number of the control;
         ``offset``: a value for each sensor, in its unit, 0 for those without;
         ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control) and standard
-        deviation in a sample; else empty.
+        deviation in a sample; of a load that the model does not have, the number that its disturbance would get, the standard
+        deviation of its change in a sample, and its mean, 0 if there is no evidence for one; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str
@@ -141,7 +151,7 @@ class ModelFinding:
 def diagnose(
     signals: Mapping[str, Any], controller: Any, *, y: str | None = None, name: str = "controller"
 ) -> ModelFinding | None:
-    """Diagnose the model of a controller or estimator from a recorded run; None if there is no evidence against it.
+    """Diagnose the model of a controller or estimator from a recorded run; None without enough evidence against it.
 
     Parameters
     ----------
@@ -159,7 +169,7 @@ def diagnose(
     -------
     ModelFinding or None
         The best explanation of the run. Without one, but with a recorded `model_suspect` above one half, the kind is
-        ``"unknown"``.
+        ``"unknown"``. None does not show that the model is right: a longer run may have enough evidence.
 
     Raises
     ------
@@ -238,7 +248,7 @@ def compared_samples(model: LinearModel | NonlinearModel, samples: int) -> int:
 def diagnose_recording(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0
 ) -> ModelFinding | None:
-    """Diagnose a model from recorded samples and controls; None if there is no evidence against it.
+    """Diagnose a model from recorded samples and controls; None without enough evidence against it.
 
     Parameters
     ----------
@@ -340,10 +350,12 @@ def best_explanations(
         judge = Judge(model, bank, recording.until(end))
         if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
-        counting = [x for x in explanations(judge) if x.counts]
+        found = explanations(judge)
+        counting = [x for x in found if x.counts]
         if counting or alone:
-            counting = ranked(counting + [x for x in noisier(judge) if x.counts])
-        near = [x for x in counting if x.total > counting[0].total - (EVIDENCE if x.kind in SIMPLE else NEARLY)]
+            load = next((x for x in found if x.kind == "load"), None)
+            counting = ranked(counting + [x for x in noisier(judge, load) if x.counts])
+        near = [x for x in counting if _near(x, counting[0])]
         kinds = {x.kind for x in near}
         near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]
         if near and near[0].kind == "dynamics":  # the simple ones are special cases of it
@@ -351,6 +363,8 @@ def best_explanations(
         rank = max(map(_rank, near), default=-1)
         if len(tried) == 1 and any(x.kind in WHOLE and np.inf in x.values and _rank(x) for x in near):
             return near  # it begins and lasts; a shorter run may end before
+        if len(tried) == 1 and near and near[0].kind == "noise" and _rank(near[0]):
+            return near  # a short run has little noise, and may be explained by less
         if rank == SIMPLEST:
             return near
         if rank > best:
@@ -381,6 +395,13 @@ def _sets_without(sets: Sequence[tuple[int, ...]], faulty: Sequence[int]) -> tup
         else:
             whole.append(part)
     return tuple(whole)
+
+
+def _near(x: Explanation, best: Explanation) -> bool:
+    """Return whether an explanation counts as nearly as good as the best one."""
+    if x.kind == "noise" and best.kind in FLEXIBLE and x.total > MUCH * best.total:
+        return True
+    return x.total > best.total - (EVIDENCE if x.kind in SIMPLE else NEARLY)
 
 
 def _rank(x: Explanation) -> int:

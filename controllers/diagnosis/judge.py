@@ -94,12 +94,13 @@ class Judge:
         return np.asarray(white[k][:, self.masks[k]][:, :, list(self.bank.sensors[k])].reshape(len(white[k]), -1))
 
     def beginnings(self, white: Floats) -> list[Floats]:
-        """Return an orthonormal basis of the effects of unknown initial states on each set's innovations (scalars x basis)."""
+        """Return an orthonormal basis of the effects of unknown initial states on each set's innovations (scalars x basis).
+
+        The innovations are those of `innovations` for one explanation.
+        """
         bases = []
         for k in range(len(self.bank)):
-            u, s, _ = np.linalg.svd(
-                self.part(white, k)[-self.model.moving.states * len(self.recording.begins) :].T, full_matrices=False
-            )
+            u, s, _ = np.linalg.svd(self.part(white, k)[1:].T, full_matrices=False)
             bases.append(u[:, s > 1e-9 * s.max(initial=1e-300)])
         return bases
 

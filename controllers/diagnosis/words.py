@@ -19,6 +19,9 @@ ALIKE = "All sensors disagree with the model in the same way"
 
 APART = "By the model, sensors of different quantities disagree"
 
+AS_LIKELY, AS_MUCH = "nearly as likely by this run", "which explains nearly as much of this run"
+"""What is said of another explanation: by its likelihood, and of noise, which has few parameters, by what it explains."""
+
 _DISTURBANCE = "disturbance in design and in a scenario; LinearModel.with_disturbance"
 
 NO_EFFECT = 0.05
@@ -55,11 +58,16 @@ def sentence(
         "offset": partial(_offset, units=units),
         "load": partial(_load, units=control_units),
         "onset": partial(_onset, units=control_units),
+        "noise": partial(_noise, units=control_units),
     }
-    said = dict.fromkeys(words[each](its, model) if moved or each == "offset" else UNMOVED for each, its in found)
+    said: dict[str, str] = {}
+    for each, its in found:
+        said.setdefault(words[each](its, model) if moved or each == "offset" else UNMOVED, each)
     which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
     actuators = _actuators(found, model, inferred) if moved else ""
-    return f"{which}: {' Or, nearly as likely by this run: '.join(said)}{actuators}{_alone(model)}"
+    first, *more = said
+    either = "".join(f" Or, {AS_MUCH if said[text] == 'noise' else AS_LIKELY}: {text}" for text in more)
+    return f"{which}: {first}{either}{actuators}{_alone(model)}"
 
 
 def _actuators(
@@ -203,10 +211,10 @@ def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel
     return f"{who} {'has' if len(group) == 1 else 'have'} {offset} of about {' and '.join(sizes)}{unit}"
 
 
-def _noise(values: Sequence[float], model: LinearModel) -> str:
-    state, std = values
+def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    state, std = values[:2]
     if (load := int(state) - model.states + model.disturbances) >= 0:
-        return _noise_of_load(load, std, model)
+        return _noise_of_load(load, std, model) if has_loads(model) else _wandering(load, std, values[2], model, units)
     names = None if model.names is None or state < 0 else model.names.states
     where = f" of {names[int(state)]}" if names and not names[0].startswith("x[") else ""
     return (
@@ -222,6 +230,17 @@ def _noise_of_load(load: int, std: float, model: LinearModel) -> str:
     return (
         f"a load{on} changes faster than the model says. Use about disturbance={known + std**2:.2g} instead of {known:.2g} in "
         "design and in a scenario (of a LinearModel: with_disturbance), or say where process noise acts (noise)."
+    )
+
+
+def _wandering(load: int, std: float, mean: float, model: LinearModel, units: Sequence[str | None]) -> str:
+    """Return the sentence about a load on a control that changes all the time, of which the model has none."""
+    unit = f" {units[load]}" if len(units) == model.controls and units[load] else ""
+    average = f", on average by {mean:.3g}{unit}" if mean else ""
+    return (
+        f"a load acts, and changes all the time. It has the effect of a change of {_named(load, model)}{average}. Estimate it "
+        f"(about disturbance={std**2:.2g} in design and in a scenario; of a LinearModel: with_disturbance({std**2:.2g})), or say "
+        "where process noise acts (noise)."
     )
 
 
@@ -294,7 +313,6 @@ _WORDS = {
     "early": _early,
     "limit": _limit,
     "loss": _loss,
-    "noise": _noise,
     "nonlinear": _nonlinear,
     "dynamics": _dynamics,
     "unknown": _unknown,

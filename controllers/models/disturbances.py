@@ -21,16 +21,17 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 
-def with_loads(model: LinearModel, covariance: Matrix) -> LinearModel:
-    """Return the model with an unknown load on each control; see `LinearModel.with_disturbance`."""
+def with_loads(model: LinearModel, covariance: Matrix, controls: Sequence[int] | None = None) -> LinearModel:
+    """Return the model with an unknown load on each control, or on some; see `LinearModel.with_disturbance`."""
     if has_loads(model):
         raise ModelError(
             "The model already estimates a disturbance of its controls. Apply with_disturbance() once, to the model without one."
         )
-    p, m = model.controls, model.sensors
+    chosen = list(range(model.controls)) if controls is None else list(controls)
+    p, m = len(chosen), model.sensors
     walk = as_covariance("The disturbance's covariance", covariance, p)
     first = model.states - model.disturbances
-    return _with_states(model, first, np.eye(p), model.effects, np.zeros((m, p)), walk)
+    return _with_states(model, first, np.eye(p), model.effects[:, chosen], np.zeros((m, p)), walk)
 
 
 def has_loads(model: LinearModel) -> bool:

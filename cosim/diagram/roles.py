@@ -94,13 +94,19 @@ class InputRole:
 
 @dataclass(frozen=True)
 class ControlRole:
-    """One control: the first input of the plant that it feeds, its limits (None: unlimited), the faults in between."""
+    """One control: the first input of the plant that it feeds, its limits (None: unlimited), the faults in between.
+
+    ``rate`` is the limit of its change per second, and ``dt`` the seconds between two of its values; None in files of earlier
+    versions.
+    """
 
     name: str
     unit: str | None
     low: float | None
     high: float | None
     faults: tuple[str, ...]
+    rate: float | None = None
+    dt: float | None = None
 
 
 @dataclass(frozen=True)
@@ -238,7 +244,7 @@ def _inputs(diagram: Diagram, others: Container[str], controller: Node) -> tuple
 
 def _controls(diagram: Diagram, controller: Node) -> tuple[ControlRole, ...]:
     count = controller.port("u").size
-    low, high = (_limits(controller, name, count) for name in ("u_min", "u_max"))
+    low, high, rate = (_limits(controller, name, count) for name in ("u_min", "u_max", "u_rate"))
     targets: dict[int, tuple[str, str | None, tuple[str, ...]]] = {}
     for node, port, i in elements(diagram, {controller.name}):
         chain = faults_right_before(diagram, node, port, i)
@@ -252,7 +258,9 @@ def _controls(diagram: Diagram, controller: Node) -> tuple[ControlRole, ...]:
     controls = []
     for j in range(count):
         name, unit, faults = targets.get(j, (f"control {j}", None, ()))
-        controls.append(ControlRole(name, unit, low[j], high[j], faults))
+        controls.append(
+            ControlRole(name, unit, low[j], high[j], faults, rate[j], float(diagram.step * controller.every))
+        )
     return tuple(controls)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -220,8 +220,18 @@ def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> No
         if list(of_model) != of_loop and len(of_model) == len(of_loop) and known.issuperset((*of_model, *of_loop)):
             warn_user(
                 f"The controller's model has the {kind} {', '.join(of_model)}, but the loop has {', '.join(of_loop)} in their "
-                f"places. Give {role}={list(dict.fromkeys(of_model))}, or design the controller for the signals of the loop."
+                f"places. {_remedy(role, of_model, of_loop)}, or design the controller for the signals of the loop."
             )
+
+
+def _remedy(role: str, of_model: Sequence[str], of_loop: Sequence[str]) -> str:
+    """Return what to give the loop for the signals of the model: the signals, or the number of sensors of each."""
+    signals = list(dict.fromkeys(of_model))
+    if role != "measured" or signals != list(dict.fromkeys(of_loop)):
+        return f"Give {role}={signals}"
+    each = [of_model.count(name) for name in signals]
+    grouped = [name for name, count in zip(signals, each, strict=True) for _ in range(count)]
+    return f"Give sensors=Sensors(count={each if list(of_model) == grouped else len(of_model)}, ...)"
 
 
 def warn_of_held_inputs(diagram: Diagram, plant: Node, controller: Node) -> None:

@@ -40,6 +40,7 @@ def export_fmu(
     dt: float | str | Fraction | None = None,
     timing: Literal["plant", "sampled"] | None = None,
     description: str = "",
+    stop_time: float | None = None,
 ) -> Path:
     """Write a block, or some blocks of a diagram, as an FMU for co-simulation that needs no Python.
 
@@ -70,6 +71,9 @@ def export_fmu(
         default is plant where possible.
     description : str
         A sentence or two for the user of the FMU.
+    stop_time : float, optional
+        Seconds for which an importer simulates the FMU by default, up to the next whole step; by default 20 s, or 100 steps if
+        these are longer.
 
     Returns
     -------
@@ -107,11 +111,13 @@ def export_fmu(
         raise ModelError(
             f"export_fmu has description={brief(description)}; it must be a string without control characters."
         )
+    if stop_time is not None and not 0 < stop_time < float("inf"):
+        raise ModelError(f"export_fmu has stop_time={stop_time!r}; it must be a positive number of seconds.")
     requested = platforms_of(platforms)
     program = program_of(exported, name=program_name(target.stem), blocks=blocks, inputs=inputs, outputs=outputs, dt=dt)
     slow = ", for each platform the first time for minutes" if requested else ", for some seconds"
     with _staged(target.parent) as scratch, reported(f"Compiling {target.name} from C{slow}."):
-        model = model_of(program, write_c(program), timing, description)
+        model = model_of(program, write_c(program), timing, description, stop_time)
         try:
             build_fmu(model, scratch, fmi=fmi, platforms=requested).replace(target)
         except RuntimeError as error:  # no compiler, a failing one, or an unknown platform

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
 from math import ceil
 from typing import Literal
 
@@ -66,7 +67,9 @@ int model_step(double *x, double h)
 """
 
 
-def model_of(program: Program, file: CFile, requested: Timing | None, description: str) -> Model:
+def model_of(
+    program: Program, file: CFile, requested: Timing | None, description: str, stop_time: float | None = None
+) -> Model:
     """Return the model of a program.
 
     Parameters
@@ -80,6 +83,8 @@ def model_of(program: Program, file: CFile, requested: Timing | None, descriptio
         default.
     description : str
         A sentence or two for the user of the FMU.
+    stop_time : float, optional
+        End of the default experiment in seconds.
 
     Raises
     ------
@@ -104,7 +109,7 @@ def model_of(program: Program, file: CFile, requested: Timing | None, descriptio
         ),
         step=float(program.step),
         fixed_step=True,
-        stop_time=float(program.step * max(ceil(_SECONDS / program.step), _STEPS)),
+        stop_time=_stop_time(program.step, stop_time),
         hidden=file.memory + _size(program.tunables) + 2,  # time of the first step, and number of steps
         timing=timing,
         libraries=("m",),
@@ -122,6 +127,13 @@ def _outputs(program: Program, sources: Mapping[str, frozenset[str]], element_so
         initial = tuple(sorted(sources[signal.name], key=names.__getitem__))
         each = tuple(tuple(sorted(of, key=elements.__getitem__)) for of in element_sources[signal.name])
         yield _variable(signal, "output", initial, each)
+
+
+def _stop_time(step: Fraction, requested: float | None) -> float:
+    """Return the end of the default experiment, a whole number of steps, because importers cut the last step of another one."""
+    if requested is None:
+        return float(step * max(ceil(_SECONDS / step), _STEPS))
+    return float(step * max(ceil(Fraction(str(requested)) / step), 1))
 
 
 def _behind_fmi(program: Program, file: CFile, timing: Timing) -> str:
@@ -170,6 +182,7 @@ def _variable(
         element_dependencies=elements,
         shape=signal.shape,
         origin=_renamed(signal) if isinstance(signal, Signal) else "",
+        element_descriptions=signal.element_descriptions if isinstance(signal, Signal) else (),
     )
 
 

@@ -45,6 +45,8 @@ class Signal:
         A description for users.
     origin : str
         Its name in the diagram, as ``controller.y``.
+    element_descriptions : tuple of str
+        A description of each element; empty if they have none of their own.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Signal:
     draw: str | None = None
     description: str = ""
     origin: str = ""
+    element_descriptions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -108,7 +111,11 @@ def signal_of(schedule: Schedule, label: str, places: Places, units: Units) -> S
     if len(places) < port.size:
         origin = labels(origin, port.shape)[places[0][2]]
     unit, description = units.get((node.name, port.name)), port.description or _description(node, port)
-    return Signal(label, shape, unit, start, at, port.draw, description, origin)
+    given = port.element_descriptions
+    each = tuple(given[i] for _, _, i in places) if len(given) == port.size else ()
+    if each and not shape:
+        description, each = each[0], ()
+    return Signal(label, shape, unit, start, at, port.draw, description, origin, each)
 
 
 def _description(node: Node, port: Port) -> str:

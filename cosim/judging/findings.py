@@ -13,7 +13,7 @@ from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.judging.metrics import figures, periods
+from bayesftc.cosim.judging.metrics import false_alarm_rate, figures, periods
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.types import Floats
 
@@ -45,6 +45,16 @@ LEAST = 10
 
 MOST = 100
 """Number of samples from the begin of the alarms in which they must agree; one may fail later."""
+
+MANY_FALSE_ALARMS = 0.05
+"""Share of a sensor's fault-free time in alarm from which a run has a note."""
+
+LOOK_AT_MODEL = (
+    "Look at the model first: gain, time constants and delay of the plant, an input that it lacks, a constant offset of other "
+    "sensors (such as gyros), or noise that is larger than process_covariance or sensor_covariance. A longer run without faults "
+    "can show which of them is wrong."
+)
+"""What to do where a healthy sensor is blamed often, and nothing else says why."""
 
 
 @dataclass(frozen=True)
@@ -397,6 +407,15 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
     return notes
 
 
+def often_blamed(signals: LoopSignals) -> tuple[int, str] | None:
+    """Return the sensor with most false alarms, and a note on it; None if it has few."""
+    rates = {sensor.index: false_alarm_rate(sensor) for sensor in signals.sensors}
+    worst = max(rates, key=lambda i: np.nan_to_num(rates[i]), default=None)
+    if worst is None or not rates[worst] >= MANY_FALSE_ALARMS:
+        return None
+    return worst, f"{signals.sensor_name(worst)} is blamed for {rates[worst]:.0%} of its fault-free time"
+
+
 def alarms_of_all(samples: Sequence[Floats], alarms: Sequence[Flags]) -> int | None:
     """Return the first sample from which on all sensors of a quantity have an alarm for a while although they agree, or None.
 
@@ -463,7 +482,7 @@ def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str
 
 
 __all__ = [
-    "AGREE", "HOLD", "HOLD_SAMPLES", "Finding", "Part", "alarms", "alarms_of_all", "blamed_together", "findings",
-    "findings_frame", "last_of_kind", "never_began", "numbers_of", "onset_of_alarm", "parts", "parts_of_alarms",
-    "parts_of_device", "plain_findings", "sections", "usual_hold",
+    "AGREE", "HOLD", "HOLD_SAMPLES", "LOOK_AT_MODEL", "MANY_FALSE_ALARMS", "Finding", "Part", "alarms", "alarms_of_all",
+    "blamed_together", "findings", "findings_frame", "last_of_kind", "never_began", "numbers_of", "often_blamed",
+    "onset_of_alarm", "parts", "parts_of_alarms", "parts_of_device", "plain_findings", "sections", "usual_hold",
 ]  # fmt: skip

@@ -19,17 +19,35 @@ follow river's ``drift/evaluate.py`` (delay, misses, blame of healthy sensors), 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, InputSignals, LoopSignals, SensorSignals
+from bayesftc.cosim.judging.signals import (
+    ALARM,
+    ActuatorSignals,
+    ControlSignals,
+    Flags,
+    InputSignals,
+    LoopSignals,
+    SensorSignals,
+)
 from bayesftc.cosim.types import Floats
 
 NAN = float("nan")
+
+LIMITED, SWINGS = 0.3, 0.1
+"""Share of a run at the limits of a control from which the run has a note; share at each of two between which it swings."""
+
+REACH = "Is the goal within its reach?"
+AGGRESSIVE = (
+    "The controller is too aggressive for these limits. Give a larger goal_covariance or a smaller control_covariance (in design "
+    "a larger acceptable_error or a smaller acceptable_control), or larger limits if the actuator allows them."
+)
+"""Advice on controls at their limits."""
 
 
 @dataclass(frozen=True)
@@ -243,13 +261,12 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
     # For each fault the indices of the samples that are not missing; a dropout has none.
     samples_of_faults = [a + np.flatnonzero(present[a:b]) for a, b in periods(faulty)]
     visible = [samples for samples in samples_of_faults if len(samples)]
-    missed = delay = false_alarms = NAN
+    missed = delay = NAN
     alarm = signals.alarm
     if alarm is not None:
         delays = [time[s[np.argmax(alarm[s])]] - time[s[0]] for s in visible if alarm[s].any()]
         missed = float(len(visible) - len(delays)) if visible else NAN
         delay = float(np.mean(delays)) if delays else NAN
-        false_alarms = _share(alarm[~faulty & present])
     candidates = {"fault_probability": probability, "beta": signals.beta}
     scores = {name: score for name, score in candidates.items() if score is not None and not np.isnan(score).all()}
     ranked_by = next(iter(scores), None)
@@ -262,7 +279,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
         seen_as_missing=NAN if signals.missing is None else float(len(samples_of_faults) - len(visible)),
         missed=missed,
         delay=delay,
-        false_alarm_rate=false_alarms,
+        false_alarm_rate=false_alarm_rate(signals),
         auc=auc(faulty[present], scores[ranked_by][present])
         if ranked_by and not np.isnan(scores[ranked_by][present]).any()
         else NAN,
@@ -270,6 +287,14 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
         precision_healthy=_mean(signals.precision, ~faulty & present),
         precision_faulty=_mean(signals.precision, faulty & present),
     )
+
+
+def false_alarm_rate(signals: SensorSignals) -> float:
+    """Return the share of a sensor's fault-free samples with an alarm; NaN if its faults or alarms are not known."""
+    faulty, alarm, missing = signals.faulty, signals.alarm, signals.missing
+    if faulty is None or alarm is None:
+        return NAN
+    return _share(alarm[~faulty if missing is None else ~(faulty | missing)])
 
 
 def input_faults(signals: InputSignals) -> InputFaults:
@@ -314,6 +339,44 @@ def figures(signals: LoopSignals) -> Figures:
         inputs=tuple(input_faults(each) for each in signals.inputs),
         actuators=tuple(actuator_faults(each, signals.time) for each in signals.actuators),
     )
+
+
+def limited(signals: LoopSignals) -> Iterator[tuple[str, str]]:
+    """Yield a note and advice on each control that is at its limits for a large part of a run."""
+    for control in signals.controls:
+        if not len(control.sent):  # the run stopped at its first step
+            continue
+        low = 0.0 if control.low is None else _share(control.sent <= control.low)
+        high = 0.0 if control.high is None else _share(control.sent >= control.high)
+        fast, name = _at_rate(control, signals.time), f"control {control.name}"
+        unit = f" {control.unit}" if control.unit else ""
+        per_second = f"{unit}/s" if unit else " per second"
+        rate = f", and changes at its limit of {control.rate:g}{per_second} for {fast:.0%}" if fast >= LIMITED else ""
+        if min(low, high) >= SWINGS and low + high >= LIMITED:
+            yield (
+                f"{name} swings between its limits, {control.low:g}{unit} ({low:.0%} of the run) and {control.high:g}{unit} "
+                f"({high:.0%}){rate}",
+                AGGRESSIVE,
+            )
+        elif max(low, high) >= LIMITED:
+            limit = control.low if low > high else control.high
+            where = rate or ", where it cannot do more"
+            yield f"{name} is at its limit of {limit:g}{unit} for {max(low, high):.0%} of the run{where}", REACH
+
+
+def _at_rate(control: ControlSignals, time: Floats) -> float:
+    """Return the share of a control's values at the limit of its rate, as the one before; 0 if not every value is recorded.
+
+    A control that follows noise changes at this limit as well, but up and down.
+    """
+    rows = time[1] - time[0] if len(time) > 1 else 0.0
+    if control.rate is None or control.dt is None or not 0.0 < rows <= 1.001 * control.dt:
+        return 0.0
+    every = round(control.dt / rows)
+    values, largest = control.sent[::every], control.rate * control.dt
+    change = np.diff(values)
+    at = np.sign(change) * (np.abs(change) >= largest - 1e-9 * (largest + np.abs(values[1:])))
+    return _share((at[1:] != 0.0) & (at[1:] == at[:-1]))
 
 
 def _difference(one: Floats | None, other: Floats | None) -> Floats | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import prod
+
 import numpy as np
 
 from bayesftc.cosim.diagram.diagram import Diagram
@@ -86,7 +88,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
         faults,
         tuple(_input(reader, role) for role in roles.inputs),
         _actuators(reader, roles, drawn),
-        _controls(reader, roles) if drawn else (),
+        _controls(reader, roles),
         _process(reader) if drawn else None,
         roles.lag,
     )
@@ -113,7 +115,7 @@ class _Reader:
     def columns(self, name: str, count: int) -> list[Floats | None]:
         """Return the elements of an output of the controller; None for each if their number is not `count`."""
         values = self.output(name)
-        elements: list[Floats | None] = [] if values is None else list(values.reshape(len(values), -1).T)
+        elements: list[Floats | None] = [] if values is None else list(_flat(values).T)
         return elements if len(elements) == count else [None] * count
 
     def tables(self, name: str, count: int) -> list[Floats | None]:
@@ -124,7 +126,12 @@ class _Reader:
 
     def at(self, place: Place | None) -> Floats | None:
         values = None if place is None else self.signal(place[0])
-        return None if values is None or place is None else values.reshape(len(values), -1)[:, place[1]]
+        return None if values is None or place is None else _flat(values)[:, place[1]]
+
+
+def _flat(values: Floats) -> Floats:
+    """Return a signal with one column for each scalar; it may have no rows, after a run that stopped at its first step."""
+    return values.reshape(len(values), prod(values.shape[1:]))
 
 
 def _input(reader: _Reader, role: InputRole) -> InputSignals:
@@ -160,7 +167,7 @@ def _controls(reader: _Reader, roles: LoopRoles) -> tuple[ControlSignals, ...]:
     """Return the controls that were recorded."""
     sent = reader.columns("u", len(roles.controls))
     return tuple(
-        ControlSignals(role.name, role.unit, values, role.low, role.high)
+        ControlSignals(role.name, role.unit, values, role.low, role.high, role.rate, role.dt)
         for role, values in zip(roles.controls, sent, strict=True)
         if values is not None
     )

@@ -204,13 +204,18 @@ class ActuatorSignals:
 
 @dataclass(frozen=True, eq=False)
 class ControlSignals:
-    """One control over time: the signal for the plant's input of this name, and its limits (None: unlimited)."""
+    """One control over time: the signal for the plant's input of this name, and its limits (None: unlimited).
+
+    ``rate`` is the limit of its change per second, ``dt`` the seconds between two of its values (None: not known).
+    """
 
     name: str
     unit: str | None
     sent: Floats
     low: float | None
     high: float | None
+    rate: float | None = None
+    dt: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

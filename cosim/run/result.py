@@ -243,25 +243,33 @@ class Result(Mapping[str, Floats]):
 
     @property
     def notes(self) -> list[str]:
-        """What a reader must know of the run: that it stopped, or that its sensors contradict the controller's model."""
+        """What a reader must know of a run: that it stopped, what speaks against the model, and controls at their limits."""
         return self._explained("")
 
     def _explained(self, why: str = f" ({DIAGNOSE} says why)") -> list[str]:
         """Return the notes, with `why` after each that a diagnosis explains."""
         notes = ["stopped early"] if self.stopped else []
         wrong = [f"model of {block} suspect from t = {self.time[k]:g} s" for block, k in self._suspect.items()]
-        return [*notes, *(f"{text}{why}" for text in wrong or self._agreement["model"]), *self._agreement["start"]]
+        model, start, often = (self._agreement[of] for of in ("model", "start", "often"))
+        limited = [note for note, _ in self._limited]
+        return [*notes, *(f"{text}{why}" for text in wrong or model), *start, *([] if wrong else often), *limited]
 
     def _sentences(self) -> list[str]:
         """Return the notes as sentences."""
+        from bayesftc.cosim.judging.findings import LOOK_AT_MODEL
+
         notes = ["The run stopped early."] if self.stopped else []
         wrong = [
-            f"The model of {block} is suspect from t = {self.time[k]:g} s{self._or_sensors(block, k)}"
+            f"The model of {block} is suspect from t = {self.time[k]:g} s{self._or_sensors(block, k)}."
             for block, k in self._suspect.items()
         ]
-        model, start = ([f"{text[0].upper()}{text[1:]}" for text in self._agreement[of]] for of in ("model", "start"))
+        model, start, often = (
+            [f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("model", "start", "often")
+        )
         cause = f"Sensors may be blamed because of it. {DIAGNOSE} looks for the cause."
-        return [*notes, *(f"{text}. {cause}" for text in wrong or model), *(f"{text}." for text in start)]
+        blamed = [] if wrong else [f"{text} {LOOK_AT_MODEL}" for text in often]
+        limited = [f"The {note}. {advice}" for note, advice in self._limited]
+        return [*notes, *(f"{text} {cause}" for text in wrong or model), *start, *blamed, *limited]
 
     @cached_property
     def _suspect(self) -> dict[str, int]:
@@ -288,13 +296,25 @@ class Result(Mapping[str, Floats]):
 
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:
-        from bayesftc.cosim.judging.findings import blamed_together
+        """Notes on healthy sensors that are blamed: all that agree (``"model"``, ``"start"``), or else one ``"often"``."""
+        from bayesftc.cosim.judging.findings import blamed_together, often_blamed
         from bayesftc.cosim.judging.roles import signals_of
 
         roles = self.roles
         if roles is None or f"{roles.controller}.fault_probability" not in self:
-            return {"start": [], "model": []}
-        return blamed_together(signals_of(roles, self, drawn=False), self.decimation)
+            return {"start": [], "model": [], "often": []}
+        signals = signals_of(roles, self, drawn=False)
+        together = blamed_together(signals, self.decimation)
+        often = None if any(together.values()) else often_blamed(signals)
+        return {**together, "often": [] if often is None else [often[1]]}
+
+    @cached_property
+    def _limited(self) -> list[tuple[str, str]]:
+        """Notes and advice on controls at their limits."""
+        from bayesftc.cosim.judging.metrics import limited
+        from bayesftc.cosim.judging.roles import signals_of
+
+        return [] if self.roles is None else list(limited(signals_of(self.roles, self, drawn=False)))
 
     def _repr_html_(self) -> str:
         """Return a table of the signals with their ranges, for notebooks."""

@@ -8,6 +8,9 @@ from typing import Any
 
 from bayesftc.cosim import ops
 
+INDEX = "write a loop: for k in range(n): x[k] = ops.select(k == place, new, x[k])"
+"""How to write an element whose place is a float, such as one kept in the state."""
+
 _SAME = {name: f"ops.{name}" for name in ops.NAMES}
 _INSTEAD = _SAME | {
     "abs": "ops.absolute",
@@ -23,7 +26,7 @@ _INSTEAD = _SAME | {
     "float": "the number itself: all are floats",
     "fmax": "ops.maximum",
     "fmin": "ops.minimum",
-    "int": "ops.floor",
+    "int": f"ops.floor, which gives a float. For an index, {INDEX}",
     "matmul": "loops",
     "max": "ops.maximum",
     "min": "ops.minimum",

@@ -22,7 +22,7 @@ from bayesftc.cli.application import COMMANDS
 from bayesftc.cli.commands.loops import _compare as compare_module, run as run_module
 from bayesftc.cli.guard import guarded
 from bayesftc.cosim import Result
-from bayesftc.cosim.judging.metrics import figures
+from bayesftc.cosim.judging.metrics import figures, limited
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.monitoring import load_monitor
 from bayesftc.scenario import Scenario, load_scenario, shipped_scenarios
@@ -501,7 +501,8 @@ def test_a_run_that_stops_at_its_first_step_says_nothing_of_limits():
     with pytest.raises(cosim.SimulationError) as stopped:
         loop.simulate(1.0, engine="interpreted")
     assert not len(stopped.value.result.time)
-    assert not list(run_module._limited(loop, stopped.value.result))
+    assert not list(limited(loop_signals(loop, stopped.value.result)))
+    assert stopped.value.result.notes == ["stopped early"]
 
 
 @pytest.mark.usefixtures("undrawn")

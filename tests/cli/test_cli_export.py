@@ -23,6 +23,16 @@ def scenarios(tmp_path_factory):
     return folder / "car.toml", folder / "other.toml"
 
 
+def test_the_fmu_stops_by_default_when_the_scenario_ends(bayesftc_, scenarios, tmp_path, c_compiler):
+    text = scenarios[0].read_text()
+    assert "duration = 20.0" in text
+    (tmp_path / "short.toml").write_text(text.replace("duration = 20.0", "duration = 61.5"))
+    done = bayesftc_("export", "short.toml", "--block", "controller", "--out", "it.fmu")
+    assert done.exit_code == 0, done.output
+    written = zipfile.ZipFile(tmp_path / "it.fmu").read("modelDescription.xml").decode()
+    assert 'stopTime="61.5' in written
+
+
 def test_a_controller_leaves_and_is_verified(bayesftc_, scenarios, tmp_path, c_compiler):
     car, other = scenarios
     done = bayesftc_("export", car, "--block", "controller")

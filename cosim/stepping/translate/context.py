@@ -11,6 +11,7 @@ from typing import Any, NoReturn, Protocol
 from bayesftc.cosim import ops
 from bayesftc.cosim.errors import KernelError
 from bayesftc.cosim.stepping.foreign import Foreign
+from bayesftc.cosim.stepping.instead import INDEX
 from bayesftc.cosim.stepping.source.tree import parameters, place
 from bayesftc.cosim.stepping.translate.kinds import Array, Constant, Kind, Number, as_number
 from bayesftc.cosim.stepping.translate.values import ATOM, Value, constant
@@ -147,7 +148,9 @@ class Context:
         """Return a value; refuse it if it is no whole number."""
         if self.number(node, value).type == "float":
             self.refuse(
-                node, f"uses a number that is not whole as an index or count ({ast.unparse(node)}); use whole numbers"
+                node,
+                f"uses a number that is not whole as an index or count ({ast.unparse(node)}); use whole numbers. For a place "
+                f"that is a float, {INDEX}",
             )
         return value
 

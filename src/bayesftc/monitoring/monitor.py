@@ -201,7 +201,7 @@ class Monitor:
         Returns
         -------
         ModelFinding or None
-            How the model is wrong, by `bayesftc.controllers.diagnose_recording`. None if there is no evidence against it.
+            How the model is wrong, by `bayesftc.controllers.diagnose_recording`. None without enough evidence against it.
         """
         if not recording.u.shape[1]:
             return None

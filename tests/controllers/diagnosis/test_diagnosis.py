@@ -93,6 +93,26 @@ def test_a_load_that_wanders_faster_than_the_disturbance_of_the_model_is_no_othe
     assert diagnose_recording(plant.with_disturbance(larger), y, u) is None
 
 
+@pytest.mark.parametrize("mean", [0.0, -3.0])
+def test_a_load_that_changes_all_the_time_is_no_other_dynamics_of_a_model_without_one(mean):
+    """Without this explanation the best one was noise of the speed, or in a short beginning of the run a limit or a sign."""
+    A, B = np.array([[1.0, 0.05], [0.0, 0.95]]), np.array([[0.0], [0.05]])
+    model = controllers.LinearModel(A, B, [[1.0, 0.0]] * 2, np.diag([1e-8, 1e-6]), np.eye(2) * 1e-4, dt=0.05)
+    rng = np.random.default_rng(25)
+    u, x, gust = 3.0 * rng.standard_normal(1500), np.zeros((1500, 2)), 0.0
+    for k in range(1499):
+        x[k + 1] = A @ x[k] + B[:, 0] * (u[k] + mean + gust) + rng.standard_normal(2) * [1e-4, 1e-3]
+        gust = 0.95 * gust + 0.3 * rng.standard_normal()
+    y = x[:, :1] + 0.01 * rng.standard_normal((1500, 2))
+    finding = diagnose_recording(model, y, u)
+    assert (finding.kind, finding.values[0]) == ("noise", 2.0)
+    assert finding.values[2] == pytest.approx(mean, abs=1.0)
+    assert "a load acts, and changes all the time" in finding.sentence
+    assert ("It has the effect of a change of the control, on average by -3" in finding.sentence) == (mean != 0.0)
+    estimated = float(finding.sentence.partition("disturbance=")[2].split()[0])
+    assert diagnose_recording(model.with_disturbance(estimated), y, u) is None
+
+
 def test_offsets_of_all_gyros_are_named_and_measured():
     """Two gyros with different offsets beside two compasses, which the default learner would blame."""
     finding, suspect = told(next(c for c in cases() if c.name == "heading: unequally biased"), "fixed", 3)

@@ -316,6 +316,20 @@ def test_signals_in_another_order_than_those_of_the_model_are_warned_of(changes,
     assert all(re.search(words, str(each.message)) and each.filename == __file__ for each in caught)
 
 
+@pytest.mark.parametrize(("designed", "given", "remedy"), [([3, 1], 4, [3, 1]), (4, [3, 1], 4), ([3, 1], [3, 1], None)])
+def test_other_numbers_of_sensors_than_those_of_the_model_are_named(designed, given, remedy):
+    controller = controllers.design(ROOMS, measured=["T1", "T2"], actuated=["heat", "vent"], dt=0.1, sensors=designed)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        cosim.closed_loop(
+            ROOMS, controller, control=["heat", "vent"], measured=["T1", "T2"], sensors=cosim.Sensors(given, 0.1),
+            reference=[1.0, 2.0],
+        )  # fmt: skip
+    said = [str(each.message) for each in caught]
+    assert len(said) == (remedy is not None)
+    assert all(f"Give sensors=Sensors(count={remedy}, ...), or design" in each for each in said)
+
+
 def tank(t, x, u, params):
     return np.array([0.1 * u[0] + u[1] - 0.2 * np.sqrt(max(x[0], 1e-3))])
 

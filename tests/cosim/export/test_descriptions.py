@@ -35,6 +35,25 @@ def test_the_header_in_c_says_what_the_description_of_the_fmu_says():
     assert max(map(len, file.header.splitlines())) <= 130
 
 
+def test_each_element_of_the_belief_has_its_state_in_fmi_2():
+    axis = control.ss(
+        [[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"], states=["x", "v"]
+    )
+    controller = controllers.design(
+        axis, measured=["x", "v"], sensors=[2, 1], actuated="force", goal="x", dt=0.05, sensor_std=0.1,
+        acceptable_error=0.1, acceptable_control=1.0, disturbance=0.1,
+    )  # fmt: skip
+    program = program_of(controller, name="axis")
+    model = model_of(program, write_c(program), None, "")
+    told = {variable.name: variable.description for variable in model.flat().variables}
+    states = ["x", "v", "disturbance[0]"]
+    assert [told[f"x_hat[{i}]"] for i in range(3)] == [
+        f"Mean of the belief about the state ({name})" for name in states
+    ]
+    assert [told[f"y[{i}]"] for i in range(3)] == [f"Samples of the sensors ({x}); NaN is a missing one" for x in "xxv"]
+    assert next(v for v in model.variables if v.name == "x_hat").description.count("state") == 1
+
+
 def test_the_text_of_a_port_does_not_end_a_comment_of_the_header(make_block):
     def act(u, y):
         y[0] = u[0]

@@ -257,7 +257,11 @@ REFUSED = {
         "loops over something other than a range; write for i in range",
     ),
     "two kinds": (lambda: block_of(two_kinds), "assigns values of different kinds to 'a'; use two names"),
-    "float index": (lambda: block_of(float_index), "uses a number that is not whole as an index or count (y[u[0]])"),
+    "float index": (
+        lambda: block_of(float_index),
+        "uses a number that is not whole as an index or count (y[u[0]]); use whole numbers. For a place that is a float, write a "
+        "loop: for k in range(n): x[k] = ops.select(k == place, new, x[k])",
+    ),
     "out of range": (lambda: block_of(out_of_range), "uses element 4 of 4 (y[4]); the last one is 3"),
     "row": (lambda: block_of(stores_row), "assigns to a whole row or a tuple"),
     "lambda": (lambda: block_of(lambda u, y: None), "Define it with def"),

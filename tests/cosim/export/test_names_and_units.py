@@ -255,3 +255,16 @@ def test_the_default_experiment_is_a_whole_number_of_steps(seconds, tmp_path, c_
     assert steps.denominator == 1
     assert steps >= 100
     assert len(fmpy.simulate_fmu(str(path))) == steps + 1
+
+
+@pytest.mark.parametrize(("given", "written"), [(60.0, 60.0), (0.05, 0.06), (1e-9, 0.03)])
+def test_the_stop_time_is_as_given_up_to_the_next_step(given, written, tmp_path, c_compiler):
+    path = cosim.export_fmu(cosim.UnitDelay(), tmp_path / "it.fmu", dt=0.03, stop_time=given)
+    told = fmpy.read_model_description(str(path)).defaultExperiment
+    assert float(told.stopTime) == pytest.approx(written, rel=1e-12)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_stop_time_that_is_none_is_refused(wrong, tmp_path):
+    with pytest.raises(cosim.ModelError, match=r"stop_time=.*positive number of seconds"):
+        cosim.export_fmu(cosim.UnitDelay(), tmp_path / "it.fmu", dt=0.03, stop_time=wrong)

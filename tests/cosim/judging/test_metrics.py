@@ -1,17 +1,19 @@
 """The figures of a run: their definitions, on signals made by hand, and what is not defined."""
 
+import re
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from sklearn.metrics import roc_auc_score
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.judging.metrics import auc, detection, errors_by_phase, figures, periods, rmse
+from bayesftc.cosim.judging.metrics import auc, detection, errors_by_phase, figures, limited, periods, rmse
 from bayesftc.cosim.judging.roles import loop_signals
-from bayesftc.cosim.judging.signals import SensorSignals
+from bayesftc.cosim.judging.signals import ControlSignals, LoopSignals, SensorSignals
 from bayesftc.cosim.ops import sin
 from bayesftc.examples.cruise_control.block_diagram import by_hand
 from bayesftc.examples.cruise_control.cruise_control import LEARNERS, cruise_control
@@ -330,3 +332,48 @@ def test_what_is_no_closed_loop():
     diagram.add(cosim.Constant(1.0))
     with pytest.raises(ModelError, match="one Sensors block"):
         loop_signals(diagram, diagram.simulate(1.0, engine="interpreted"))
+
+
+def _with_control(u, rate=None, unit="N", dt=0.1):
+    force = ControlSignals("force", unit, np.asarray(u, dtype=float), -1.0, 1.0, rate, dt)
+    return LoopSignals(dt * np.arange(len(u)), (), (), {}, controls=(force,))
+
+
+SWING = [*np.linspace(-1.0, 1.0, 21), *np.ones(10), *np.linspace(1.0, -1.0, 21), *-np.ones(10)] * 3
+
+
+@pytest.mark.parametrize(
+    ("signals", "note", "advice"),
+    [
+        (_with_control([1.0] * 4 + [0.0] * 6), "force is at its limit of 1 N for 40% of the run, where it cannot", "reach"),
+        (_with_control([1.0, 0.0, 0.0, 0.0, 0.0]), None, None),
+        (_with_control(SWING), r"swings between its limits, -1 N \(19% of the run\) and 1 N \(19%\)$", "goal_covariance"),
+        (_with_control(SWING, 1.0), r"\(19%\), and changes at its limit of 1 N/s for 6\d%$", "goal_covariance"),
+        (_with_control(SWING, 1.0, None), r"-1 \(.* and 1 \(.*at its limit of 1 per second for 6\d%$", "goal_covariance"),
+        (_with_control([0.5, 0.6] * 20, 1.0), None, None),  # noise, up and down
+    ],
+)  # fmt: skip
+def test_controls_at_their_limits(signals, note, advice):
+    found = list(limited(signals))
+    assert len(found) == (note is not None)
+    assert all(re.search(note, said) and advice in what for said, what in found)
+
+
+def test_a_loop_that_swings_between_the_limits_of_its_control_says_so():
+    plant = control.ss([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], 0, inputs=["force"], outputs=["x"])
+    controller = controllers.design(
+        plant, measured="x", actuated="force", sensors=2, sensor_std=0.01, goal="x", dt=0.1, acceptable_error=0.05,
+        acceptable_control=10.0, u_min=-4.0, u_max=4.0, u_rate=1.0,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        cosim.StateSpace(plant),
+        controller,
+        control="force",
+        measured="x",
+        sensors=cosim.Sensors(2, 0.01),
+        reference=3.0,
+    )
+    result = loop.simulate(60.0, seed=1)
+    (note,) = [note for note in result.notes if "control" in note]
+    assert re.search(r"swings between its limits, -4 \(.*and changes at its limit of 1 per second", note)
+    assert any("Give a larger goal_covariance" in sentence for sentence in result.summary().notes)

@@ -4,11 +4,13 @@ import builtins
 import json
 import os
 import pickle
+import re
 import zipfile
 from fractions import Fraction
 from itertools import permutations
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
@@ -350,6 +352,43 @@ def test_a_result_says_that_the_belief_began_elsewhere_than_the_plant(mean):
     notes = loop.simulate(2.0, seed=1).notes
     wrong = "both sensors of v agree but are blamed from t = 0 s: the controller's belief at the start is wrong"
     assert notes == ([f"{wrong} (initial_mean, initial_spread)"] if mean == 0.0 else [])
+
+
+def _two_masses(stiffness: float, damping: float) -> control.StateSpace:
+    A = [
+        [0, 1, 0, 0],
+        [-stiffness / 0.01, -(damping + 0.05) / 0.01, stiffness / 0.01, damping / 0.01],
+        [0, 0, 0, 1],
+        [stiffness / 0.02, damping / 0.02, -stiffness / 0.02, -(damping + 0.01) / 0.02],
+    ]
+    return control.ss(
+        A, [[0, 0], [50, 0], [0, 0], [0, 50]], [[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0]], 0,
+        inputs=["voltage", "load"], outputs=["load_angle", "motor_angle", "motor_speed"],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.2])
+def test_a_result_says_that_a_healthy_sensor_is_blamed_often(factor):
+    measured, std = ["load_angle", "motor_angle", "motor_speed"], (0.002, 0.002, 0.002, 0.05)
+    controller = controllers.design(
+        _two_masses(5.0, 0.02), measured=measured, actuated="voltage", sensors=[2, 1, 1], sensor_std=std, goal="load_angle",
+        dt=0.005, noise={"load": 0.05}, acceptable_error=0.05, acceptable_control=5.0,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        _two_masses(factor * 5.0, factor * 0.02), controller, control="voltage", measured=measured,
+        sensors=cosim.Sensors(count=[2, 1, 1], std=std), noise={"load": cosim.Gaussian(std=0.05)},
+        reference=cosim.Sine(amplitude=0.5, period=3.0),
+    )  # fmt: skip
+    result = loop.simulate(4.0, seed=1)
+    if factor == 1.0:
+        assert not result.notes
+        assert not result.summary().notes
+        return
+    (note,) = result.notes
+    assert re.fullmatch(r"sensor 2 \(motor_angle\) is blamed for 3\d% of its fault-free time", note)
+    assert repr(result).endswith(f", {note}>")
+    (sentence,) = result.summary().notes
+    assert sentence.startswith(f"S{note[1:]}. Look at the model first: ")
 
 
 def test_agreement_is_that_of_all_pairs_of_sensors_in_any_order():

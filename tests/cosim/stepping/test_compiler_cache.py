@@ -168,6 +168,11 @@ def limits(y):
     y[0] = max(y[0], 0.0)  # this line
 
 
+def finds_a_place(y):
+    y[0] = 1.0
+    y[int(y[0]) - 1] = 2.0  # this line
+
+
 def looks_up(y):
     for i in range(2):
         y[0] = UNSUITABLE[i]  # this line
@@ -197,6 +202,7 @@ def calls_squares(y):
 INSTEAD = {
     tells_a_root: "Instead of math.sqrt use ops.sqrt.",
     limits: "Instead of max use ops.maximum.",
+    finds_a_place: "ops.floor, which gives a float. For an index, write a loop: for k in range(n): x[k] = ops.select(k == place",
     looks_up: "as a parameter of the block.",
     draws: 'Port("noise", draw="normal").',
     catches: "use ops.select",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import StrEnum
+from fractions import Fraction
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
@@ -74,7 +75,8 @@ def export(
         target = c_folder(out) if form is Form.c else fmu_file(out).parent
         output.check_folder(target, (), silent=True)
     platforms_of(platform or None)
-    loop = load_scenario(scenario).loop()
+    loaded = load_scenario(scenario)
+    loop = loaded.loop()
     if not block:
         raise typer.BadParameter(f"name what to export, such as --block controller; {scenario} has {_blocks_of(loop)}.")
     chosen = list(dict.fromkeys(loop[name].name for name in block))
@@ -96,6 +98,7 @@ def export(
         "fmi": {None: "2.0", "2": "2.0", "3": "3.0"}.get(fmi, fmi),
         "timing": timing and timing.value,
         "platforms": platform or None,
+        "stop_time": float(Fraction(loaded.simulation.duration)),
     }
     about = f"{', '.join(chosen)} of the scenario {Path(scenario).name}"
     path = export_fmu(loop, path, blocks=chosen, description=f"{about[0].upper()}{about[1:]}", **options)

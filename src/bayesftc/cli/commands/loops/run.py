@@ -21,8 +21,8 @@ from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
-from bayesftc.cosim.judging.findings import blamed_together, never_began, numbers_of
-from bayesftc.cosim.judging.metrics import without_nan
+from bayesftc.cosim.judging.findings import LOOK_AT_MODEL, blamed_together, never_began, numbers_of, often_blamed
+from bayesftc.cosim.judging.metrics import limited, without_nan
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
@@ -36,10 +36,6 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.running import Progress
     from bayesftc.cosim.types import Floats
 
-LIMITED = 0.3
-"""Share of a run at a limit of a control from which a run ends with a note."""
-MANY_FALSE_ALARMS = 0.05
-"""Share of a sensor's fault-free time in alarm from which a run ends with a hint."""
 COMPARED = 20_000
 """Samples over which a run with our SER baseline is compared with filterpy's: less than a second."""
 UNKNOWN = "The comparison with filterpy has no result, because one of its numbers is not finite."
@@ -198,7 +194,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         **numbers_of(signals),
         "notes": [
             *_notes(scenario, signals, _unrecorded(loop, result)),
-            *_limited(loop, result),
+            *(f"The {note}. {advice}" for note, advice in limited(signals)),
             *(never_began(loop, result) if result.decimation == 1 else ()),
         ],
     }
@@ -208,27 +204,10 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
     return numbers, signals
 
 
-def _limited(loop: Diagram, result: Result) -> Iterator[str]:
-    """Give a sentence for each control that is at one of its limits for a large part of a run."""
-    roles = find_roles(loop)
-    name = f"{roles.controller}.u"
-    if name not in result or not len(result.time):  # it may have stopped at its first step
-        return
-    for control, u in zip(roles.controls, result[name].reshape(len(result.time), -1).T, strict=True):
-        for limit, at in ((control.low, u <= (-np.inf if control.low is None else control.low)),
-                          (control.high, u >= (np.inf if control.high is None else control.high))):  # fmt: skip
-            if limit is not None and (share := float(at.mean())) >= LIMITED:
-                unit = f" {control.unit}" if control.unit else ""
-                yield (
-                    f"The control {control.name} is at its limit of {limit:g}{unit} for {share:.0%} of the run, "
-                    "where it cannot do more. Is the goal within its reach?"
-                )
-
-
 def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int]:
     """Return how the controller's model is wrong, as far as the run was recorded, and how many samples were compared with it.
 
-    The first is None if there is no evidence against the model.
+    The first is None without enough evidence against the model.
     """
     from bayesftc.controllers import NonlinearModel, diagnose
     from bayesftc.controllers.diagnosis.diagnose import checked_model, compared_samples
@@ -249,18 +228,12 @@ def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block,
     }
     if together["start"]:
         return together["start"]
-    rates = {s["sensor"]: s["false_alarm_rate"] for s in numbers["sensors"] if s["false_alarm_rate"] is not None}
-    worst = max(rates, key=rates.__getitem__, default=None)
-    if worst is None or rates[worst] < MANY_FALSE_ALARMS or numbers["model"]:
+    often = often_blamed(signals)
+    if often is None or numbers["model"]:
         return []
-    blamed = " ".join(together["model"]) or f"Sensor {worst} is blamed for {rates[worst]:.0%} of its fault-free time."
-    if found := _scatter(signals, worst, controller):
-        return [f"{blamed} {found}"]
-    return [
-        f"{blamed} Look at the model first: gain, time constants and delay of the plant, an input that it "
-        "lacks, a constant offset of other sensors (such as gyros), or process noise that is larger than process_covariance. A "
-        "longer run without faults can show which of them is wrong."
-    ]
+    worst, note = often
+    blamed = " ".join(together["model"]) or f"{note[0].upper()}{note[1:]}."
+    return [f"{blamed} {_scatter(signals, worst, controller) or LOOK_AT_MODEL}"]
 
 
 def _scatter(signals: LoopSignals, sensor: int, controller: Block) -> str:
