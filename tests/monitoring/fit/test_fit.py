@@ -100,6 +100,52 @@ def test_unequal_noise_is_told_apart():
     assert fitted.errors == ()
 
 
+def hovering(seed, steps=6000):
+    """Return the height of a drone that follows steps and a sine, every 0.1 s."""
+    rng, (z, v, gust) = np.random.default_rng(seed), (10.0, 0.0, 0.0)
+    goal = 10 + 5 * np.sin(2 * np.pi * np.arange(steps) / 600) + 3 * (np.arange(steps) // 450 % 2)
+    heights = np.empty(steps)
+    for k in range(steps):
+        heights[k] = z
+        gust = 0.95 * gust + 0.4 * rng.standard_normal()
+        v += 0.1 * (1.3 * (goal[k] - z) - 2.4 * v + gust / 6)
+        z += 0.1 * v
+    return heights
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("every", [2, 5, 10])
+def test_a_sparse_sensor_changes_the_noise_of_no_other(every, seed):
+    """The steps without its samples show the noise of two sensors only: their difference tells nothing about each."""
+    stds, steps = np.array([0.4, 0.04, 0.4]), np.arange(6000)
+    y = hovering(seed)[:, None] + stds * np.random.default_rng(seed).standard_normal((6000, 3))
+    for sparse, phase in ((2, 0), (2, every // 2), (0, 1)):
+        thin = y.copy()
+        thin[steps % every != phase, sparse] = np.nan
+        fitted = fit_model(recording(thin, 0.1))
+        found = [s.std for s in fitted.sensors.values()]
+        # The noise of the precise sensor is a tenth of that of the others, and less than the motion between two samples.
+        assert (np.abs(found / stds - 1) < [0.15, 0.25, 0.15]).all(), (found, sparse, phase)
+        assert fitted.errors == ()
+
+
+def test_sparse_sensors_take_turns():
+    stds, steps = np.array([0.4, 0.4, 0.4]), np.arange(6000)
+    y = hovering(0)[:, None] + stds * np.random.default_rng(0).standard_normal((6000, 3))
+    y[steps % 5 != 1, 0] = np.nan
+    y[steps % 5 != 3, 2] = np.nan  # the first and the last have no common step
+    fitted = fit_model(recording(y, 0.1))
+    np.testing.assert_allclose([s.std for s in fitted.sensors.values()], stds, rtol=0.15)
+    assert fitted.errors == ()
+
+
+def test_a_sensor_may_have_samples_in_few_steps():
+    y = hovering(0)[:, None] + 0.4 * np.random.default_rng(0).standard_normal((6000, 3))
+    y[np.arange(6000) % 25 != 0, 2] = np.nan
+    fitted = fit_model(recording(y, 0.1))
+    np.testing.assert_allclose([s.std for s in fitted.sensors.values()], 0.4, rtol=0.2)
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("still", [0.1, 0.5, 0.9])
 def test_a_calm_part_does_not_count(still):
@@ -301,9 +347,9 @@ def test_the_three_cornered_hat_adds_up():
     windows = np.tile(apart, (5, 1))
     assert groups(apart, 4) == [(0, 1), (2, 3)]
     unknown = np.full((5, 4), np.nan)
-    np.testing.assert_allclose(share_out(windows, unknown, [(0, 1), (2, 3)]), [*own, 6.0, 6.0], rtol=1e-9)
+    np.testing.assert_allclose(share_out(windows, unknown, [(0, 1), (2, 3)])[0], [*own, 6.0, 6.0], rtol=1e-9)
     alone = np.array([own[i] + own[j] for i, j in pairs])
-    np.testing.assert_allclose(share_out(np.tile(alone, (5, 1)), unknown, []), own, rtol=1e-9)
+    np.testing.assert_allclose(share_out(np.tile(alone, (5, 1)), unknown, [])[0], own, rtol=1e-9)
 
 
 def test_noise_is_taken_apart_by_its_time_constant():

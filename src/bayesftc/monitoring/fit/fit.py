@@ -16,7 +16,7 @@ from bayesftc.monitoring.fit.bias import Change, biases, changes, unmoved, wande
 from bayesftc.monitoring.fit.checks import check_recording
 from bayesftc.monitoring.fit.codes import without_codes
 from bayesftc.monitoring.fit.following import strangers
-from bayesftc.monitoring.fit.moments import median
+from bayesftc.monitoring.fit.moments import median, weighted_median
 from bayesftc.monitoring.fit.motion import Motion, common
 from bayesftc.monitoring.fit.noise import Noise, awake, decompose, disagreement, groups, share_out
 from bayesftc.monitoring.fit.settings import FIT
@@ -319,11 +319,12 @@ def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[
     pairs = [pairs for pairs, _ in apart.values()]
     m = next(iter(apart.values()))[1].shape[1]
     shared = groups(median(np.array([median(of_lag, 0) for of_lag in pairs[: max(4, len(pairs) // 2)]]), 0), m)
-    parts = np.array([share_out(*of_lag, shared) for of_lag in apart.values()])
+    of_lags = [share_out(*of_lag, shared) for of_lag in apart.values()]
+    parts, uncertain = (np.array(of) for of in zip(*of_lags, strict=True))
     times = np.array(list(apart), dtype=np.float64)
-    sizes = np.array([_size(times, column) for column in parts.T])
-    shape = decompose(times, median(parts[:, :m] / np.maximum(sizes[:m], 1e-300), 1), white=True)
-    single = [shape.times(size) for size in sizes[:m]]
+    sizes, shape = _sizes(parts[:, :m], uncertain[:, :m])
+    of_all = decompose(times, shape, white=True)
+    single = [of_all.times(size) for size in sizes]
     common_errors = {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
     return single, {
         pair: noise
@@ -332,10 +333,27 @@ def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[
     }
 
 
-def _size(lags: Floats, variances: Floats) -> float:
-    """Return the variance of differences over the lags where it hardly grows any more."""
-    lags, variances = lags[np.isfinite(variances)], variances[np.isfinite(variances)]
-    return float(np.median(variances[lags >= min(FIT.settled * lags[0], lags[-1])])) if len(lags) else 0.0
+def _sizes(variances: Floats, uncertain: Floats) -> tuple[Floats, Floats]:
+    """Return the size of each sensor's variance, and the shape over the lags that all have: variances are their products.
+
+    Lags and sensors count by how certain their variances are. Over a lag at which a sparse sensor has no samples, the others give
+    the shape; over a long one, in which the quantity moves much, the variance of a precise sensor is hardly known.
+
+    Parameters
+    ----------
+    variances, uncertain : ndarray, lags x sensors
+        Variances of the differences, and their errors up to a factor; NaN where a sensor has no samples.
+    """
+    # A few windows may agree by chance: no lag counts more than a shorter one.
+    uncertain = np.fmax.accumulate(np.fmax(uncertain, max(1e-6 * float(np.nanmax(variances, initial=0.0)), 1e-150)))
+    shape = np.where(np.isfinite(variances).any(axis=1), 1.0, np.nan)
+    for _ in range(FIT.rounds):
+        products = variances * shape[:, None] / uncertain**2
+        squares = np.where(np.isfinite(products), shape[:, None] / uncertain, 0.0) ** 2
+        sizes = np.nansum(products, axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
+        of_lags = zip(variances / np.maximum(sizes, 1e-300), (sizes / uncertain) ** 2, strict=True)
+        shape = np.array([weighted_median(*of_lag) for of_lag in of_lags])
+    return sizes, shape
 
 
 def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[float], list[float]]:

@@ -111,7 +111,9 @@ class FitSettings:
     long: int = chosen(
         32, "multiple of the shortest lag up to which noise is coloured; longer errors are a wandering bias"
     )
-    settled: float = chosen(4.0, "multiple of the shortest lag from which the sensors' noise has about its full size")
+    rounds: int = chosen(
+        3, "times that the sizes of all sensors and their common shape are fitted to each other in turn"
+    )
     louder: float = chosen(
         2.0, "largest ratio of the noise elsewhere to that in the stretch: calm seconds are too quiet"
     )
