@@ -475,6 +475,18 @@ def test_names_of_alarms_say_whose_and_do_not_overlap(tmp_path):
     assert max(box.x1 for box in boxes) <= figure.axes[0].get_window_extent().x1 + 1
 
 
+def test_each_of_several_beliefs_says_which_sensor_reads_it():
+    t, rng = 0.1 * np.arange(40), np.random.default_rng(0)
+    sensors = {"baro": "m", "lidar": "m", "vz": "m/s"}
+    signals = {name: Signal(t, rng.standard_normal(40), unit=unit) for name, unit in sensors.items()}
+    model = LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.0]], [[1, 0], [1, 0], [0, 1]], 0.01, 1.0, dt=0.1)
+    axes = monitor_recording(align(signals, {}, dt=0.1), model, initial_mean=(0.0, 0.0)).plot().axes
+    assert {axis.get_ylabel() for axis in axes[:2]} == {
+        "belief of what\nbaro reads (m)",
+        "belief of what\nvz reads (m/s)",
+    }
+
+
 def test_long_names_of_sensors_do_not_run_into_each_other(tmp_path):
     found = found_in(tmp_path, drive(2.0))
     names = ("LT201 ultrasonic, upper", "LT202_ultrasonic_lower", "LT203 pressure at the outlet")

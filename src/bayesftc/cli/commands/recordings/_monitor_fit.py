@@ -352,8 +352,9 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     if part.start is not None or part.stop is not None:
         say(
             "Biases, repeats and missing come from the stretch between --from and --to. The motion comes from the whole "
-            "recording, because a calm stretch shows too little of it. So do the noise, up to twice that of the stretch, and "
-            "lasting errors that most sensors have. For a fit of the stretch alone, write it to a file of its own."
+            "recording: a calm stretch shows too little of it. The noise comes from the whole recording as well, but is at most "
+            "twice that of the stretch. Lasting errors outside the stretch count only if most sensors have them. To fit the "
+            "stretch alone, put its rows into a file of their own."
         )
     if gaps := _gaps(recording):
         say(gaps)
