@@ -15,7 +15,6 @@ from bayesftc.monitoring import (
     ConstantRate,
     Place,
     RandomWalk,
-    SensorErrors,
     Signal,
     align,
     as_model_file,
@@ -584,7 +583,7 @@ def fitted_file(t, y, **settings):
 
 
 @pytest.mark.parametrize("seed", [5, 6])
-def test_three_sensors_without_lasting_errors_are_judged_together(tmp_path, seed):
+def test_an_offset_of_the_best_of_three_sensors_is_no_fault_of_the_others(tmp_path, seed):
     t, y = encoders(seed)
     y[1500:1550, 0] += 5e-5
     np.savetxt(tmp_path / "x.csv", np.column_stack([t, y]), delimiter=",", header="t,s0,s1,s2", comments="")
@@ -596,9 +595,32 @@ def test_three_sensors_without_lasting_errors_are_judged_together(tmp_path, seed
     assert {event.sensor for event in monitor.run(monitor.read(tmp_path / "x.csv")).events} == {"s0"}
 
 
-def test_two_sensors_or_those_with_lasting_errors_or_codes_are_not():
-    assert "joint" not in fitted_file(*encoders(5, 2))[1]
-    assert "joint" not in fitted_file(*encoders(5), errors=(SensorErrors(1e-5, 10.0, ["s0"]),))[1]
+def lasting(seed, sensors):
+    """Samples, once a minute, of sensors with lasting errors, of a quantity that changes in steps."""
+    rng, decay, errors = np.random.default_rng(seed), np.exp(-1 / 60), np.zeros((4000, sensors))
+    for k in range(1, 4000):
+        errors[k] = decay * errors[k - 1] + 0.15 * np.sqrt(1 - decay**2) * rng.standard_normal(sensors)
+    level = np.repeat(rng.choice([-1.0, 0.0, 1.0, 2.0], 10), 400) + 0.01 * rng.standard_normal(4000)
+    return 60.0 * np.arange(4000), level[:, None] + errors + 0.1 * rng.standard_normal((4000, sensors))
+
+
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_sensors_with_lasting_errors_are_judged_together(tmp_path, sensors):
+    t, y = lasting(0, sensors)
+    names = ",".join(f"s{i}" for i in range(sensors))
+    np.savetxt(tmp_path / "x.csv", np.column_stack([t, y]), delimiter=",", header=f"t,{names}", comments="")
+    fitted, text = fitted_file(t, y)
+    assert fitted.errors
+    (tmp_path / "model.toml").write_text(text)
+    monitor = load_monitor(tmp_path / "model.toml")
+    assert monitor.joint
+    recording = monitor.read(tmp_path / "x.csv")
+    assert not monitor.run(recording).events
+    assert replace(monitor, joint=False).run(recording).events  # one by one, steps of the quantity look like faults
+
+
+def test_sensors_that_do_not_follow_or_have_codes_are_judged_one_by_one():
+    assert "joint = true" in fitted_file(*encoders(5, 2))[1]
     assert "joint" not in fitted_file(*encoders(5), strangers={"s0": 0.1})[1]
     t, y = encoders(5)
     y[600:900:50, 0] = -9999.0

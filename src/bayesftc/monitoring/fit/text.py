@@ -99,7 +99,9 @@ def as_model_file(
 
 
 def _why_joint(fitted: FittedModel) -> str:
-    return "one has moved away from the others" if fitted.changes else "those that agree outvote another one"
+    if fitted.changes:
+        return "one has moved away from the others"
+    return "those that agree outvote another one" if len(fitted.sensors) > 2 else "healthy ones are blamed less often"
 
 
 def _healthy(recording: Recording, stretch: slice) -> str:
