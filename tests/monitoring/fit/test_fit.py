@@ -627,3 +627,48 @@ def test_sensors_that_do_not_follow_or_have_codes_are_judged_one_by_one():
     fitted, text = fitted_file(t, y)
     assert fitted.coded
     assert "joint" not in text
+
+
+def flows(seed, sensors, gain):
+    """Flow meters with a rhythm of a day, once a minute for a week, of which the second has a gain."""
+    rng, t = np.random.default_rng(seed), np.arange(10000)
+    wander = np.zeros(len(t))
+    for k in range(1, len(t)):
+        wander[k] = 0.99 * wander[k - 1] + 0.05 * rng.standard_normal()
+    y = (12 + wander + 2.5 * np.sin(2 * np.pi * t / 1440))[:, None] * np.array([1.0, gain, 1.0])[:sensors]
+    return 60.0 * t, (y + rng.standard_normal(y.shape) * [0.08, 0.1, 0.12][:sensors]).round(3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_a_gain_error_is_divided_out(seed, sensors, tmp_path):
+    t, y = flows(seed, sensors, 1.02)
+    fitted, text = fitted_file(t, y)
+    assert [round(sensor.gain, 2) for sensor in fitted.sensors.values()] == [1.0, 1.02, 1.0][:sensors]
+    np.testing.assert_allclose(
+        [sensor.std for sensor in fitted.sensors.values()], [0.08, 0.1, 0.12][:sensors], rtol=0.1
+    )
+    np.savetxt(
+        tmp_path / "x.csv", np.column_stack([t, y]), delimiter=",", header="t,s0,s1,s2"[: 1 + 3 * sensors], comments=""
+    )
+    (tmp_path / "model.toml").write_text(text)
+    monitor = load_monitor(tmp_path / "model.toml")
+    corrected = monitor.read(tmp_path / "x.csv").y
+    apart = (corrected[:, 1] - corrected[:, 0])[: 10000 // 1440 * 1440]
+    assert (
+        abs(apart @ np.sin(2 * np.pi * np.arange(len(apart)) / 1440)) / (len(apart) / 2) < 0.01
+    )  # 0.05 with the gain error
+    assert abs(np.median(apart)) < 0.01
+    assert (
+        fit_model(recorded({f"s{i}": Signal(t, y[:, i]) for i in range(sensors)}), gains=False).sensors["s1"].gain
+        == 1.0
+    )
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_sensors_without_a_gain_error_get_no_gain(seed, sensors):
+    fitted, text = fitted_file(*flows(seed, sensors, 1.0))
+    assert all(sensor.gain == 1.0 for sensor in fitted.sensors.values())
+    assert "gain" not in text

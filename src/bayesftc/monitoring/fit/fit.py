@@ -12,7 +12,7 @@ from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.columns import SensorErrors
-from bayesftc.monitoring.fit.bias import Change, biases, changes, unmoved, wander
+from bayesftc.monitoring.fit.bias import Change, biases, changes, steady_gains, unmoved, wander
 from bayesftc.monitoring.fit.checks import check_recording
 from bayesftc.monitoring.fit.codes import without_codes
 from bayesftc.monitoring.fit.following import strangers
@@ -33,15 +33,17 @@ class FittedSensor:
     Attributes
     ----------
     std : float
-        Standard deviation of its white noise, in its unit.
+        Standard deviation of its white noise, in its unit, after the division by the gain.
     bias : float
-        Its constant difference from the typical sensor, in its unit.
+        Its constant difference from the typical sensor, in its unit, before the division by the gain.
     resolution : float
-        Its samples are multiples of this; 0 if they are not.
+        Its samples are multiples of this, before the division by the gain; 0 if they are not.
     repeats : float
         Share of its samples that equal the one before, while it changes at all; at least the default of `Sensor`.
     missing : float
         Share of the steps without a sample.
+    gain : float
+        How far it moves while the others move by 1; 1 if nothing shows that it moves otherwise.
 
     Examples
     --------
@@ -61,6 +63,7 @@ class FittedSensor:
     resolution: float
     repeats: float
     missing: float
+    gain: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,7 @@ class FittedModel:
         return bool(self.changes) or not (self.strangers or self.coded)
 
 
-def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel:
+def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool = True) -> FittedModel:
     """Fit a model to a recording of sensors of the same quantity; a part of it may have faults.
 
     The common part of the sensors' changes is the quantity's motion, the rest is noise. Both are estimated from moments of
@@ -142,6 +145,9 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
         Steps in which the sensors are healthy; by default all. Biases come from it. Motion comes from the whole recording: a calm
         stretch does not show it, and no fault of a single sensor looks like it. Noise, up to twice that of the stretch, and
         wandering biases, up to the size of the noise and to those of most sensors, also come from the whole recording.
+    gains : bool
+        Whether a sensor may have a gain other than 1. It has one if it moves more or less than the others in both halves of the
+        stretch, and all others follow each other. Of two sensors, it is the second one. Angles have none.
 
     Returns
     -------
@@ -165,7 +171,27 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     >>> {name: round(sensor.std, 1) for name, sensor in fitted.sensors.items()}, type(fitted.plant).__name__
     ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
-    given = recording
+    fitted = _fit_once(recording, stretch)
+    if not gains or fitted.strangers or fitted.changes or fitted.coded:
+        return fitted
+    slopes = steady_gains(recording.y[stretch], [sensor.std for sensor in fitted.sensors.values()])
+    return _fit_divided(recording, stretch, slopes) if slopes else fitted
+
+
+def _fit_divided(recording: Recording, stretch: slice, slopes: Mapping[int, float]) -> FittedModel:
+    """Fit a model to samples that are divided by their sensors' gains; biases and resolutions are those before the division."""
+    gains = np.array([1.0 + slopes.get(i, 0.0) for i in range(len(recording.sensors))])
+    resolution = tuple((np.array(recording.resolution) / gains).tolist())
+    fitted = _fit_once(replace(recording, y=recording.y / gains, resolution=resolution), stretch)
+    sensors = {
+        name: replace(sensor, gain=float(gain), bias=float(gain) * sensor.bias, resolution=given)
+        for (name, sensor), gain, given in zip(fitted.sensors.items(), gains, recording.resolution, strict=True)
+    }
+    return replace(fitted, sensors=sensors)
+
+
+def _fit_once(given: Recording, stretch: slice) -> FittedModel:
+    """Fit a model to samples as they are."""
     recording = without_codes(given)
     coded = bool(np.isfinite(given.y).sum() > np.isfinite(recording.y).sum())
     check_recording(recording, recording.y[stretch])

@@ -128,6 +128,9 @@ class FitSettings:
     )
     gain_sure: float = chosen(0.9999, "confidence of a gain's sign")
     gain_alone: float = chosen(0.7, "ratio to the largest gain below which another one is due to that")
+    gain_agrees: float = chosen(
+        0.5, "largest relative difference of a gain in half of the recording: of a fault in one half, 1 in the other"
+    )
     gain_counts: float = chosen(0.1, "least ratio of a gain's differences to the noise: 1 % of a flow had 0.2")
     # A change to the end of the recording.
     explained: float = chosen(

@@ -80,8 +80,13 @@ def as_model_file(
         if units[name]:
             lines.append(f"unit = {_text(units[name])}")
         lines += [
-            f"std = {_number(sensor.std)}  # of the white noise",
+            f"std = {_number(sensor.std)}  # of the white noise{' of the divided samples' if sensor.gain != 1.0 else ''}",
             f"bias = {_number(sensor.bias)}  # constant difference from the typical sensor",
+            *(
+                [f"gain = {_number(sensor.gain)}  # samples, less the bias, are divided by it"]
+                if sensor.gain != 1.0
+                else []
+            ),
             f"resolution = {_number(sensor.resolution)}" + ("" if sensor.resolution else "  # too fine to matter"),
             f"repeats = {_number(sensor.repeats)}  # share of samples that equal the one before",
         ]
