@@ -48,7 +48,7 @@ def as_model_file(
     >>> recording = monitoring.recorded({name: monitoring.Signal(t, level + noise[:, i]) for i, name in enumerate("ab")})
     >>> places = {name: monitoring.Place("tank.csv", f"T_{name}", "time") for name in "ab"}
     >>> text = monitoring.as_model_file(monitoring.fit_model(recording), recording, places)
-    >>> text.splitlines()[2], text.splitlines()[6]
+    >>> text.splitlines()[2], text.splitlines()[7]
     ('dt = 0.1  # sample time in s', 'kind = "RandomWalk"  # a quantity that changes at random')
     """
     units = dict(zip(recording.sensors, recording.units, strict=True))
