@@ -15,7 +15,7 @@ from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.learning import learn_modes
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
-from bayesftc.monitoring import FaultEvent, Monitor
+from bayesftc.monitoring import FaultEvent, Monitor, load_monitor
 
 RUNNER = CliRunner()
 
@@ -463,6 +463,9 @@ def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, end, sente
     )
     healthy = RUNNER.invoke(app, [*command, str(tmp_path / "healthy.toml"), "--to", f"{min(begin, 30) - 1:g}"])
     assert healthy.exit_code == 0
+    words = " ".join(healthy.output.split())
+    assert "The motion comes from the whole recording: a calm stretch shows too little of it." in words
+    assert "To fit the stretch alone, put its rows into a file of their own." in words
     assert "errors of b" not in healthy.output
     assert f"to {end - 0.1:.2f}" in healthy.output
     assert "Biases, repeats and missing come from the stretch" in healthy.output
@@ -650,3 +653,13 @@ def test_a_gain_error_is_named(tmp_path):
     command = ["monitor", str(tmp_path / "flow.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
     notes = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
     assert any(note.startswith("While a moves by 1, b moves by 1.0") for note in notes)
+    assert any("The model file has this gain" in note for note in notes)
+    monitor = load_monitor(tmp_path / "model.toml")
+    assert monitor.sensors["b"].gain == pytest.approx(1.02, abs=0.003)
+    (bias,) = re.findall(r"write gain = 1 and bias = (\S+) below \[sensors.b\]", " ".join(notes))
+    assert float(bias) == pytest.approx(0.24, abs=0.02)
+    table.loc[: len(t) // 3, "b"] *= 1.05
+    table.round(3).to_csv(tmp_path / "flow.csv", index=False)
+    notes = json.loads(RUNNER.invoke(app, [*command, "--overwrite"]).stdout)["notes"]
+    assert any("but not in both halves of the recording" in note for note in notes)
+    assert load_monitor(tmp_path / "model.toml").sensors["b"].gain == 1.0

@@ -144,6 +144,15 @@ def test_bias_and_values_for_no_sample_are_those_of_the_model_file():
     np.testing.assert_allclose(one["x_hat"], other["x_hat"], rtol=1e-12)
 
 
+def test_the_gain_is_that_of_the_model_file():
+    plain = Monitor(DT, RandomWalk(std=0.06), sensors())
+    monitor = replace(plain, sensors={**sensors("a", bias=3.0, gain=2.0), **sensors("bc")})
+    y = rows()[:40]
+    sent = y * np.array([2.0, 1.0, 1.0]) + np.array([3.0, 0.0, 0.0])
+    one, other = (run(MonitorStepper(m, compiled=False), s) for m, s in ((plain, y), (monitor, sent)))
+    np.testing.assert_allclose(one["x_hat"], other["x_hat"], rtol=1e-12)
+
+
 def test_an_input_acts_until_the_next_step_and_its_fault_is_an_alarm():
     rng, steps = np.random.default_rng(0), 300
     flow = np.sin(np.arange(steps) / 10)

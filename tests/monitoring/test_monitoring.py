@@ -20,10 +20,12 @@ from bayesftc.monitoring import (
     AlarmWatch,
     ConstantRate,
     FaultEvent,
+    Input,
     Integrator,
     Matrices,
     RandomWalk,
     Recording,
+    Sensor,
     Signal,
     align,
     load_monitor,
@@ -473,6 +475,31 @@ def test_names_of_alarms_say_whose_and_do_not_overlap(tmp_path):
     boxes = [t.get_window_extent() for t in names]
     assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
     assert max(box.x1 for box in boxes) <= figure.axes[0].get_window_extent().x1 + 1
+
+
+def test_samples_are_divided_by_the_gain_after_the_bias():
+    signal = Signal([0.0, 0.1], [21.0, 23.0], bias=1.0, gain=2.0, resolution=1.0)
+    assert signal.corrected[1].tolist() == [10.0, 11.0]
+    recording = align({"a": signal}, {}, dt=0.1)
+    assert (recording.y.ravel().tolist(), recording.resolution) == ([10.0, 11.0], (0.5,))
+    with pytest.raises(ModelError, match="Signal has gain"):
+        replace(signal, gain=0.0)
+    with pytest.raises(ModelError, match="Input has gain"):
+        Input(gain=-1.0)
+    with pytest.raises(ModelError, match=r"period = 360 and gain = 1.1\. .* Remove one of the two\."):
+        Sensor(std=1.0, period=360.0, gain=1.1)
+
+
+def test_each_of_several_beliefs_says_which_sensor_reads_it():
+    t, rng = 0.1 * np.arange(40), np.random.default_rng(0)
+    sensors = {"baro": "m", "lidar": "m", "vz": "m/s"}
+    signals = {name: Signal(t, rng.standard_normal(40), unit=unit) for name, unit in sensors.items()}
+    model = LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.0], [0.0]], [[1, 0], [1, 0], [0, 1]], 0.01, 1.0, dt=0.1)
+    axes = monitor_recording(align(signals, {}, dt=0.1), model, initial_mean=(0.0, 0.0)).plot().axes
+    assert {axis.get_ylabel() for axis in axes[:2]} == {
+        "belief of what\nbaro reads (m)",
+        "belief of what\nvz reads (m/s)",
+    }
 
 
 def test_long_names_of_sensors_do_not_run_into_each_other(tmp_path):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from bayesftc.controllers.models.checks import check_number
 from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
+from bayesftc.cosim.errors import ModelError
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,8 @@ class Column:
         Seconds by which its time stamps are late.
     invalid : sequence of float or str
         Values that the device records in place of a sample, such as ``[-9999, "Bad Input"]``.
+    gain : float
+        How far its samples move while the quantity moves by 1: samples, less the bias, are divided by it.
 
     Examples
     --------
@@ -49,6 +52,10 @@ class Column:
     bias: float = 0.0
     delay: float = 0.0
     invalid: Sequence[float | str] = ()
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_number(self, "gain", above=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,12 +64,13 @@ class Sensor(Column):
 
     Parameters
     ----------
-    file, column, time, bias, delay, invalid
+    file, column, time, bias, delay, invalid, gain
         See `Column`.
     std : float
-        Standard deviation of its white noise, in its unit.
+        Standard deviation of its white noise, in its unit, after the division by the gain.
     resolution : float
-        Its samples are whole multiples of this; 0 if it is too fine to matter. By default it is estimated from the samples.
+        Its samples in the file are whole multiples of this; 0 if it is too fine to matter. By default it is estimated from the
+        samples.
     repeats : float
         Share of samples that equal the one before while the sensor is healthy, as with slow sensors or a faster logger.
     reads : sequence of float, optional
@@ -91,9 +99,15 @@ class Sensor(Column):
     unit: str = ""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_number(self, "std", above=0)
         check_number(self, "period", least=0)
         check_number(self, "repeats", least=0, below=1)
+        if self.period and self.gain != 1.0:
+            raise ModelError(
+                f"Sensor has period = {self.period:g} and gain = {self.gain:g}. Samples of an angle begin anew after a full "
+                "turn, so they cannot be divided by a gain. Remove one of the two."
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +116,7 @@ class Input(Column):
 
     Parameters
     ----------
-    file, column, time, bias, delay, invalid
+    file, column, time, bias, delay, invalid, gain
         See `Column`.
     smooth : float
         Seconds over which it is averaged.
@@ -129,6 +143,7 @@ class Input(Column):
     unit: str = ""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("error_std", "error_walk"):
             check_number(self, name, least=0)
 

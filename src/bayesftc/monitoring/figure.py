@@ -67,8 +67,8 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
     for q, axis in enumerate(axes[: len(quantities)]):
         members = [i for i, quantity in enumerate(of.reshape(-1)) if quantity == q]
         axis.plot(*thin(time, belief[:, members[0]]), color=BLACK, lw=1.2, label="belief")
-        what = sensors[members[0]] if len(quantities) > 1 else ""
-        axis.set_ylabel(broken(with_unit("\n".join(["belief", *filter(None, [what])]), units[members[0]]), MAIN))
+        what = f"belief of what\n{sensors[members[0]]} reads" if len(quantities) > 1 else "belief"
+        axis.set_ylabel(broken(with_unit(what, units[members[0]]), MAIN))
     for i, axis in enumerate(axes[len(quantities) : -1]):
         _dots(axis, i, time, recording.y[:, i] - belief[:, i])
         axis.axhline(0.0, color="0.4", lw=0.8, zorder=0)

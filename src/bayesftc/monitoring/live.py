@@ -92,7 +92,7 @@ class MonitorStepper(Stepper):
         self.began: float | None = None
         self.estimator = monitor.estimator(self._recording(monitor, np.zeros((1, len(monitor.sensors)))))
         self._monitor, self._compiled = monitor, compiled
-        self._bias = np.array([column.bias for column in columns.values()])
+        self._bias, self._gain = np.array([(column.bias, column.gain) for column in columns.values()]).T
         self._invalid = [np.array(numbers_of((*monitor.invalid, *column.invalid))) for column in columns.values()]
         windows = [max(1, round(given.smooth / float(self.step))) for given in monitor.inputs.values()]
         self._smoothed: list[deque[float]] = [deque(maxlen=window) for window in windows]
@@ -148,7 +148,7 @@ class MonitorStepper(Stepper):
     def advance(self, inputs: Floats) -> Floats:
         """Judge the samples of a step."""
         self._k += 1
-        values = inputs - self._bias
+        values = (inputs - self._bias) / self._gain
         for i, invalid in enumerate(self._invalid):
             if np.isin(inputs[i], invalid):
                 values[i] = np.nan
@@ -196,7 +196,7 @@ class MonitorStepper(Stepper):
         """Return what the first samples say of the sensors."""
         sensors = monitor.sensors
         times = [np.asarray(np.flatnonzero(np.isfinite(column)) * float(self.step)) for column in y.T]
-        given = [s.resolution for s in sensors.values()]
+        given = [None if s.resolution is None else s.resolution / s.gain for s in sensors.values()]
         return Recording(
             start=0.0,
             dt=self.step,

@@ -168,7 +168,9 @@ class Monitor:
             logged = tables.column(file, column, f"the {what} {name!r}", (*self.invalid, *given.invalid))
             values = in_unit(logged, column, more["unit"])
             try:
-                return Signal(time, values, bias=given.bias, delay=given.delay, origin=tables.origin, **more)
+                return Signal(
+                    time, values, bias=given.bias, gain=given.gain, delay=given.delay, origin=tables.origin, **more
+                )
             except RecordingError as error:
                 raise RecordingError(f"{file}, the {what} {name!r}: {error}") from None
 

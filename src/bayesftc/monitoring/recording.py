@@ -64,6 +64,8 @@ class Signal:
     period : float
         Full turn of a sensor of an angle, such as 360 for a heading in degrees: its samples then count on where they begin
         anew. 0 if it measures no angle. Sensors with the same period measure the same angle.
+    gain : float
+        How far the values move while the quantity moves by 1. Values, less the bias, are divided by it.
 
     Raises
     ------
@@ -92,6 +94,7 @@ class Signal:
     invalid: Sequence[float] = ()
     origin: datetime | None = None
     period: float = 0.0
+    gain: float = 1.0
 
     def __repr__(self) -> str:
         return short(self, delay="s", smooth="s")
@@ -110,6 +113,7 @@ class Signal:
             check_number(self, name)
         check_number(self, "smooth", least=0)
         check_number(self, "period", least=0)
+        check_number(self, "gain", above=0)
         check_number(self, "resolution", optional=True, least=0)
         usable = np.abs(values) <= LARGEST  # not if NaN
         kept = usable & ~np.isin(values, invalid_values("A signal", self.invalid, 1))
@@ -132,8 +136,8 @@ class Signal:
 
     @property
     def corrected(self) -> tuple[Floats, Floats]:
-        """The samples' times in seconds without the delay, and their values without the bias."""
-        return np.asarray(self.time) - self.delay, np.asarray(self.values) - self.bias
+        """The samples' times in seconds without the delay, and their values without the bias and the gain."""
+        return np.asarray(self.time) - self.delay, (np.asarray(self.values) - self.bias) / self.gain
 
 
 def _counted_once(repeated: Floats, origin: datetime | None) -> str:
@@ -288,7 +292,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         time, values = signal.corrected
         u[:, j] = _mean_before(_snapped(time - start, float(step)), values, ends, max(signal.smooth, float(step)))
     resolution, units = zip(
-        *((float(signal.resolution or 0.0), signal.unit) for signal in sensors.values()), strict=True
+        *((float(signal.resolution or 0.0) / signal.gain, signal.unit) for signal in sensors.values()), strict=True
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
     return Recording(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.monitoring.fit.bias import Change, changes, gains, unmoved
+from bayesftc.monitoring.fit.bias import Change, changes, gains, steady_gains, unmoved
 
 NOISE = [1.0, 1.0, 2.5]
 STEPS = 3200
@@ -115,3 +115,16 @@ def test_a_gain_is_found_and_offsets_and_drifts_are_none(seed, sensors):
     assert gains(y, noise) == {}
     y[:, 1] += 0.02 * level
     assert gains(y, noise) == {1: pytest.approx(0.02, rel=0.25)}
+
+
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_a_gain_of_one_half_is_none(sensors):
+    rng, t = np.random.default_rng(0), np.arange(20000)
+    level = 12 + 2.5 * np.sin(2 * np.pi * t / 1440)
+    y = level[:, None] + 0.1 * rng.normal(size=(len(t), sensors))
+    noise = [0.1] * sensors
+    y[:13000, 1] += 0.05 * level[:13000]
+    assert gains(y, noise)
+    assert steady_gains(y, noise) == {}
+    y[13000:, 1] += 0.05 * level[13000:]
+    assert steady_gains(y, noise) == {1: pytest.approx(0.05, rel=0.2)}

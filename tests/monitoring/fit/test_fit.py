@@ -15,7 +15,6 @@ from bayesftc.monitoring import (
     ConstantRate,
     Place,
     RandomWalk,
-    SensorErrors,
     Signal,
     align,
     as_model_file,
@@ -98,6 +97,52 @@ def test_unequal_noise_is_told_apart():
     fitted = fit_model(recording(y, 0.01))
     np.testing.assert_allclose([s.std for s in fitted.sensors.values()], stds, rtol=0.15)
     assert fitted.errors == ()
+
+
+def hovering(seed, steps=6000):
+    """Return the height of a drone that follows steps and a sine, every 0.1 s."""
+    rng, (z, v, gust) = np.random.default_rng(seed), (10.0, 0.0, 0.0)
+    goal = 10 + 5 * np.sin(2 * np.pi * np.arange(steps) / 600) + 3 * (np.arange(steps) // 450 % 2)
+    heights = np.empty(steps)
+    for k in range(steps):
+        heights[k] = z
+        gust = 0.95 * gust + 0.4 * rng.standard_normal()
+        v += 0.1 * (1.3 * (goal[k] - z) - 2.4 * v + gust / 6)
+        z += 0.1 * v
+    return heights
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("every", [2, 5, 10])
+def test_a_sparse_sensor_changes_the_noise_of_no_other(every, seed):
+    """The steps without its samples show the noise of two sensors only: their difference tells nothing about each."""
+    stds, steps = np.array([0.4, 0.04, 0.4]), np.arange(6000)
+    y = hovering(seed)[:, None] + stds * np.random.default_rng(seed).standard_normal((6000, 3))
+    for sparse, phase in ((2, 0), (2, every // 2), (0, 1)):
+        thin = y.copy()
+        thin[steps % every != phase, sparse] = np.nan
+        fitted = fit_model(recording(thin, 0.1))
+        found = [s.std for s in fitted.sensors.values()]
+        # The noise of the precise sensor is a tenth of that of the others, and less than the motion between two samples.
+        assert (np.abs(found / stds - 1) < [0.15, 0.25, 0.15]).all(), (found, sparse, phase)
+        assert fitted.errors == ()
+
+
+def test_sparse_sensors_take_turns():
+    stds, steps = np.array([0.4, 0.4, 0.4]), np.arange(6000)
+    y = hovering(0)[:, None] + stds * np.random.default_rng(0).standard_normal((6000, 3))
+    y[steps % 5 != 1, 0] = np.nan
+    y[steps % 5 != 3, 2] = np.nan  # the first and the last have no common step
+    fitted = fit_model(recording(y, 0.1))
+    np.testing.assert_allclose([s.std for s in fitted.sensors.values()], stds, rtol=0.15)
+    assert fitted.errors == ()
+
+
+def test_a_sensor_may_have_samples_in_few_steps():
+    y = hovering(0)[:, None] + 0.4 * np.random.default_rng(0).standard_normal((6000, 3))
+    y[np.arange(6000) % 25 != 0, 2] = np.nan
+    fitted = fit_model(recording(y, 0.1))
+    np.testing.assert_allclose([s.std for s in fitted.sensors.values()], 0.4, rtol=0.2)
 
 
 @pytest.mark.sampled(1)
@@ -301,9 +346,9 @@ def test_the_three_cornered_hat_adds_up():
     windows = np.tile(apart, (5, 1))
     assert groups(apart, 4) == [(0, 1), (2, 3)]
     unknown = np.full((5, 4), np.nan)
-    np.testing.assert_allclose(share_out(windows, unknown, [(0, 1), (2, 3)]), [*own, 6.0, 6.0], rtol=1e-9)
+    np.testing.assert_allclose(share_out(windows, unknown, [(0, 1), (2, 3)])[0], [*own, 6.0, 6.0], rtol=1e-9)
     alone = np.array([own[i] + own[j] for i, j in pairs])
-    np.testing.assert_allclose(share_out(np.tile(alone, (5, 1)), unknown, []), own, rtol=1e-9)
+    np.testing.assert_allclose(share_out(np.tile(alone, (5, 1)), unknown, [])[0], own, rtol=1e-9)
 
 
 def test_noise_is_taken_apart_by_its_time_constant():
@@ -538,7 +583,7 @@ def fitted_file(t, y, **settings):
 
 
 @pytest.mark.parametrize("seed", [5, 6])
-def test_three_sensors_without_lasting_errors_are_judged_together(tmp_path, seed):
+def test_an_offset_of_the_best_of_three_sensors_is_no_fault_of_the_others(tmp_path, seed):
     t, y = encoders(seed)
     y[1500:1550, 0] += 5e-5
     np.savetxt(tmp_path / "x.csv", np.column_stack([t, y]), delimiter=",", header="t,s0,s1,s2", comments="")
@@ -550,12 +595,80 @@ def test_three_sensors_without_lasting_errors_are_judged_together(tmp_path, seed
     assert {event.sensor for event in monitor.run(monitor.read(tmp_path / "x.csv")).events} == {"s0"}
 
 
-def test_two_sensors_or_those_with_lasting_errors_or_codes_are_not():
-    assert "joint" not in fitted_file(*encoders(5, 2))[1]
-    assert "joint" not in fitted_file(*encoders(5), errors=(SensorErrors(1e-5, 10.0, ["s0"]),))[1]
+def lasting(seed, sensors):
+    """Samples, once a minute, of sensors with lasting errors, of a quantity that changes in steps."""
+    rng, decay, errors = np.random.default_rng(seed), np.exp(-1 / 60), np.zeros((4000, sensors))
+    for k in range(1, 4000):
+        errors[k] = decay * errors[k - 1] + 0.15 * np.sqrt(1 - decay**2) * rng.standard_normal(sensors)
+    level = np.repeat(rng.choice([-1.0, 0.0, 1.0, 2.0], 10), 400) + 0.01 * rng.standard_normal(4000)
+    return 60.0 * np.arange(4000), level[:, None] + errors + 0.1 * rng.standard_normal((4000, sensors))
+
+
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_sensors_with_lasting_errors_are_judged_together(tmp_path, sensors):
+    t, y = lasting(0, sensors)
+    names = ",".join(f"s{i}" for i in range(sensors))
+    np.savetxt(tmp_path / "x.csv", np.column_stack([t, y]), delimiter=",", header=f"t,{names}", comments="")
+    fitted, text = fitted_file(t, y)
+    assert fitted.errors
+    (tmp_path / "model.toml").write_text(text)
+    monitor = load_monitor(tmp_path / "model.toml")
+    assert monitor.joint
+    recording = monitor.read(tmp_path / "x.csv")
+    assert not monitor.run(recording).events
+    assert replace(monitor, joint=False).run(recording).events  # one by one, steps of the quantity look like faults
+
+
+def test_sensors_that_do_not_follow_or_have_codes_are_judged_one_by_one():
+    assert "joint = true" in fitted_file(*encoders(5, 2))[1]
     assert "joint" not in fitted_file(*encoders(5), strangers={"s0": 0.1})[1]
     t, y = encoders(5)
     y[600:900:50, 0] = -9999.0
     fitted, text = fitted_file(t, y)
     assert fitted.coded
     assert "joint" not in text
+
+
+def flows(seed, sensors, gain):
+    """Flow meters with a rhythm of a day, once a minute for a week, of which the second has a gain."""
+    rng, t = np.random.default_rng(seed), np.arange(10000)
+    wander = np.zeros(len(t))
+    for k in range(1, len(t)):
+        wander[k] = 0.99 * wander[k - 1] + 0.05 * rng.standard_normal()
+    y = (12 + wander + 2.5 * np.sin(2 * np.pi * t / 1440))[:, None] * np.array([1.0, gain, 1.0])[:sensors]
+    return 60.0 * t, (y + rng.standard_normal(y.shape) * [0.08, 0.1, 0.12][:sensors]).round(3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_a_gain_error_is_divided_out(seed, sensors, tmp_path):
+    t, y = flows(seed, sensors, 1.02)
+    fitted, text = fitted_file(t, y)
+    assert [round(sensor.gain, 2) for sensor in fitted.sensors.values()] == [1.0, 1.02, 1.0][:sensors]
+    np.testing.assert_allclose(
+        [sensor.std for sensor in fitted.sensors.values()], [0.08, 0.1, 0.12][:sensors], rtol=0.1
+    )
+    np.savetxt(
+        tmp_path / "x.csv", np.column_stack([t, y]), delimiter=",", header="t,s0,s1,s2"[: 1 + 3 * sensors], comments=""
+    )
+    (tmp_path / "model.toml").write_text(text)
+    monitor = load_monitor(tmp_path / "model.toml")
+    corrected = monitor.read(tmp_path / "x.csv").y
+    apart = (corrected[:, 1] - corrected[:, 0])[: 10000 // 1440 * 1440]
+    assert (
+        abs(apart @ np.sin(2 * np.pi * np.arange(len(apart)) / 1440)) / (len(apart) / 2) < 0.01
+    )  # 0.05 with the gain error
+    assert abs(np.median(apart)) < 0.01
+    assert (
+        fit_model(recorded({f"s{i}": Signal(t, y[:, i]) for i in range(sensors)}), gains=False).sensors["s1"].gain
+        == 1.0
+    )
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_sensors_without_a_gain_error_get_no_gain(seed, sensors):
+    fitted, text = fitted_file(*flows(seed, sensors, 1.0))
+    assert all(sensor.gain == 1.0 for sensor in fitted.sensors.values())
+    assert "gain" not in text

@@ -85,7 +85,8 @@ def gains(y: Floats, noise: Sequence[float]) -> dict[int, float]:
         apart, level = apart[there], level[there]
         if len(level) < 2 * FIT.fewest_windows or not np.ptp(level) > 0:
             continue
-        slope, _, low, high = theilslopes(apart, level, alpha=FIT.gain_sure)
+        with np.errstate(invalid="ignore"):  # of a parked car all parts are equal: then the limits are NaN
+            slope, _, low, high = theilslopes(apart, level, alpha=FIT.gain_sure)
         size = abs(slope) * MAD * float(np.median(np.abs(level - np.median(level))))
         if low * high > 0 and size > FIT.gain_counts * noise[i] and abs(slope) < np.log(FIT.another_factor):
             found[i] = float(slope)
@@ -97,6 +98,16 @@ def gains(y: Floats, noise: Sequence[float]) -> dict[int, float]:
         len(largest) == 2 and abs(found[largest[1]]) < FIT.gain_alone * abs(found[largest[0]])
     )
     return {largest[0]: found[largest[0]]} if alone else {}
+
+
+def steady_gains(y: Floats, noise: Sequence[float]) -> dict[int, float]:
+    """Return what `gains` finds, if each half of the recording has it as well: a fault can look like a gain in one of them."""
+    halves = [gains(half, noise) for half in (y[: len(y) // 2], y[len(y) // 2 :])]
+    return {
+        i: slope
+        for i, slope in gains(y, noise).items()
+        if all(abs(half.get(i, 0.0) / slope - 1) < FIT.gain_agrees for half in halves)
+    }
 
 
 class Change(NamedTuple):
@@ -215,4 +226,4 @@ def _scatter(levels: Floats) -> float:
     return MAD * float(np.median(np.abs(levels - np.median(levels))))
 
 
-__all__ = ["Change", "biases", "changes", "gains", "unmoved", "wander"]
+__all__ = ["Change", "biases", "changes", "gains", "steady_gains", "unmoved", "wander"]

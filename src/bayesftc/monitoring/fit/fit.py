@@ -12,11 +12,11 @@ from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.columns import SensorErrors
-from bayesftc.monitoring.fit.bias import Change, biases, changes, unmoved, wander
+from bayesftc.monitoring.fit.bias import Change, biases, changes, steady_gains, unmoved, wander
 from bayesftc.monitoring.fit.checks import check_recording
 from bayesftc.monitoring.fit.codes import without_codes
 from bayesftc.monitoring.fit.following import strangers
-from bayesftc.monitoring.fit.moments import median
+from bayesftc.monitoring.fit.moments import median, weighted_median
 from bayesftc.monitoring.fit.motion import Motion, common
 from bayesftc.monitoring.fit.noise import Noise, awake, decompose, disagreement, groups, share_out
 from bayesftc.monitoring.fit.settings import FIT
@@ -33,15 +33,17 @@ class FittedSensor:
     Attributes
     ----------
     std : float
-        Standard deviation of its white noise, in its unit.
+        Standard deviation of its white noise, in its unit, after the division by the gain.
     bias : float
-        Its constant difference from the typical sensor, in its unit.
+        Its constant difference from the typical sensor, in its unit, before the division by the gain.
     resolution : float
-        Its samples are multiples of this; 0 if they are not.
+        Its samples are multiples of this, before the division by the gain; 0 if they are not.
     repeats : float
         Share of its samples that equal the one before, while it changes at all; at least the default of `Sensor`.
     missing : float
         Share of the steps without a sample.
+    gain : float
+        How far it moves while the others move by 1; 1 if nothing shows that it moves otherwise.
 
     Examples
     --------
@@ -61,6 +63,7 @@ class FittedSensor:
     resolution: float
     repeats: float
     missing: float
+    gain: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -116,17 +119,16 @@ class FittedModel:
 
     @property
     def joint(self) -> bool:
-        """Whether sensors are better judged together, so that those that agree outvote another one.
+        """Whether sensors are better judged together: then healthy ones are blamed less often.
 
-        It is so if one has moved away, or if there are three or more without lasting errors: the joint form takes lasting errors
-        for faults more often, and of two sensors none outvotes the other. Samples that were left out are long faults to the
+        It is so for two sensors or more, with or without lasting errors, also shared ones. The numbers are in the tutorial on
+        recorded sensors. It is not so if one does not follow the others. Samples that were left out are long faults to the
         monitor, for which the joint form blames others.
         """
-        several = len(self.sensors) - len(self.strangers) > 2
-        return bool(self.changes) or (several and not self.errors and not self.coded)
+        return bool(self.changes) or not (self.strangers or self.coded)
 
 
-def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel:
+def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool = True) -> FittedModel:
     """Fit a model to a recording of sensors of the same quantity; a part of it may have faults.
 
     The common part of the sensors' changes is the quantity's motion, the rest is noise. Both are estimated from moments of
@@ -143,6 +145,9 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
         Steps in which the sensors are healthy; by default all. Biases come from it. Motion comes from the whole recording: a calm
         stretch does not show it, and no fault of a single sensor looks like it. Noise, up to twice that of the stretch, and
         wandering biases, up to the size of the noise and to those of most sensors, also come from the whole recording.
+    gains : bool
+        Whether a sensor may have a gain other than 1. It has one if it moves more or less than the others in both halves of the
+        stretch, and all others follow each other. Of two sensors, it is the second one. Angles have none.
 
     Returns
     -------
@@ -166,7 +171,27 @@ def fit_model(recording: Recording, stretch: slice = slice(None)) -> FittedModel
     >>> {name: round(sensor.std, 1) for name, sensor in fitted.sensors.items()}, type(fitted.plant).__name__
     ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
-    given = recording
+    fitted = _fit_once(recording, stretch)
+    if not gains or fitted.strangers or fitted.changes or fitted.coded:
+        return fitted
+    slopes = steady_gains(recording.y[stretch], [sensor.std for sensor in fitted.sensors.values()])
+    return _fit_divided(recording, stretch, slopes) if slopes else fitted
+
+
+def _fit_divided(recording: Recording, stretch: slice, slopes: Mapping[int, float]) -> FittedModel:
+    """Fit a model to samples that are divided by their sensors' gains; biases and resolutions are those before the division."""
+    gains = np.array([1.0 + slopes.get(i, 0.0) for i in range(len(recording.sensors))])
+    resolution = tuple((np.array(recording.resolution) / gains).tolist())
+    fitted = _fit_once(replace(recording, y=recording.y / gains, resolution=resolution), stretch)
+    sensors = {
+        name: replace(sensor, gain=float(gain), bias=float(gain) * sensor.bias, resolution=given)
+        for (name, sensor), gain, given in zip(fitted.sensors.items(), gains, recording.resolution, strict=True)
+    }
+    return replace(fitted, sensors=sensors)
+
+
+def _fit_once(given: Recording, stretch: slice) -> FittedModel:
+    """Fit a model to samples as they are."""
     recording = without_codes(given)
     coded = bool(np.isfinite(given.y).sum() > np.isfinite(recording.y).sum())
     check_recording(recording, recording.y[stretch])
@@ -319,11 +344,12 @@ def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[
     pairs = [pairs for pairs, _ in apart.values()]
     m = next(iter(apart.values()))[1].shape[1]
     shared = groups(median(np.array([median(of_lag, 0) for of_lag in pairs[: max(4, len(pairs) // 2)]]), 0), m)
-    parts = np.array([share_out(*of_lag, shared) for of_lag in apart.values()])
+    of_lags = [share_out(*of_lag, shared) for of_lag in apart.values()]
+    parts, uncertain = (np.array(of) for of in zip(*of_lags, strict=True))
     times = np.array(list(apart), dtype=np.float64)
-    sizes = np.array([_size(times, column) for column in parts.T])
-    shape = decompose(times, median(parts[:, :m] / np.maximum(sizes[:m], 1e-300), 1), white=True)
-    single = [shape.times(size) for size in sizes[:m]]
+    sizes, shape = _sizes(parts[:, :m], uncertain[:, :m])
+    of_all = decompose(times, shape, white=True)
+    single = [of_all.times(size) for size in sizes]
     common_errors = {pair: decompose(times, parts[:, m + g], white=False) for g, pair in enumerate(shared)}
     return single, {
         pair: noise
@@ -332,10 +358,27 @@ def _errors(apart: dict[int, tuple[Floats, Floats]]) -> tuple[list[Noise], dict[
     }
 
 
-def _size(lags: Floats, variances: Floats) -> float:
-    """Return the variance of differences over the lags where it hardly grows any more."""
-    lags, variances = lags[np.isfinite(variances)], variances[np.isfinite(variances)]
-    return float(np.median(variances[lags >= min(FIT.settled * lags[0], lags[-1])])) if len(lags) else 0.0
+def _sizes(variances: Floats, uncertain: Floats) -> tuple[Floats, Floats]:
+    """Return the size of each sensor's variance, and the shape over the lags that all have: variances are their products.
+
+    Lags and sensors count by how certain their variances are. Over a lag at which a sparse sensor has no samples, the others give
+    the shape; over a long one, in which the quantity moves much, the variance of a precise sensor is hardly known.
+
+    Parameters
+    ----------
+    variances, uncertain : ndarray, lags x sensors
+        Variances of the differences, and their errors up to a factor; NaN where a sensor has no samples.
+    """
+    # A few windows may agree by chance: no lag counts more than a shorter one.
+    uncertain = np.fmax.accumulate(np.fmax(uncertain, max(1e-6 * float(np.nanmax(variances, initial=0.0)), 1e-150)))
+    shape = np.where(np.isfinite(variances).any(axis=1), 1.0, np.nan)
+    for _ in range(FIT.rounds):
+        products = variances * shape[:, None] / uncertain**2
+        squares = np.where(np.isfinite(products), shape[:, None] / uncertain, 0.0) ** 2
+        sizes = np.nansum(products, axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
+        of_lags = zip(variances / np.maximum(sizes, 1e-300), (sizes / uncertain) ** 2, strict=True)
+        shape = np.array([weighted_median(*of_lag) for of_lag in of_lags])
+    return sizes, shape
 
 
 def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[float], list[float]]:

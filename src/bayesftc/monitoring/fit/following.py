@@ -166,7 +166,7 @@ def _covariance(a: Floats, b: Floats) -> Floats:
     both = np.isfinite(a) & np.isfinite(b)
     a, b = np.where(both, a, np.nan), np.where(both, b, np.nan)
     enough = both.sum(axis=1) >= FIT.least_block
-    return np.asarray(np.where(enough, mean((a - mean(a, 1)[:, None]) * (b - mean(b, 1)[:, None]), 1), np.nan))
+    return np.asarray(np.where(enough, mean((a - mean(a)[:, None]) * (b - mean(b)[:, None])), np.nan))
 
 
 def _correlation(a: Floats, b: Floats) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.fit.moments import differences, mean, median, windowed
+from bayesftc.monitoring.fit.moments import differences, mean, median, window_length, windowed
 from bayesftc.monitoring.fit.settings import FIT
 
 
@@ -37,9 +37,10 @@ def common(y: Floats, lag: int, order: int, noise: float) -> Motion:
     noise : float
         Variance of such a difference of one sensor that noise causes.
     """
-    x = windowed(differences(y, lag, order), lag)
-    length = x.shape[1]
-    variances = mean(x**2, 1)
+    x = differences(y, lag, order)
+    length = window_length(x, lag)
+    x = windowed(x, length)
+    variances = mean(x**2)
     moments, errors = (median(np.stack(of, axis=1), 1) for of in zip(*_pairs(x, variances, noise), strict=True))
     if not np.isfinite(moments).any():
         return Motion(0.0, seen=False)
@@ -63,6 +64,7 @@ def _pairs(x: Floats, variances: Floats, noise: float) -> Iterator[tuple[Floats,
     The covariance is limited to the smaller variance, so a sensor that drifts away has no more weight than the other.
     """
     for i, j in combinations(range(x.shape[2]), 2):
-        moment = np.minimum(mean(x[:, :, i] * x[:, :, j], 1), np.minimum(variances[:, i], variances[:, j]))
+        products = x[:, :, i] * x[:, :, j]
+        moment = np.minimum(mean(products), np.minimum(variances[:, i], variances[:, j]))
         beside = np.maximum(variances[:, i] - moment, noise / 2) * np.maximum(variances[:, j] - moment, noise / 2)
-        yield moment, np.sqrt(beside * 1.5 / x.shape[1])
+        yield moment, np.sqrt(beside * 1.5 / np.maximum(np.isfinite(products).sum(axis=1), 1))

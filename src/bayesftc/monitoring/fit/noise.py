@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.fit.moments import differences, mean, median, windowed
+from bayesftc.monitoring.fit.moments import differences, mean, median, window_length, windowed
 from bayesftc.monitoring.fit.settings import FIT
 
 
@@ -73,12 +74,20 @@ def disagreement(y: Floats, lag: int) -> tuple[Floats, Floats]:
     alone : ndarray, windows x sensors
     """
     pairs = list(combinations(range(y.shape[1]), 2))
-    apart = windowed(differences(np.column_stack([y[:, i] - y[:, j] for i, j in pairs]), lag, 1), lag)
-    x = windowed(differences(y, lag, 1), lag)
-    variances = mean(x**2, 1)
-    quiet = np.argsort(median(variances, 0))
-    partner = [int(quiet[1] if quiet[0] == i else quiet[0]) for i in range(y.shape[1])]
-    return mean(apart**2, 1), np.asarray(variances - mean(x * x[:, :, partner], 1))
+    apart = differences(np.column_stack([y[:, i] - y[:, j] for i, j in pairs]), lag, 1)
+    length = window_length(apart, lag)
+    apart, x = windowed(apart, length), windowed(differences(y, lag, 1), length)
+    variances = mean(x**2)
+    partner = _partners(x, np.argsort(median(variances, 0)))
+    return mean(apart**2), np.asarray(variances - mean(x * x[:, :, partner]))
+
+
+def _partners(x: Floats, quiet: NDArray[np.intp]) -> list[int]:
+    """Return for each sensor the first one in the order `quiet` that has samples at its steps; sensors may take turns."""
+    there = np.isfinite(x).reshape(-1, x.shape[2]).astype(np.float64)
+    shared = there.T @ there
+    np.fill_diagonal(shared, -1.0)
+    return [int(next(j for j in quiet if j != i and shared[i, j] >= shared[i].max() / 2)) for i in range(len(shared))]
 
 
 def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
@@ -104,12 +113,14 @@ def groups(apart: Floats, sensors: int) -> list[tuple[int, int]]:
     return [pair for pair in near if sum(bool(set(pair) & set(other)) for other in near) == 1]
 
 
-def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Floats:
-    """Return the variances of each sensor and each group that add up to those of the pairs; NaN where no pair has data.
+def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> tuple[Floats, Floats]:
+    """Return the variances of each sensor and each group that add up to those of the pairs, and the errors of these variances.
 
-    The result is the median over separately solved windows, so a fault affects only the sensor that has it. The equations are
+    A result is the median over separately solved windows, so a fault affects only the sensor that has it. The equations are
     those of the three-cornered hat (Gray and Allan, 1974), solved by least squares of relative errors. If the quantity moves
-    little, a sensor's own differences are more accurate: the estimate that scatters less over the windows is used.
+    little, a sensor's own differences are more accurate: the estimate that scatters less over the windows is used. Over a lag at
+    which few sensors have samples, the pairs may not determine a sensor's variance: only its own differences do. Where nothing
+    does, the result is NaN.
 
     Parameters
     ----------
@@ -123,26 +134,36 @@ def share_out(apart: Floats, alone: Floats, shared: list[tuple[int, int]]) -> Fl
     sensors = alone.shape[1]
     typical = median(apart, 0)
     valid = np.isfinite(typical) & (typical > 0)
-    pairs = list(combinations(range(sensors), 2))
-    rows = [
-        [float(i in p) for i in range(sensors)] + [float((g[0] in p) != (g[1] in p)) for g in shared] for p in pairs
-    ]
-    matrix = np.array(rows)[valid]
     if not valid.any():
-        return np.where(np.isfinite(typical).any(), 0.0, np.full(sensors + len(shared), np.nan))
-    weight = 1.0 / typical[valid]
-    solve = np.linalg.pinv(matrix * weight[:, None])  # divides evenly what the pairs do not determine
-    of_windows = (apart[:, valid] * weight) @ solve.T
-    parts = np.where(matrix.any(axis=0), median(of_windows, 0), np.nan)
+        parts = np.where(np.isfinite(typical).any(), 0.0, np.full(sensors + len(shared), np.nan))
+        return parts, np.zeros(len(parts))
+    matrix = _equations(sensors, shared)[valid] / typical[valid, None]
+    solve = np.linalg.pinv(matrix)
+    determined = np.isclose(np.diag(solve @ matrix), 1.0)
+    determined[sensors:] = valid.all()  # of two groups, the pairs give only the sum: it is divided evenly
+    of_windows = np.where(determined, apart[:, valid] / typical[valid] @ solve.T, np.nan)
+    parts, errors = median(of_windows, 0), _error(of_windows)
     if not shared:
-        other = median(alone, 0)
-        better = scatter(alone, other) < scatter(of_windows, parts)
-        parts = (
-            np.where(better, other, parts)
-            if sensors > 2
-            else np.clip(other, FIT.lesser * typical, (1 - FIT.lesser) * typical)
-        )
-    return np.asarray(np.maximum(parts, 0.0))
+        other, errors_alone = median(alone, 0), _error(alone)
+        better = (errors_alone < errors) | ~np.isfinite(parts)
+        if sensors == 2:  # their motion hides which of them has the noise
+            return np.clip(other, FIT.lesser * typical, (1 - FIT.lesser) * typical), errors_alone
+        parts, errors = np.where(better, other, parts), np.where(better, errors_alone, errors)
+    return np.asarray(np.maximum(parts, 0.0)), errors
+
+
+def _equations(sensors: int, shared: list[tuple[int, int]]) -> Floats:
+    """Return the sum of each pair's variance: which sensors and groups are in it."""
+    pairs = combinations(range(sensors), 2)
+    return np.array(
+        [[float(i in p) for i in range(sensors)] + [float((g[0] in p) != (g[1] in p)) for g in shared] for p in pairs]
+    )
+
+
+def _error(of_windows: Floats) -> Floats:
+    """Return the error of the median over windows, up to a factor, from their scatter."""
+    count = np.maximum(np.isfinite(of_windows).sum(axis=0), 1)
+    return np.asarray(scatter(of_windows, median(of_windows, 0)) / np.sqrt(count))
 
 
 def scatter(of_windows: Floats, typical: Floats) -> Floats:

@@ -111,7 +111,9 @@ class FitSettings:
     long: int = chosen(
         32, "multiple of the shortest lag up to which noise is coloured; longer errors are a wandering bias"
     )
-    settled: float = chosen(4.0, "multiple of the shortest lag from which the sensors' noise has about its full size")
+    rounds: int = chosen(
+        3, "times that the sizes of all sensors and their common shape are fitted to each other in turn"
+    )
     louder: float = chosen(
         2.0, "largest ratio of the noise elsewhere to that in the stretch: calm seconds are too quiet"
     )
@@ -126,6 +128,9 @@ class FitSettings:
     )
     gain_sure: float = chosen(0.9999, "confidence of a gain's sign")
     gain_alone: float = chosen(0.7, "ratio to the largest gain below which another one is due to that")
+    gain_agrees: float = chosen(
+        0.5, "largest relative difference of a gain in half of the recording: of a fault in one half, 1 in the other"
+    )
     gain_counts: float = chosen(0.1, "least ratio of a gain's differences to the noise: 1 % of a flow had 0.2")
     # A change to the end of the recording.
     explained: float = chosen(

@@ -48,7 +48,7 @@ def as_model_file(
     >>> recording = monitoring.recorded({name: monitoring.Signal(t, level + noise[:, i]) for i, name in enumerate("ab")})
     >>> places = {name: monitoring.Place("tank.csv", f"T_{name}", "time") for name in "ab"}
     >>> text = monitoring.as_model_file(monitoring.fit_model(recording), recording, places)
-    >>> text.splitlines()[2], text.splitlines()[6]
+    >>> text.splitlines()[2], text.splitlines()[7]
     ('dt = 0.1  # sample time in s', 'kind = "RandomWalk"  # a quantity that changes at random')
     """
     units = dict(zip(recording.sensors, recording.units, strict=True))
@@ -80,8 +80,13 @@ def as_model_file(
         if units[name]:
             lines.append(f"unit = {_text(units[name])}")
         lines += [
-            f"std = {_number(sensor.std)}  # of the white noise",
+            f"std = {_number(sensor.std)}  # of the white noise{' of the divided samples' if sensor.gain != 1.0 else ''}",
             f"bias = {_number(sensor.bias)}  # constant difference from the typical sensor",
+            *(
+                [f"gain = {_number(sensor.gain)}  # samples, less the bias, are divided by it"]
+                if sensor.gain != 1.0
+                else []
+            ),
             f"resolution = {_number(sensor.resolution)}" + ("" if sensor.resolution else "  # too fine to matter"),
             f"repeats = {_number(sensor.repeats)}  # share of samples that equal the one before",
         ]
@@ -99,7 +104,9 @@ def as_model_file(
 
 
 def _why_joint(fitted: FittedModel) -> str:
-    return "one has moved away from the others" if fitted.changes else "those that agree outvote another one"
+    if fitted.changes:
+        return "one has moved away from the others"
+    return "those that agree outvote another one" if len(fitted.sensors) > 2 else "healthy ones are blamed less often"
 
 
 def _healthy(recording: Recording, stretch: slice) -> str:

@@ -133,7 +133,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
         signals[name] = replace(signals[name], invalid=(*signals[name].invalid, code.value))
     samples = recorded(signals)
     stretch = stretch_of(samples, part.start, part.stop)
-    fitted = fit_model(samples, stretch)
+    fitted = fit_model(samples, stretch, gains=not any(place.period for place in places.values()))
     text = as_model_file(fitted, samples, places, stretch)
     if os.path.lexists(model) and not overwrite and not _has(model, text):
         raise ResultFileError(
@@ -151,7 +151,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
             *_codes({**codes(samples), **turned}, samples, tables, places),
             *_strangers(fitted),
             *_changes(fitted, samples, stretch),
-            *_gains(fitted, samples, stretch),
+            *_gains(fitted, samples, stretch, model),
             *fit_notes(fitted),
         ],
     )
@@ -265,17 +265,33 @@ def _changes(fitted: FittedModel, recording: Recording, stretch: slice) -> Itera
         )
 
 
-def _gains(fitted: FittedModel, recording: Recording, stretch: slice) -> Iterator[str]:
+def _gains(fitted: FittedModel, recording: Recording, stretch: slice, model: Path) -> Iterator[str]:
     """Give a note for a sensor whose difference from the others is proportional to the quantity."""
     if fitted.strangers or fitted.changes or fitted.coded:
         return
+    first, two = recording.sensors[0], len(recording.sensors) == 2
+    others = f"{first} moves" if two else "the other sensors move"
+    error = "a gain error"
+    if two:
+        error = f"one of the two has a gain error. Which one is not known: the belief has the scale of {first}"
+    divided = {name: sensor for name, sensor in fitted.sensors.items() if sensor.gain != 1.0}
+    for name, sensor in divided.items():
+        bias = sensor.bias + (sensor.gain - 1) * fitted.level
+        yield (
+            f"While {others} by 1, {name} moves by {sensor.gain:.4g}, in both halves of the recording: {error}. The model file "
+            f"has this gain, and the samples of {name}, less the bias, are divided by it. To undo this, write gain = 1 and "
+            f"bias = {bias:.3g} below [sensors.{name}] in {model}, and give --model without --fit."
+        )
+    if divided:
+        return
     for i, gain in gains(recording.y[stretch], [sensor.std for sensor in fitted.sensors.values()]).items():
         name = recording.sensors[i]
-        others = f"{recording.sensors[0]} moves" if len(recording.sensors) == 2 else "the other sensors move"
+        bias = fitted.sensors[name].bias - gain * fitted.level
         yield (
-            f"While {others} by 1, {name} moves by {1 + gain:.4g}: one has a gain error, which the model does not have. It may "
-            f"cause false alarms, mostly of the kind Drifting. Calibrate the sensors, or divide the samples of {name} by "
-            f"{1 + gain:.4g}, and fit again."
+            f"While {others} by 1, {name} moves by {1 + gain:.4g}, but not in both halves of the recording. A fault may be the "
+            "reason, or too little motion in one half. The model file has no gain. A gain error may cause false alarms, mostly "
+            f"of the kind Drifting. If {name} has one, write gain = {1 + gain:.4g} and bias = {bias:.3g} below [sensors.{name}] "
+            f"in {model}, and give --model without --fit."
         )
 
 
@@ -352,8 +368,9 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     if part.start is not None or part.stop is not None:
         say(
             "Biases, repeats and missing come from the stretch between --from and --to. The motion comes from the whole "
-            "recording, because a calm stretch shows too little of it. So do the noise, up to twice that of the stretch, and "
-            "lasting errors that most sensors have. For a fit of the stretch alone, write it to a file of its own."
+            "recording: a calm stretch shows too little of it. The noise comes from the whole recording as well, but is at most "
+            "twice that of the stretch. Lasting errors outside the stretch count only if most sensors have them. To fit the "
+            "stretch alone, put its rows into a file of their own."
         )
     if gaps := _gaps(recording):
         say(gaps)
