@@ -22,11 +22,11 @@ MOST_STEPS = 50_000
 ROUNDING = 1e-9
 """Size of a negative eigenvalue up to which a covariance counts as rounded."""
 
-STEADY = 1e-6
-"""Relative change over one step up to which a covariance counts as steady."""
+SMALL = 1e-6
+"""Mean variance of sensors below which the equation is solved in units of it."""
 
-NEWTON_STEPS = 20
-"""Most steps of Newton's method; near the solution each doubles the digits, and one makes the covariance positive."""
+NEWTON_STEPS = 5
+"""Most steps of Newton's method; it doubles the digits at each, and one makes the covariance positive."""
 
 SLOWEST = 1.0 - 1e-6
 """A filter with a slower pole counts as one without a steady state."""
@@ -107,16 +107,18 @@ class _ByValue:
 def predicted_covariance(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
     """Return the solution of the filter's Riccati equation.
 
-    Elements of A that are no more than rounding can mislead scipy's balancing: its solution then has a negative variance. And
-    where variances are 1e-20 or less, as of nanometres in SI units, it can be far from one. Newton's method, of which each step
-    is a Lyapunov equation, gives the covariance from there (Hewer 1971).
+    Elements of A that are no more than rounding can mislead scipy's balancing: its solution then has a negative variance.
+    Newton's method, of which each step is a Lyapunov equation, gives a covariance from there (Hewer 1971). Small variances, as of
+    nanometres in SI units, would be lost beside elements of A near 1. So they are solved for in units of the sensors' variance.
 
     Raises
     ------
     LinAlgError, ValueError
         If there is none.
     """
-    return _solved(*map(_ByValue, (A, C, Q, R))).copy(order="K")
+    size = float(np.trace(R)) / len(R)
+    unit = size if 0.0 < size < SMALL else 1.0
+    return _solved(*map(_ByValue, (A, C, Q / unit, R / unit))) * unit
 
 
 @lru_cache(maxsize=512)  # a design, its learner, and each diagnosis ask for the same filters
@@ -126,10 +128,9 @@ def _solved(*given: _ByValue) -> Floats:
     A, C, Q, R = (each.matrix for each in given)
     P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
     for _ in range(NEWTON_STEPS):
-        F, K = _error_transition(A, C, P, R)
-        decays = float(np.abs(np.linalg.eigvals(F)).max()) < SLOWEST
-        if _is_covariance(P) and (not decays or _steady(F @ P @ F.T + A @ K @ R @ K.T @ A.T + Q, P)):
+        if _is_covariance(P):
             break
+        F, K = _error_transition(A, C, P, R)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", LinAlgWarning)  # whoever uses the result judges it
             P = np.asarray(solve_discrete_lyapunov(F, Q + A @ K @ R @ K.T @ A.T))
@@ -142,12 +143,6 @@ def _is_covariance(P: Floats) -> bool:
     units = np.sqrt(np.where(variances > 0.0, variances, 1.0))
     correlation = (P + P.T) / 2 / np.outer(units, units)
     return bool((variances >= 0.0).all()) and float(np.linalg.eigvalsh(correlation)[0]) >= -ROUNDING
-
-
-def _steady(following: Floats, P: Floats) -> bool:
-    """Return whether a covariance follows itself, but for rounding, in units in which its variances are 1."""
-    units = np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
-    return bool((np.abs(following - P) <= STEADY * np.outer(units, units)).all())
 
 
 def response(model: LinearModel, sensor: int) -> Response:

@@ -81,7 +81,8 @@ class LearnedModes:
     healthy : float
         Healthy seconds, summed over all sensors.
     log_likelihood : tuple of float
-        Logarithm of the recordings' density before each iteration, in nats.
+        Logarithm of the recordings' density before each iteration, in nats. It is that of samples without a second fault of a
+        faulty sensor, so it prefers rare faults a little.
     settled : bool
         Whether the last iteration changed no setting by more than a hundredth.
 
@@ -249,14 +250,11 @@ def _expect(
     filtered, e = estimates["mode_probability"], estimates["innovation"]
     variance = np.ascontiguousarray(np.diagonal(innovation_covariances(estimator, estimates["P"]), axis1=1, axis2=2))
     units = np.array(precision.offset_units(model))  # a copy: compiled functions accept no read-only arrays
-    modes, step = precision.modes, float(model.step)
+    modes = precision.modes
     smooth, offsets, scatter = _passes(len(y) > SHORT if compiled is None else compiled)
     begun, lasts = np.empty((2, *y.shape, len(modes)))
     counts, sizes = np.zeros((kernels.FAULTY + 1, len(modes))), np.zeros((len(modes), 3))
-    begins = np.array([step / m.time_to_fault for m in modes])
-    alone = np.array([m.alone(begins.sum() - begin) for m, begin in zip(modes, begins, strict=True)])
-    ends = np.array([step / m.time_to_recovery for m in modes])
-    smooth(filtered, np.stack([begins, alone * (1.0 - ends), alone * ends]), begun, lasts, counts)
+    smooth(filtered, precision.chances(model), begun, lasts, counts)
     for k, mode in enumerate(modes):
         if isinstance(mode, Offset):
             squares = (float(size) * float(size) for size in (mode.jump, mode.slope, mode.walk))

@@ -127,9 +127,9 @@ class FaultMode:
     def alone(self, others: float) -> float:
         """Return the probability that no second fault begins with a sample, given the sum of the probabilities of all others.
 
-        Faults begin on a faulty sensor as often as on a healthy one. The learner follows no second fault, but counts it. If it
+        A faulty sensor fails in another way as often as a healthy one. The learner follows no second fault, but counts it. If it
         did not, a fault that changes nothing, as an offset of nearly zero, would become more probable with each sample at which a
-        healthy sensor might have failed, and did not. During a harmless mode nothing is counted, because it ends soon.
+        healthy sensor might have failed, and did not. A harmless mode must be short: nothing is counted during it.
         """
         return 1.0 - others if self.is_fault else 1.0
 

@@ -66,9 +66,9 @@ class SwitchingPrecision(PrecisionLearner):
 
     A sensor has ``P(healthy) + sum_k P(mode k) trust_k`` of its nominal precision. ``trust_k`` is 0 for a frozen sensor or one
     with an offset, and learned for a noisier one (that mode is the paper's learner). At each sample the modes first begin and
-    end; a faulty sensor may fail anew as often as a healthy one (`FaultMode.alone`). Then each mode gives the log density of the
-    sample, so that no mode is lost. What a mode has learned about its fault is merged with the prior of a fault that has just
-    begun, as in an interacting-multiple-model filter.
+    end; a faulty sensor may fail in another way, as often as a healthy one (`FaultMode.alone`). Then each mode gives the log
+    density of the sample, so that no mode is lost. What a mode has learned about its fault is merged with the prior of a fault
+    that has just begun, as in an interacting-multiple-model filter.
 
     The model's standard deviations of sensors are a first guess. The noise of each sensor is learned while it is healthy, by a
     gamma distribution of its precision, and ``precision`` and ``R`` follow it (`noise_factor`). The share of samples that a
@@ -255,17 +255,11 @@ class SwitchingPrecision(PrecisionLearner):
 
     def _learner(self, model: LinearModel) -> Learner:
         m, step = model.sensors, float(model.step)
-        begins = [chance(mode, "time_to_fault", step) for mode in self.modes]
-        ends = [chance(mode, "time_to_recovery", step) for mode in self.modes]
-        if sum(begins) >= 1:
-            raise ModelError(
-                f"SwitchingPrecision has fault modes that begin with a total probability of {sum(begins):.3g} in each sample of "
-                f"{step:g} s. Their times to a fault are too short: lengthen time_to_fault."
-            )
+        chances = self.chances(model)
         losses = as_vector("The loss of SwitchingPrecision", self.loss, m)
         mode_settings = [[settings_of(mode, mode.settings(model, i)) for mode in self.modes] for i in range(m)]
         bank = self._has_bank(model)
-        failing = sum(begin for mode, begin in zip(self.modes, begins, strict=True) if bank or not mode.joint_only)
+        harmless = sum(begin for mode, begin in zip(self.modes, chances[0], strict=True) if not mode.is_fault)
         units = self.offset_units(model) / np.diag(model.matrix("sensor_covariance"))
         first = [first_of(mode)[: 2 if bank and mode.own_hypothesis else None] for mode in self.modes]
         width = TRUST + max(map(len, first))
@@ -276,12 +270,13 @@ class SwitchingPrecision(PrecisionLearner):
             loss = float(losses[i])
             settings += [1.0 - loss, loss, self.noise_forgetting, shape]
             settings += [1.0 / square(self.noise_factor), square(self.noise_factor), *self._repeats(model, i)]
-            for mode, begin, end, values in zip(self.modes, begins, ends, mode_settings[i], strict=True):
+            for mode, of_mode, values in zip(self.modes, chances.T, mode_settings[i], strict=True):
                 arrives = 1.0 - loss if mode.arrival is None else mode.arrival
                 if isinstance(mode, Offset):
                     values = np.concatenate([values[:OFFSET_VARIANCES] * units[i], values[OFFSET_VARIANCES:]])
-                alone = mode.alone(failing - begin)
-                block = [begin, alone * (1.0 - end), alone * end, arrives, 1.0 - arrives, *values]
+                # A faulty sensor is also harmless as often as a healthy one; only a sample can tell that it is not.
+                seen = arrives * (1.0 - harmless) if mode.is_fault else arrives
+                block = [*of_mode, seen, 1.0 - arrives, *values]
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):
@@ -318,6 +313,28 @@ class SwitchingPrecision(PrecisionLearner):
             learn, kept, np.array(settings), 1, tuple(ports), report,
             infer=self._infer(layout, evidence),
         )  # fmt: skip
+
+    def chances(self, model: LinearModel) -> Floats:
+        """Return the probabilities per sample that each mode begins, lasts and ends (3 x modes); else another fault begins.
+
+        Raises
+        ------
+        ModelError
+            If a mode ends within a sample, or the modes begin with a total probability of 1 or more.
+        """
+        step = float(model.step)
+        begins = [chance(mode, "time_to_fault", step) for mode in self.modes]
+        ends = np.array([chance(mode, "time_to_recovery", step) for mode in self.modes])
+        if sum(begins) >= 1:
+            raise ModelError(
+                f"SwitchingPrecision has fault modes that begin with a total probability of {sum(begins):.3g} in each sample of "
+                f"{step:g} s. Their times to a fault are too short: lengthen time_to_fault."
+            )
+        joint = self._has_bank(model)
+        used = [mode.is_fault and (joint or not mode.joint_only) for mode in self.modes]
+        failing = sum(begin for begin, is_used in zip(begins, used, strict=True) if is_used)
+        alone = np.array([mode.alone(failing - begin) for mode, begin in zip(self.modes, begins, strict=True)])
+        return np.array([begins, alone * (1.0 - ends), alone * ends])
 
     def apart(self, who: str, instead: str = TOGETHER) -> SwitchingPrecision:
         """See `PrecisionLearner.apart`."""

@@ -15,6 +15,8 @@ from scipy import integrate, special, stats
 
 from bayesftc import controllers, scenario
 from bayesftc.controllers import (
+    Burst,
+    Drifting,
     DroppedOut,
     Frozen,
     LinearModel,
@@ -145,6 +147,35 @@ def test_in_an_outage_of_all_sensors_only_time_passes():
     assert outs[45].mode_probability[0, 1] > 0.99
     assert outs[45].fault_size[0] == pytest.approx(8.0, abs=1.0)
     assert outs[59].mode_probability[1, 2] > 0.99
+
+
+@pytest.mark.parametrize("joint", [True, False])
+@pytest.mark.parametrize("others", [(), (Frozen(5.0, 1.0), Noisier(5.0, 1.0), DroppedOut(5.0, 1.0))])
+def test_a_fault_that_changes_nothing_stays_as_probable_as_it_is_often(others, joint):
+    """It became the more probable, the longer none of the other faults was seen, because a faulty sensor could not get them."""
+    nothing = Drifting(time_to_fault=10.0, time_to_recovery=1.0, slope=1e-7)
+    precision = SwitchingPrecision(
+        (nothing, *others), joint=joint, process_modes=(), duration_shape=np.inf, noise_factor=1.0
+    )
+    model = LinearModel([[0.999]], [[2e-4]], [[1.0]] * 3, 1e-6, 1.0, STEP)
+    step = controllers.StateEstimator(model, precision, initial_mean=20.0, initial_covariance=1e-4).online(
+        compiled=False
+    )
+    said = [
+        step(y=row, u=100.0).mode_probability[:, 1] for row in 20.0 + np.random.default_rng(0).normal(size=(1500, 3))
+    ]
+    assert np.mean(said[500:]) == pytest.approx(0.1 / 1.1, rel=0.1)
+
+
+def test_a_harmless_mode_takes_nothing_from_a_fault_while_a_sensor_is_silent():
+    """No sample says that the sensor is not harmless: after a silence the fault is as probable beside `Burst` as without it."""
+    rows = np.full((330, 2), np.nan)
+    rows[:, 1] = 20.0
+    rows[:30, 0] = 28.0
+    modes = (Offset(100.0, 20.0), Burst(time_to_fault=1.0, time_to_recovery=0.1))
+    last = [list(learned(SwitchingPrecision(of, loss=0.5), rows))[-1][0][0] for of in (modes[:1], modes)]
+    assert 0.5 < last[0] < 0.9
+    assert last[1] == pytest.approx(last[0], abs=0.02)
 
 
 @pytest.mark.parametrize(("loss", "silent"), [(0.01, [0]), (0.01, [0, 1]), ((0.01, 0.9, 0.9), [])])

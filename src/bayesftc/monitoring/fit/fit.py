@@ -147,7 +147,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool
         wandering biases, up to the size of the noise and to those of most sensors, also come from the whole recording.
     gains : bool
         Whether a sensor may have a gain other than 1. It has one if it moves more or less than the others in both halves of the
-        stretch, and all others follow each other. Of two sensors, it is the second one. Angles have none.
+        stretch, and all others follow each other. Of two sensors, it is the second one. For angles give False.
 
     Returns
     -------
