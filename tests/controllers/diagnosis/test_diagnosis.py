@@ -274,8 +274,8 @@ def test_the_samples_of_a_closed_loop_need_no_name(tmp_path):
 
 
 FEWER = {("pendulum: limit", "SER"): 93, ("pendulum: limit", "switching"): 92}
-"""As in the table of docs/explanation/wrong-models.md. The first was 95 before sine and cosine had the same bits everywhere: after
-the pendulum has fallen, a run depends on the last place. The second is called a load that begins."""
+"""As in the table of docs/explanation/wrong-models.md. The first was 95 before sine and cosine had the same bits everywhere:
+after the pendulum has fallen, a run depends on the last place. The second is called a load that begins."""
 
 
 @pytest.mark.slow
