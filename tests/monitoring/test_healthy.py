@@ -25,11 +25,12 @@ FAULTS = {
 
 
 @pytest.mark.sampled(2)
-@pytest.mark.parametrize("sensors", [1, 2, 3])
-@pytest.mark.parametrize("kind", FAULTS)
+@pytest.mark.parametrize(
+    ("kind", "sensors"),
+    # The drift of an only sensor looks like an error of the model, whose walk is as large.
+    [(kind, sensors) for kind in FAULTS for sensors in (1, 2, 3) if (kind, sensors) != ("drift", 1)],
+)
 def test_a_fault_takes_the_weight_of_its_sensor_only(kind, sensors):
-    if (kind, sensors) == ("drift", 1):
-        pytest.skip("the drift of the only sensor looks like an error of the model, of which the walk is as large")
     y = speeds(sensors)
     y[FAULT, 0] = FAULTS[kind](y[FAULT, 0])
     weights = healthy(y, MOVING, DT)

@@ -27,8 +27,8 @@ def default_precision(
     """Return the default learner of a monitor: every kind of fault once in an hour, and harmless bursts of noise.
 
     The faults of a recording are not known, so offsets may be large and drifts fast. Times are in seconds and sizes in the
-    sensors' standard deviations, so the learner fits any quantity. It is the per-sensor form by default: in a recorded drive, an
-    earlier joint form also suspected sensors that share errors with the faulty one.
+    sensors' standard deviations, so the learner fits any quantity. It is the per-sensor form by default: in a recorded drive, the
+    joint form also suspected sensors that share errors with the faulty one.
 
     Parameters
     ----------
