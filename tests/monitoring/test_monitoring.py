@@ -291,7 +291,7 @@ def test_a_fault_is_found_with_its_kind_onset_and_size(fault, tmp_path):
     event, *others = found.events
     assert not others
     assert (event.sensor, event.kind) == (SENSORS[fault], fault)
-    late = 3.5 if fault in {"DroppedOut", "Noisier"} else 1.5  # a silence, or a burst, must last before it is a fault
+    late = 3.2 if fault in {"DroppedOut", "Noisier"} else 1.5  # a silence, or a burst, must last before it is a fault
     assert 6.0 <= event.start < 6.0 + late
     assert event.onset == pytest.approx(6.0, abs=1.0)
     assert 9.9 <= event.end < 11.0
