@@ -47,8 +47,10 @@ from bayesftc.controllers.switching.bank.onsets import make_begin, make_merge_on
 from bayesftc.controllers.switching.bank.starts import make_settle
 from bayesftc.controllers.switching.mode_kernels import expected_jump
 from bayesftc.controllers.switching.sensor_kernels import (
+    BEGINS,
     ENDS,
     FIRST_SETTINGS,
+    HEALTHY,
     LASTS,
     LEAST,
     OWN_SETTINGS,
@@ -72,6 +74,26 @@ def alone(settings, row):
 
 
 @cache
+def make_pass_sensor(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+    """Return the step function that advances a sensor in a hypothesis of another fault, in which some modes are not followed.
+
+    That none of these begins counts against the hypothesis, as it does against that without a fault, where they are followed.
+    """
+    kept, sensor, row_length, width_of_settings = layout.kept, layout.sensor, layout.row, layout.width_of_settings
+    left_out = tuple(k for k, of in enumerate(layout.other) if of == 0 and layout.faults[k] > 0)
+    count, left_out = len(left_out), left_out or (0,)
+
+    def pass_sensor(memory, at, i, settings):
+        begins = 0.0 * memory[at]
+        for k in range(count):
+            begins = begins + settings[i * row_length + FIRST_SETTINGS + left_out[k] * width_of_settings + BEGINS]
+        memory[at] = memory[at] * (1.0 - minimum(memory[at + kept + i * sensor + HEALTHY], 1.0) * begins)
+        pass_other(memory, at + kept + i * sensor, settings, i * row_length)
+
+    return pass_sensor
+
+
+@cache
 def make_pass_time(
     layout: Layout, pass_alone: Callable[..., None], pass_other: Callable[..., None]
 ) -> Callable[..., None]:
@@ -85,9 +107,10 @@ def make_pass_time(
         Transitions of a sensor's modes where no sensor has an offset, and of the other sensors where one has.
     """
     begin, prepare = make_begin(layout), make_prepare(layout)
-    move_offsets, move_actuators = make_move_offsets(layout, pass_other), make_move_actuators(layout, pass_other)
-    move_process, merge_onsets = make_move_process(layout, pass_other), make_merge_onsets(layout)
-    move_lost, move_common = make_move_lost(layout, pass_other), make_move_common(layout, pass_other)
+    pass_sensor = make_pass_sensor(layout, pass_other)
+    move_offsets, move_actuators = make_move_offsets(layout, pass_sensor), make_move_actuators(layout, pass_sensor)
+    move_process, merge_onsets = make_move_process(layout, pass_sensor), make_merge_onsets(layout)
+    move_lost, move_common = make_move_lost(layout, pass_sensor), make_move_common(layout, pass_sensor)
     n, m, none, kept, sensor, row_length = layout.n, layout.m, layout.first, layout.kept, layout.sensor, layout.row
     places = Places(layout.couples, layout.shift, layout.scratch)
 
@@ -136,7 +159,7 @@ def make_prepare(layout: Layout) -> Callable[..., None]:
 
 
 @cache
-def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+def make_move_offsets(layout: Layout, pass_sensor: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that advances the hypotheses of an offset, with ends and first samples.
 
     Young offsets end sooner than old ones while the state is `measurable`. Without the sensor an unmeasurable state is nearly
@@ -145,7 +168,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
     n, m, K = layout.n, layout.m, len(layout.kinds)
     kinds, becomes, slow = layout.kinds or (0,), layout.becomes or (0,), layout.slow or (0,)
     fresh, jumps, haste = layout.fresh or (False,), layout.jumps or (False,), layout.haste
-    row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
+    row_length, width_of_settings, kept = layout.row, layout.width_of_settings, layout.kept
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     witnessed, collect, become = make_witnessed(layout), make_collect(layout), make_become(layout)
     describe, joined = make_describe(layout), layout.joined or (False,)
@@ -159,7 +182,7 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
                 witness = witnessed(memory, at + kept, i)
                 for j in range(m):
                     if j != i:
-                        pass_other(memory, at + kept + j * sensor, settings, j * row_length)
+                        pass_sensor(memory, at, j, settings)
                 jump = expected_jump(
                     held(e[i], nominal[i, i]), settings[mode_row], settings[mode_row + 3], nominal[i, i]
                 )
@@ -181,10 +204,10 @@ def make_move_offsets(layout: Layout, pass_other: Callable[..., None]) -> Callab
 
 
 @cache
-def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+def make_move_lost(layout: Layout, pass_sensor: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that advances the hypotheses of an unmodelled course, with ends as for offsets."""
     n, m, U, lost = layout.n, layout.m, len(layout.lost), layout.lost or (0,)
-    row_length, width_of_settings, sensor, kept = layout.row, layout.width_of_settings, layout.sensor, layout.kept
+    row_length, width_of_settings = layout.row, layout.width_of_settings
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     first_lost, haste, collect = layout.first_lost, layout.haste, make_collect(layout)
 
@@ -195,7 +218,7 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
                 row = i * row_length + FIRST_SETTINGS + lost[u] * width_of_settings
                 for j in range(m):
                     if j != i:
-                        pass_other(memory, at + kept + j * sensor, settings, j * row_length)
+                        pass_sensor(memory, at, j, settings)
                 move(memory, at, n, 0, 0, NO_OFFSET, moving, places)
                 memory[at + OFFSET_AGE] = memory[at + OFFSET_AGE] + 1.0
                 memory[at] = memory[at] * alone(settings, row)
@@ -206,7 +229,7 @@ def make_move_lost(layout: Layout, pass_other: Callable[..., None]) -> Callable[
 
 
 @cache
-def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+def make_move_common(layout: Layout, pass_sensor: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that advances the hypotheses of a common offset of a group, with ends.
 
     The end at this sample is a separate hypothesis. Merged at once with that of a kicked plant, whose state differs, it would
@@ -215,7 +238,7 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
     n, m, groups, judged = layout.n, layout.m, len(layout.groups), layout.judged
     first_common, first_ended = layout.first_common, layout.first_ended
     firsts = tuple(group[0] for group in layout.groups) or (0,)
-    row_length, sensor, kept, N = layout.row, layout.sensor, layout.kept, layout.n + 2
+    row_length, N = layout.row, layout.n + 2
     none, length, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     common, collect = FIRST_SETTINGS + layout.common * layout.width_of_settings, make_collect(layout)
 
@@ -225,7 +248,7 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
             at, after, row = none + h * length, none + (first_ended + g) * length, i * row_length + common
             for j in range(m):
                 if judged[h * m + j] == BY_MODES:
-                    pass_other(memory, at + kept + j * sensor, settings, j * row_length)
+                    pass_sensor(memory, at, j, settings)
                 else:
                     memory[at] = memory[at] * alone(settings, j * row_length + common)
             walk = settings[row + OWN_SETTINGS + 2] * nominal[i, i]
@@ -244,10 +267,9 @@ def make_move_common(layout: Layout, pass_other: Callable[..., None]) -> Callabl
 
 
 @cache
-def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+def make_move_actuators(layout: Layout, pass_sensor: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that advances the hypotheses of an actuator's mode, with ends."""
-    n, m, p, L = layout.n, layout.m, layout.p, layout.actuator_modes
-    sensor, kept, row_length, first_actuator = layout.sensor, layout.kept, layout.row, layout.first_actuator
+    n, m, p, L, first_actuator = layout.n, layout.m, layout.p, layout.actuator_modes, layout.first_actuator
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     couples, shift = layout.couples, layout.shift
     of_actuators, collect = layout.actuator_settings, make_collect(layout)
@@ -258,7 +280,7 @@ def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Call
                 at = none + (first_actuator + j * L + q) * stride
                 mode_row = of_actuators + (j * L + q) * ACTUATOR_SETTINGS
                 for i in range(m):
-                    pass_other(memory, at + kept + i * sensor, settings, i * row_length)
+                    pass_sensor(memory, at, i, settings)
                 for a in range(n):
                     memory[couples + a] = B[a, j] * (
                         settings[mode_row + ABSOLUTE] + settings[mode_row + RELATIVE] * applied[j]
@@ -276,13 +298,13 @@ def make_move_actuators(layout: Layout, pass_other: Callable[..., None]) -> Call
 
 
 @cache
-def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callable[..., None]:
+def make_move_process(layout: Layout, pass_sensor: Callable[..., None]) -> Callable[..., None]:
     """Return the step function that advances the hypotheses of process modes, and the one of such a mode's end.
 
     A belief fades only if a sensor was ``sampled`` (1, else 0) and the state is `measurable`, or it would grow without bound.
     """
     n, plant, m, H, G = layout.n, layout.plant, layout.m, layout.hypotheses, layout.process_modes
-    sensor, kept, row_length, process = layout.sensor, layout.kept, layout.row, layout.process
+    process = layout.process
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     of_process, settle, receive = layout.process_settings, make_settle(layout), make_receive(layout)
 
@@ -290,7 +312,7 @@ def make_move_process(layout: Layout, pass_other: Callable[..., None]) -> Callab
         for q in range(H - process):
             at = none + (process + q) * stride
             for i in range(m):
-                pass_other(memory, at + kept + i * sensor, settings, i * row_length)
+                pass_sensor(memory, at, i, settings)
             move(memory, at, n, 0, 0, NO_OFFSET, moving, places)
         if G > 0:
             after = none + (process + G) * stride

@@ -22,6 +22,7 @@ from bayesftc.controllers import (
     LinearModel,
     Noisier,
     Offset,
+    Ramping,
     StateEstimator,
     SwitchingPrecision,
     Unmodelled,
@@ -150,7 +151,15 @@ def test_in_an_outage_of_all_sensors_only_time_passes():
 
 
 @pytest.mark.parametrize("joint", [True, False])
-@pytest.mark.parametrize("others", [(), (Frozen(5.0, 1.0), Noisier(5.0, 1.0), DroppedOut(5.0, 1.0))])
+@pytest.mark.parametrize(
+    "others",
+    [
+        (),
+        (Frozen(5.0, 1.0), Noisier(5.0, 1.0), DroppedOut(5.0, 1.0)),
+        (Unmodelled(5.0, 10.0),),
+        (Ramping(5.0, 10.0),),
+    ],
+)
 def test_a_fault_that_changes_nothing_stays_as_probable_as_it_is_often(others, joint):
     """It became the more probable, the longer none of the other faults was seen, because a faulty sensor could not get them."""
     nothing = Drifting(time_to_fault=10.0, time_to_recovery=1.0, slope=1e-7)

@@ -46,7 +46,8 @@ def imm(y, slope, time_to_fault):
             one.F[1 + 2 * drifting, 2 + 2 * drifting] = 1.0
             one.H[drifting, 1 + 2 * drifting] = 1.0
         filters.append(one)
-    M = np.array([[1 - 2 * begins, begins, begins], [0, 1, 0], [0, 0, 1]])
+    alone = 1 - begins  # while the other sensor does not begin to drift, which neither follows
+    M = np.array([[1 - 2 * begins, begins, begins], [0, alone, 0], [0, 0, alone]])
     # The first sample comes before any time has passed for the state, so its prediction undoes one step of it.
     bank = IMMEstimator(filters, [1.0 - 2e-12, 1e-12, 1e-12], M)
     for one in filters:
