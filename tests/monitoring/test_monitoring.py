@@ -502,6 +502,13 @@ def test_each_of_several_beliefs_says_which_sensor_reads_it():
     }
 
 
+def test_the_figure_shows_from_which_probability_on_there_is_an_alarm(tmp_path):
+    found = found_in(tmp_path, drive(2.0))
+    for alarm, label in ((found.alarm, "alarm from 0.9"), (Alarm(threshold=0.99), "alarm from 0.99")):
+        line = replace(found, alarm=alarm).plot().axes[-1].lines[-1]
+        assert (line.get_label(), line.get_ydata()[0]) == (label, alarm.threshold)
+
+
 def test_long_names_of_sensors_do_not_run_into_each_other(tmp_path):
     found = found_in(tmp_path, drive(2.0))
     names = ("LT201 ultrasonic, upper", "LT202_ultrasonic_lower", "LT203 pressure at the outlet")

@@ -80,6 +80,8 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
         style = {"color": BLACK, "ls": LINES[j % len(LINES)]}
         shown = thin(time, monitored.actuator_fault_probability[:, j])
         axes[-1].plot(*shown, lw=1.3, label=f"actuator {name}", **style)
+    threshold = monitored.alarm.threshold
+    axes[-1].axhline(threshold, color="0.4", lw=0.8, zorder=0, label=f"alarm from {threshold:g}")
     axes[-1].set_ylim(-0.04, 1.04)
     axes[-1].set_ylabel("fault probability")
     _shade(axes, clock, monitored, spans)

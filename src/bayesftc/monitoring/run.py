@@ -77,6 +77,8 @@ class Monitored:
         Probability of each mode.
     actuator_events : tuple of ActuatorEvent
         The actuators' alarms in the order of their start.
+    alarm : Alarm
+        The conditions of an alarm.
 
     Examples
     --------
@@ -108,6 +110,7 @@ class Monitored:
     actuator_kinds: tuple[str, ...] = ()
     actuator_mode_probability: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
     actuator_events: tuple[ActuatorEvent, ...] = ()
+    alarm: Alarm = field(default_factory=Alarm)
 
     def __repr__(self) -> str:
         return short(self)
@@ -229,6 +232,7 @@ def monitor_recording(
         _in_order(sensor_events(recording, signals, modes, alarm)),
         rest,
         precision.why_no_probability,
+        alarm=alarm,
     )
     if not actuator_modes:
         return monitored
