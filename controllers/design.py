@@ -68,6 +68,7 @@ def design(
     sensor_delays: int | Sequence[int] = 0,
     initial_mean: float | Sequence[float] | None = None,
     initial_spread: float = 10.0,
+    initial_control: float | Sequence[float] | None = None,
 ) -> LQGController:
     """Return a fault-tolerant controller for a plant, a block for `bayesftc.cosim.closed_loop`.
 
@@ -134,6 +135,8 @@ def design(
         Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Larger, such as 1e4,
         where the plant may start elsewhere than at its start values and the learner is not the default one, which expects that
         (``start_doubt`` of `SwitchingPrecision`), or where it may move at the start.
+    initial_control : number or vector, optional
+        The control before the first step, from which `u_rate` limits the first change; by default that of the operating point.
 
     Returns
     -------
@@ -254,6 +257,7 @@ def design(
         u_rate=u_rate,  # type: ignore[arg-type]
         initial_mean=mean if initial_mean is None else initial_mean,  # type: ignore[arg-type]
         initial_covariance=start,
+        initial_control=initial_control,  # type: ignore[arg-type]
         preview=preview,
     )
 

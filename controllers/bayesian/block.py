@@ -68,7 +68,7 @@ class BayesianBlock(Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
 
     The docstrings of the controllers describe the settings ``model, precision, goal_on, goal_covariance, control_covariance,
-    control_mean, belief, u_min, u_max, u_rate, initial_mean, initial_covariance, invalid, posterior_outputs``.
+    control_mean, belief, u_min, u_max, u_rate, initial_mean, initial_covariance, initial_control, invalid, posterior_outputs``.
     """
 
     model: Any
@@ -83,6 +83,7 @@ class BayesianBlock(Block, ABC):
     u_rate: float | tuple[float, ...] = field(default=float("inf"), metadata={"unit": "{u}/s"})
     initial_mean: float | tuple[float, ...] = 0.0
     initial_covariance: Matrix = 1.0
+    initial_control: float | tuple[float, ...] | None = field(default=None, kw_only=True, metadata={"unit": "{u}"})
     invalid: Invalid = field(default=(), kw_only=True)
     posterior_outputs: bool = field(default=False, kw_only=True)
 
@@ -121,6 +122,8 @@ class BayesianBlock(Block, ABC):
             ),
         }
         invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # raises for wrong values
+        if self.initial_control is not None:
+            values["initial_control"] = as_vector("The initial_control", self.initial_control, p)
         if self.control_covariance is not None:
             values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
         for name, value in values.items():
@@ -145,6 +148,13 @@ class BayesianBlock(Block, ABC):
                 f"With a flat control prior the goal must determine each of the {p} controls. In one step the goal depends on "
                 f"only {rank} of them; give a control_covariance."
             )
+
+    @property
+    def control_before(self) -> Floats:
+        """The control before the first step: `initial_control`, else that of the model's operating point, else 0."""
+        given, at = self.initial_control, getattr(self.model, "operating_control", None)
+        known = given if given is not None else at
+        return np.zeros(self.model.controls) if known is None else np.array(known, dtype=np.float64)
 
     def _extended(self, mean: object) -> object:
         # A mean of the plant's states alone implies zero disturbances.

@@ -168,5 +168,5 @@ class StateEstimator(Block):
         largest = VARIANCE_CAP * max(M.diagonal().max() for M in (np.asarray(self.initial_covariance), Q, nominal))
         first = sum(port.size for port in self._common_outputs)
         estimate = make_estimate(learner.step, learner.infer, learner.report, alarm_of(learner, first), first)
-        state, parameters, scratch = estimation(self, model, learner, largest)
+        state, parameters, scratch = estimation(self, model, learner, largest, np.zeros(model.controls))
         return Definition(estimate, look_ahead, state, parameters, learner.compiled, scratch, {"est": ESTIMATION})

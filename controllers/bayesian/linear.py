@@ -162,9 +162,11 @@ class BayesianController(BayesianBlock):
     u_min, u_max : number or vector
         Limits of the control. The prediction uses the limited control.
     u_rate : number or vector
-        Largest change of the control per second; before the first step the control counts as 0.
+        Largest change of the control per second, also at the first step: see `initial_control`.
     initial_mean, initial_covariance : optional
         Belief before the first sample; by default 0 and the identity.
+    initial_control : number or vector, optional
+        The control before the first step; by default that of the model's operating point (`LinearModel.about`), else 0.
     invalid : sequence of number, or of one for each sensor
         Values that mark a missing sample, such as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
     posterior_outputs : bool
@@ -235,7 +237,7 @@ class BayesianController(BayesianBlock):
         B = model.matrix("B")
         joint = self.belief == "joint"
         shared = self._shared_parameters(step)
-        state, model_parameters, space = estimation(self, model, learner, shared["largest"])
+        state, model_parameters, space = estimation(self, model, learner, shared["largest"], self.control_before)
         parameters = model_parameters | shared | {"GB": G @ B}
         sizes: dict[str, tuple[int, ...]] = {
             "goal_given": (g,),

@@ -70,7 +70,7 @@ class LQGController(BayesianController):
         Inverse of the cost of the controls: squares of the largest acceptable deviations from u_ss.
     control_mean : 0
         Not used; the mean of the control prior is u_ss.
-    belief, u_min, u_max, u_rate, initial_mean, initial_covariance, invalid
+    belief, u_min, u_max, u_rate, initial_mean, initial_covariance, initial_control, invalid
         See `BayesianController`.
     preview : int
         Number n of samples by which the input ``goal`` lies ahead, at most 9,999. Beyond the settling time of the loop a

@@ -288,10 +288,12 @@ class NonlinearBayesianController(BayesianBlock):
     u_min, u_max : number or vector
         Limits of the control. The prediction uses the limited control.
     u_rate : number or vector
-        Largest change of the control per second; before the first step the control counts as 0.
+        Largest change of the control per second, also at the first step: see `initial_control`.
     initial_mean, initial_covariance : optional
         Belief before the first sample; by default 0 and the identity. The controller returns to it where the model has no
         finite value.
+    initial_control : number or vector, optional
+        The control before the first step; by default 0.
     prediction : {"model", "random walk"}
         The prediction prior of the next sample. "model": f at the belief and the control that was applied. "random walk": the
         belief itself plus process noise.
@@ -416,8 +418,8 @@ class NonlinearBayesianController(BayesianBlock):
             "seer_vectors": (VECTORS_OF_CHECK, max(n, m)),
         }
         state = {
-            "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": np.zeros(p), "memory": learner.memory,
-            **screens, **watching,
+            "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": self.control_before,
+            "memory": learner.memory, **screens, **watching,
         }  # fmt: skip
         scratch = {name: np.zeros(shape) for name, shape in sizes.items()}
         return Definition(kernel, state=state, parameters=parameters, scratch=scratch, records=RECORDS)

@@ -153,7 +153,7 @@ def advance(est):
 
 
 def estimation(
-    block: Any, model: LinearModel, learner: Learner, largest: float
+    block: Any, model: LinearModel, learner: Learner, largest: float, applied: Floats
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Return state, parameters and scratch space of an estimator, without its ports.
 
@@ -167,6 +167,8 @@ def estimation(
         Learner of the precisions.
     largest : float
         The largest variance of a belief.
+    applied : ndarray
+        The control before the first step.
     """
     n, p, m = model.states, model.controls, model.sensors
     doubts, screen_parameters = screening(block, model)
@@ -179,7 +181,7 @@ def estimation(
     state = {
         "mean": block.initial_mean,
         "covariance": block.initial_covariance,
-        "applied": np.zeros(p),
+        "applied": applied,
         "memory": learner.memory,
         "works": np.ones((2, p)),
         "load": np.zeros((2, p)),

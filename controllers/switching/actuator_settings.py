@@ -16,14 +16,21 @@ from bayesftc.cosim.ops import sqrt
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
+ROUNDING = 1e-10
+"""Share of the process noise in its largest direction up to which that in another one counts as none."""
+
 
 def control_scales(model: LinearModel) -> list[float]:
     """Return the size of each control that moves the state in one sample as far as its process noise does; 0 if there is none.
 
-    With several states it is that of the most informative direction.
+    With several states it is that of the most informative direction. Directions without noise do not count: those whose share of
+    the noise may be rounding, in units of the noise of each state, so that the states' units do not matter.
     """
-    precision = np.linalg.pinv(model.matrix("process_covariance"), hermitian=True)
-    information = [float(effect @ precision @ effect) for effect in model.effects.T]
+    Q = model.matrix("process_covariance")
+    size = np.sqrt(np.diag(Q))
+    size[size == 0] = 1.0
+    precision = np.linalg.pinv(Q / np.outer(size, size), rcond=ROUNDING, hermitian=True)
+    information = [float(effect @ precision @ effect) for effect in (model.effects.T / size)]
     return [1.0 / sqrt(value) if value > 0 else 0.0 for value in information]
 
 

@@ -105,6 +105,20 @@ def test_limits_hold_and_the_prediction_uses_the_applied_control():
     np.testing.assert_allclose(down, [1.0, 0.0, -1.0, -1.0, -1.0])
 
 
+@pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")
+@pytest.mark.parametrize(
+    ("given", "first"), [({}, 0.7), ({"initial_control": 0.2}, 0.1), ({"initial_control": [0.9]}, 0.8)]
+)
+def test_the_rate_counts_from_the_control_of_the_operating_point_or_the_given_one(given, first):
+    """It counted from 0, so that a plant at rest was first driven away from its operating point."""
+    model = LinearModel([[1.0]], [[1.0]], [[1.0]], 0.1, 1.0, 0.1).about([20.0], [0.8], [20.0])
+    controller = BayesianController(
+        model, FixedPrecision(), u_rate=1.0, goal_on=[[1.0, 0.0]], initial_mean=20.0, **given
+    )
+    step = controller.online(compiled=False)
+    assert step(y=[20.0], goal=[19.0]).u[0] == pytest.approx(first)
+
+
 def test_limits_win_over_the_rate():
     model = LinearModel([[1.0]], [[1.0]], [[1.0]], 0.1, 1.0, 0.02)
     step = BayesianController(model, FixedPrecision(), u_min=-100.0, u_max=-10.0, u_rate=1.0).online(compiled=False)

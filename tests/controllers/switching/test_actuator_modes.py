@@ -17,6 +17,7 @@ from bayesftc.controllers import (
     StuckActuator,
     SwitchingPrecision,
 )
+from bayesftc.controllers.switching.actuator_settings import control_scales
 from bayesftc.cosim.errors import ModelError
 
 STEP, A, B, Q = 0.02, 0.999, 2e-4, 0.001
@@ -184,6 +185,16 @@ def test_the_unit_of_an_offset_is_what_the_state_that_tells_most_tells():
         )
     assert out.actuator_fault_probability[0] > 0.9
     assert out.actuator_fault_size[0] == pytest.approx(8.0, abs=1.5)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1.0, 1e6, 1e12])
+def test_the_unit_of_an_offset_does_not_depend_on_those_of_the_states(unit):
+    """Noise of a torque in N m and of an angle in rad have variances that differ by more than rounding."""
+    A = np.array([[0.98, -0.18, 0.1 / unit], [0.0, 0.72, 0.0], [0.0, 0.0, 0.97]])
+    B = np.array([[-0.03], [0.28], [0.0]])
+    G = np.hstack([0.002 * B, [[0.003], [0.0], [0.02 * unit]]])
+    model = LinearModel(A, B, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], G @ G.T, 1e-5, 0.1)
+    assert control_scales(model) == pytest.approx([0.002], rel=1e-6)
 
 
 def test_a_belief_with_the_goal_in_it_is_that_of_the_per_sensor_form():
