@@ -58,7 +58,9 @@ class Campaign:
     independent : sequence of str
         Factors of which each value has different seeds, and so independent noise.
     record : sequence of str
-        Names or patterns of the signals to keep.
+        Names or patterns of the signals to keep. They must exist at every point. With ``fault_probability`` or ``beta`` of the
+        controller of a closed loop, ``sensor_faulty`` and ``sensor_missing`` are kept as well: for each sensor 1 while a fault is
+        present, and 1 at a missing sample.
     metrics : sequence of Metric or callable, optional
         Numbers of each run: metrics such as `RMSE`, or functions from a `Result` to a number.
     decimation : int

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 
 from bayesftc.cosim.judging.signals import (
     ALARM,
+    SCORES,
     ActuatorSignals,
     ControlSignals,
     Flags,
@@ -243,6 +244,11 @@ def periods(flags: Flags) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
+def samples_in_faults(faulty: Flags, present: Flags) -> list[Any]:
+    """Return for each fault the indices of its samples that are not missing: none for a fault that is seen as missing."""
+    return [a + np.flatnonzero(present[a:b]) for a, b in periods(faulty)]
+
+
 def errors_by_phase(error: Floats | None, faulty: Flags | None) -> Errors:
     """Return the root-mean-square errors of the phases of a run; NaN if a necessary signal is None."""
     if error is None or faulty is None:
@@ -258,8 +264,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
     if faulty is None:
         return Detection(signals.index, signals.unit, NAN, missing, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
     present = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing
-    # For each fault the indices of the samples that are not missing; a dropout has none.
-    samples_of_faults = [a + np.flatnonzero(present[a:b]) for a, b in periods(faulty)]
+    samples_of_faults = samples_in_faults(faulty, present)
     visible = [samples for samples in samples_of_faults if len(samples)]
     missed = delay = NAN
     alarm = signals.alarm
@@ -267,7 +272,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
         delays = [time[s[np.argmax(alarm[s])]] - time[s[0]] for s in visible if alarm[s].any()]
         missed = float(len(visible) - len(delays)) if visible else NAN
         delay = float(np.mean(delays)) if delays else NAN
-    candidates = {"fault_probability": probability, "beta": signals.beta}
+    candidates = dict(zip(SCORES, (probability, signals.beta), strict=True))
     scores = {name: score for name, score in candidates.items() if score is not None and not np.isnan(score).all()}
     ranked_by = next(iter(scores), None)
     return Detection(

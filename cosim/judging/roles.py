@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import prod
 
 import numpy as np
@@ -20,6 +21,9 @@ from bayesftc.cosim.judging.signals import (
 )
 from bayesftc.cosim.run.result import Result
 from bayesftc.cosim.types import Floats
+
+Table = np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+"""Flags with a row for each step and a column for each sensor."""
 
 
 def loop_signals(diagram: Diagram, result: Result, *, drawn: bool = True) -> LoopSignals:
@@ -46,7 +50,6 @@ def loop_signals(diagram: Diagram, result: Result, *, drawn: bool = True) -> Loo
 def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopSignals:
     """Return the signals of a closed loop with the given roles, as `loop_signals` does."""
     reader = _Reader(result, roles.controller)
-    none: Flags = np.zeros(len(result.time), dtype=bool)
     active = {name: reader.active(name) for sensor in roles.sensors for name in sensor.faults}
     count = len(roles.sensors)
     precision, beta, probability, detected = (
@@ -60,7 +63,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
         SensorSignals(
             i,
             reader.at(role.samples),
-            any_of([none, *(active[name] for name in role.faults)]),
+            reader.faulty(role.faults),
             precision[i],
             beta[i],
             probability[i],
@@ -94,6 +97,23 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
     )
 
 
+def true_faults(roles: LoopRoles, result: Result) -> tuple[Table, Table]:
+    """Return whether each sensor had a fault, and whether its sample was missing, both of shape (rows, sensors).
+
+    The active faults and the samples must be recorded. A sensor that the controller does not receive has no missing samples.
+    """
+    reader = _Reader(result, roles.controller)
+    sensors = [
+        SensorSignals(i, reader.at(role.samples), reader.faulty(role.faults), None, None, None)
+        for i, role in enumerate(roles.sensors)
+    ]
+    faulty, missing = np.zeros((2, len(result.time), len(sensors)), dtype=bool)
+    for sensor in sensors:
+        faulty[:, sensor.index] = sensor.faulty
+        missing[:, sensor.index] = sensor.missing if sensor.missing is not None else False
+    return faulty, missing
+
+
 class _Reader:
     """Reads signals of a result; None for signals that were not recorded."""
 
@@ -107,6 +127,11 @@ class _Reader:
     def active(self, fault: str) -> Flags | None:
         values = self.signal(f"{fault}.active")
         return None if values is None else values > 0.5  # type: ignore[return-value]
+
+    def faulty(self, faults: Iterable[str]) -> Flags | None:
+        """Return when any of these faults was present: never without a fault; None if one was not recorded."""
+        none: Flags = np.zeros(len(self.result.time), dtype=bool)
+        return any_of([none, *map(self.active, faults)])
 
     def output(self, name: str) -> Floats | None:
         """Return an output of the controller."""
@@ -145,12 +170,11 @@ def _actuators(reader: _Reader, roles: LoopRoles, drawn: bool) -> tuple[Actuator
         reader.columns(f"actuator_fault_{name}", len(roles.controls)) for name in ("probability", "kind", "size")
     )
     chances = reader.tables("actuator_mode_probability", len(roles.controls)) if drawn else [None] * len(roles.controls)
-    none: Flags = np.zeros(len(reader.result.time), dtype=bool)
     return tuple(
         ActuatorSignals(
             role.name,
             role.unit,
-            any_of([none, *map(reader.active, role.faults)]),
+            reader.faulty(role.faults),
             values,
             kind[j],
             size[j],
@@ -203,4 +227,4 @@ def _quantity(reader: _Reader, role: QuantityRole, drawn: bool) -> QuantitySigna
     )
 
 
-__all__ = ["loop_signals", "signals_of"]
+__all__ = ["loop_signals", "signals_of", "true_faults"]

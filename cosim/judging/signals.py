@@ -13,6 +13,8 @@ Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 ALARM = 0.5
 """The lowest fault probability of an alarm."""
+SCORES = ("fault_probability", "beta")
+"""Outputs of a controller that rank samples by how likely a sensor fault is, in order of preference."""
 
 
 def any_of(flags: list[Flags | None]) -> Flags | None:
@@ -249,5 +251,6 @@ class LoopSignals:
 
 
 __all__ = [
-    "ALARM", "ActuatorSignals", "ControlSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals", "SensorSignals",
+    "ALARM", "SCORES", "ActuatorSignals", "ControlSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals",
+    "SensorSignals",
 ]  # fmt: skip

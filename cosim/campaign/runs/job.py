@@ -19,6 +19,7 @@ from bayesftc.cosim.campaign.designs.factors import varied
 from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Outcome, Piece, Plan
 from bayesftc.cosim.campaign.runs.columns import OWN
 from bayesftc.cosim.campaign.runs.metrics import Metric, Runs, is_number
+from bayesftc.cosim.campaign.runs.truth import FAULTY, MISSING, SensorTruth
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.run.many import Block, KeepGoing, ManyRuns, Overhead
@@ -85,6 +86,9 @@ class Job:
         self.starts = fault_starts(first)
         kept = select_signals(first.schedule, self.record)
         self.signals = {name: Recorded(shape, kept.units.get(name)) for name, (_, shape) in kept.columns.items()}
+        truth = SensorTruth.of(first, self.signals)
+        self.truths = {} if truth is None else {name: Recorded(truth.shape, None) for name in (FAULTY, MISSING)}
+        self.signals |= self.truths
         # This raises if a signal of a metric is unknown.
         select_signals(first.schedule, [name for metric in self.metrics for name in metric.signals(first)])
         for metric in self.metrics:
@@ -228,12 +232,17 @@ class _Loop:
         self.point, self.diagram = point, job.diagram(point)
         schedule = self.diagram.schedule
         kept = select_signals(schedule, job.record)
-        if {n: shape for n, (_, shape) in kept.columns.items()} != {n: s.shape for n, s in job.signals.items()}:
+        self.truth = SensorTruth.of(self.diagram, kept.columns) if job.truths else None
+        truths = {name: s.shape if self.truth is None else self.truth.shape for name, s in job.truths.items()}
+        shapes = {name: shape for name, (_, shape) in kept.columns.items()} | truths
+        if shapes != {name: s.shape for name, s in job.signals.items()}:
             raise ModelError(
                 "Recorded signals of this point have other shapes than at the first point; record other signals."
             )
         needed = [name for metric in job.metrics for name in metric.signals(self.diagram)]
         self.decimation = 1 if job.metrics else job.decimation
+        if self.truth is not None:
+            needed += self.truth.needs
         self.selection: Selection = select_signals(schedule, [*kept.columns, *needed])
         self.time = _times(job.steps, self.decimation, self.diagram.step)
         self.many = ManyRuns(schedule, self.selection, job.steps, self.decimation, job.time_limit)
@@ -246,6 +255,19 @@ class _Loop:
             if shape
             else recording[:, :, start]
             for name, (start, shape) in self.selection.columns.items()
+        }
+
+    def truths(self, block: Block, decimation: int) -> dict[str, Floats]:
+        """Return the true faults of the sensors in some runs, every `decimation`-th step; NaN after the failure of a run."""
+        if self.truth is None:
+            return {}
+        recording = block.recording[:, :: decimation // self.decimation]
+        runs, rows, numbers = recording.shape
+        of_all = Result(recording.reshape(runs * rows, numbers), self.selection.columns, self.diagram.step)
+        after = np.arange(rows) * decimation > block.steps[:, None]
+        return {
+            name: np.where(after[:, :, None], np.nan, values)
+            for name, values in self.truth.signals(of_all, runs).items()
         }
 
     def results(self, recording: Floats) -> Iterator[Result]:
@@ -269,10 +291,11 @@ class _Collected:
 
     def add(self, loop: _Loop, block: Block) -> None:
         job, begin, end = self._job, self._done, self._done + len(block.steps)
-        views = loop.views(block.recording)
         thinned = slice(None, None, job.decimation // loop.decimation)
+        kept = {name: values[:, thinned] for name, values in loop.views(block.recording).items()}
+        kept |= loop.truths(block, job.decimation)
         for name, array in self._signals.items():
-            array[begin:end] = views[name][:, thinned]
+            array[begin:end] = kept.get(name, np.nan)  # a point that is no closed loop has no true faults
         good = np.array([not reason for reason in block.reasons])
         self._steps[begin:end] = block.steps
         self._reasons += block.reasons

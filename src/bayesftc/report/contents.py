@@ -138,6 +138,12 @@ class Contents:
         """The campaign's description from its metadata."""
         return self.store.metadata.description
 
+    @property
+    def controller(self) -> str | None:
+        """Name of the controller; None if the diagram is no closed loop."""
+        name: str | None = self.description.get("roles", {}).get("controller")
+        return name
+
     def errors(self) -> list[ErrorSignal]:
         """Return the signals that metrics compare with a reference, if both are recorded scalars."""
         errors: dict[ErrorSignal, None] = {}

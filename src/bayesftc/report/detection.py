@@ -2,144 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.campaign.designs.plan import OK
+from bayesftc.cosim.base.numbers import counted
+from bayesftc.cosim.campaign.runs.truth import FAULTY
 from bayesftc.cosim.judging.signals import ALARM
+from bayesftc.report.scores import FAILED, HEALTHY, Found, Level, recorded_scores
 from bayesftc.report.svg import INK, error_bars, figure, legend, words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from bayesftc.cosim.types import Floats
     from bayesftc.report.contents import Contents
 
-RUNS = 200
-"""Largest number of runs of each level, drawn at random; more would not change the figures visibly."""
 LINE = 0.18
 """Height of a line of the legend in inches."""
-SCORES = ("fault_probability", "beta")
-"""Outputs of a controller that indicate faults, in order of preference."""
 
 
-@dataclass(frozen=True)
-class Level:
-    """Scores and truth of some runs of a level of the compared factor."""
-
-    score_name: str  # the signal that ranks samples
-    # One array per run, of shape (steps, sensors).
-    score: list[Floats]
-    truth: list[Any]
-    seeds: list[int]  # one per run; runs with the same seed have the same noise
-    of: int  # number of runs from which these were drawn
-
-    @property
-    def is_probability(self) -> bool:
-        """Whether the score is a probability."""
-        return self.score_name.endswith(SCORES[0])
-
-    def by_seed(self) -> tuple[list[Floats], list[Any]]:
-        """Return scores and truth, with the runs of a seed joined: intervals count seeds, because only these are independent."""
-        place: dict[int, list[int]] = {}
-        for i, seed in enumerate(self.seeds):
-            place.setdefault(seed, []).append(i)
-        return tuple(
-            [np.concatenate([all_[i] for i in runs]) for runs in place.values()] for all_ in (self.score, self.truth)
-        )  # type: ignore[return-value]
-
-
-def why_no_detection(contents: Contents) -> str:
-    """Return a sentence if a score is recorded, but not when each fault was present; else nothing."""
-    scores, active = _recorded_scores(contents), _active(contents)
-    missing = [name for name in active if name not in contents.store.metadata.signals]
-    if not scores or not missing:
+def why_no_detection(contents: Contents, found: Found) -> str:
+    """Return a sentence if a score is recorded and there is a fault, but no level can be judged; else nothing."""
+    if found or not recorded_scores(contents):
         return ""
-    one = len(missing) == 1
-    named = missing[0] if one else f"{', '.join(missing[:-1])} and {missing[-1]}"
-    were, them = ("was", "it") if one else ("were", "them")
-    return f"There are no figures of detection, because {named} {were} not recorded. Add {them} to the recorded signals (record)."
+    title = "There are no figures of detection"
+    if FAULTY not in contents.store.metadata.signals:
+        return (
+            f"{title}: this store is of an earlier version, which did not keep the true faults of the sensors. Run the campaign "
+            "again in another folder."
+        )
+    if set(found.without.values()) <= {FAILED, HEALTHY}:
+        return ""
+    if len(found.without) == 1:
+        return f"{title}: {next(iter(found.without.values()))}."
+    return f"{title}.{_without(contents, found)}"
 
 
-def _recorded_scores(contents: Contents) -> list[str]:
-    controller = contents.description.get("roles", {}).get("controller")
-    return [name for name in (f"{controller}.{score}" for score in SCORES) if name in contents.store.metadata.signals]
-
-
-def _active(contents: Contents) -> list[str]:
-    chains = contents.description.get("roles", {}).get("faults_of_sensors", [])
-    return [f"{name}.active" for name in sorted({name for chain in chains for name in chain})]
-
-
-def read_detection(contents: Contents) -> dict[Any, Level]:
-    """Return recorded scores and faults of each level for which these suffice."""
-    scores, active = _recorded_scores(contents), _active(contents)
-    if not active or not scores or not set(active) <= set(contents.store.metadata.signals):
-        return {}
-    runs = _read(contents, scores, active, contents.description["roles"]["faults_of_sensors"])
-    detection = {}
-    for level in contents.drawn():
-        for name in scores:
-            samples = [(s[name], truth, seed) for s, truth, seed in runs.get(level, ()) if s[name].shape == truth.shape]
-            if _suffices(samples):
-                score, truth, seeds = (list(column) for column in zip(*samples, strict=True))
-                good = int((contents.runs_of(level)["status"] == OK).sum())
-                detection[level] = Level(name, score, truth, seeds, good)
-                break
-    return detection
-
-
-def _suffices(runs: list[Any]) -> bool:
-    """Return whether there are faulty and healthy samples with a score, and at least two different scores."""
-    finite = [np.isfinite(score) for score, _, _ in runs]
-    if not any(k.any() for k in finite):
-        return False
-    score = np.concatenate([s[k] for (s, _, _), k in zip(runs, finite, strict=True)])
-    truth = np.concatenate([t[k] for (_, t, _), k in zip(runs, finite, strict=True)])
-    return bool(truth.any() and not truth.all() and np.ptp(score) > 0)
-
-
-def _read(
-    contents: Contents, scores: list[str], active: list[str], chains: list[list[str]]
-) -> dict[Any, list[tuple[dict[str, Floats], Any, int]]]:
-    chosen: dict[int, tuple[Any, int]] = {}
-    rng = np.random.default_rng(0)
-    for level in contents.drawn():
-        rows = contents.runs_of(level)
-        rows = rows[rows["status"] == OK]
-        if len(rows) > RUNS:
-            rows = rows.iloc[np.sort(rng.choice(len(rows), RUNS, replace=False))]
-        chosen |= {int(run): (level, int(seed)) for run, seed in zip(rows["run"], rows["seed"], strict=True)}
-    samples: dict[Any, list[tuple[dict[str, Floats], Any, int]]] = {}
-    for piece, signals in contents.store.pieces_of_signals([*scores, *active]):
-        for run in range(piece.begin, piece.end):
-            if run not in chosen:
-                continue
-            level, seed = chosen[run]
-            of_run = {name: values[run - piece.begin] for name, values in signals.items()}
-            rank = {name: of_run[name].reshape(len(of_run[name]), -1).copy() for name in scores}
-            columns = [
-                np.any([_any(of_run[f"{name}.active"]) for name in chain], axis=0)
-                if chain
-                else np.zeros(len(rank[scores[0]]), bool)
-                for chain in chains
-            ]
-            samples.setdefault(level, []).append((rank, np.stack(columns, axis=1), seed))
-    return samples
-
-
-def _any(flags: Floats) -> Any:
-    return flags.reshape(len(flags), -1).any(axis=1)
-
-
-def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure, str]:
+def roc_figure(contents: Contents, found: Found) -> tuple[Figure, str]:
     """Return the curves of all levels: detected faults against false alarms, and delay against false alarms."""
     from matplotlib.ticker import NullLocator
 
     from bayesftc.cosim.statistics import delay_curve, roc
 
+    detection = found.levels
     made, (left, right) = figure(3.2 + LINE * len(detection), 1, 2)
     time = contents.store.time
     step = float(time[1] - time[0]) if len(time) > 1 else 1.0
@@ -166,7 +71,7 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
             )  # whole, also at a delay of 0
             alarms.append(
                 f"{'' if level is None else f'{contents.name(level)}: '}alarms in {false:.2%} of the fault-free time, "
-                f"{missed:.1%} of the faults missed, median delay {_seconds(delay)}{_blamed_most(each)}"
+                f"{missed:.1%} of the faults missed, median delay {_seconds(delay)}{_seen_as_missing(each)}{_blamed_most(each)}"
             )
     left.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     left.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1.02))
@@ -189,7 +94,22 @@ def roc_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure,
             if alarms
             else ""
         )
-        + _without(contents, detection)
+        + _missing(detection)
+        + _without(contents, found)
+    )
+
+
+def _seen_as_missing(level: Level) -> str:
+    return f", {counted(level.seen_as_missing, 'fault')} seen as missing samples" if level.seen_as_missing else ""
+
+
+def _missing(detection: dict[Any, Level]) -> str:
+    """Return how missing samples count, if there are faults of which nothing else is seen."""
+    if not any(each.seen_as_missing for each in detection.values()):
+        return ""
+    return (
+        " Missing samples count in none of these figures. A fault whose samples are all missing is seen as missing samples: it "
+        "is neither detected nor missed, as in the table of runs."
     )
 
 
@@ -214,16 +134,16 @@ def _chosen(detection: dict[Any, Level]) -> str:
     return f"in {used} of {of} runs{each}, drawn at random" if used < of else f"in all {of} complete runs{each}"
 
 
-def _without(contents: Contents, detection: dict[Any, Level]) -> str:
-    missing = [str(contents.name(level)) for level in contents.drawn() if level not in detection]
-    return f" Without different scores: {', '.join(missing)}." if missing and len(contents.levels()) > 1 else ""
+def _without(contents: Contents, found: Found) -> str:
+    """Return a sentence for each level without a curve."""
+    return "".join(f" {contents.name(level)} has no curves: {why}." for level, why in found.without.items())
 
 
-def reliability_figure(contents: Contents, detection: dict[Any, Level]) -> tuple[Figure, str] | None:
+def reliability_figure(contents: Contents, found: Found) -> tuple[Figure, str] | None:
     """Return the reliability diagram of all levels whose score is a probability; None without one."""
     from bayesftc.cosim.statistics import calibration
 
-    with_probability = {level: each for level, each in detection.items() if each.is_probability}
+    with_probability = {level: each for level, each in found.levels.items() if each.is_probability}
     if not with_probability:
         return None
     made, (axis,) = figure(3.2 + LINE * len(with_probability))

@@ -12,8 +12,9 @@ from bayesftc.cosim.campaign.store.reading import StoredCampaign
 from bayesftc.report import comparisons, tables
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents
-from bayesftc.report.detection import read_detection, reliability_figure, roc_figure, why_no_detection
+from bayesftc.report.detection import reliability_figure, roc_figure, why_no_detection
 from bayesftc.report.grids import over_grid
+from bayesftc.report.scores import read_detection
 from bayesftc.report.svg import to_svg
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def _parts(contents: Contents) -> Iterator[Part]:
         reliability = reliability_figure(contents, detection)
         if reliability:
             yield _part("Reliability", reliability)
-    elif why := why_no_detection(contents):
+    elif why := why_no_detection(contents, detection):
         yield Part("Detection", caption=why)
     worst = tables.worst(contents)
     if worst:

@@ -17,9 +17,10 @@ from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.errors import StoreError
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents
-from bayesftc.report.detection import read_detection, reliability_figure, roc_figure
+from bayesftc.report.detection import reliability_figure, roc_figure
 from bayesftc.report.grids import over_grid
 from bayesftc.report.page import report
+from bayesftc.report.scores import read_detection
 
 ROWS = 60
 TIME = np.arange(ROWS) * 0.5
@@ -274,6 +275,8 @@ def detected(score, seed=0, points=PRECISIONS, seeds=3):
         "plant.v": reference + 0.1 * rng.normal(size=(runs, ROWS)),
         "reference.y": reference,
         "freeze_0.active": active,
+        "sensor_faulty": both,
+        "sensor_missing": 0 * both,
         "controller.beta": np.exp(rank),
         "controller.fault_probability": 1.0 / (1.0 + np.exp(-rank)),
     }, both
@@ -329,25 +332,115 @@ def test_a_level_without_probabilities_is_ranked_by_beta_and_one_without_either_
     signals["controller.beta"][precision == "fixed"] = 1.0
     contents = Contents(precisions(stored, seeds=3, signals=signals))
     found = read_detection(contents)
-    names = {level: own.score_name for level, own in found.items()}
+    names = {level: own.score_name for level, own in found.levels.items()}
     assert names == {"gamma": "controller.beta", "switching": "controller.fault_probability"}
     made, caption = roc_figure(contents, found)
-    assert "Without different scores: fixed." in caption
+    assert "fixed has no curves: the controller gives no fault probability." in caption
     # A level looks the same wherever it is drawn.
     bands, _ = error_bands(contents)
     colours = {line.get_label(): line.get_color() for line in bands.axes[0].get_lines()}
     drawn = {line.get_label().split(" ")[0]: line.get_color() for line in made.axes[0].get_lines()}
-    assert all(drawn[level] == colours[level] for level in found)
+    assert all(drawn[level] == colours[level] for level in found.levels)
     made, _ = reliability_figure(contents, found)
     assert len(made.axes[0].get_legend_handles_labels()[1]) == 1
 
 
+def judged_loop(fault):
+    """Return a loop whose sensors 0 and 1 may fail."""
+    import control
+
+    from bayesftc import controllers
+
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+    return cosim.closed_loop(
+        cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1)),
+        controllers.BayesianController(model, precision=controllers.SwitchingPrecision()),
+        control="u", measured="y", sensors=cosim.Sensors(2, 0.2), faults=[fault], reference=1.0,
+    )  # fmt: skip
+
+
+FAULTS = {
+    "first": cosim.Injection(sensor=0, start=3.0, stop=6.0, magnitude=3.0),
+    "second": cosim.Freeze(sensor=1, start=2.0, stop=6.0),
+    "short": cosim.Dropout(sensor=1, start="reference.y > 0.5", duration=0.1),
+    "burst": cosim.Injection(sensor=1, start=2.0, stop=2.1, magnitude=0.01),
+}
+
+
+def test_each_point_is_judged_by_its_own_faults_as_in_the_table_of_runs(tmp_path):
+    """The sensor, the kind, the start and the name of the fault differ from point to point."""
+    from bayesftc.cosim.statistics import delay_curve
+
+    campaign = cosim.Campaign(
+        judged_loop, duration=8.0, seeds=4, grid={"fault": FAULTS}, record=["controller.fault_probability"],
+        metrics=[cosim.LoopFigures()],
+    )  # fmt: skip
+    table = campaign.run(tmp_path / "judged").table
+    contents = Contents(CampaignStore.open(tmp_path / "judged"))
+    found = read_detection(contents)
+    seen = table.groupby("fault")[["sensors.0.seen_as_missing", "sensors.1.seen_as_missing"]].sum().sum(axis=1)
+    assert seen.to_dict() == {"first": 0, "second": 0, "short": 4, "burst": 0}
+    assert found.without == {"short": "all faults (4) are seen as missing samples, which need no detector"}
+    for level, own in found.levels.items():
+        rows = table[table["fault"] == level]
+        at = delay_curve(own.score, own.truth, step=0.1, thresholds=[0.5]).iloc[0]
+        missed = rows[["sensors.0.missed", "sensors.1.missed"]].sum().sum()
+        assert at["missed_share"] * at["faults"] == pytest.approx(missed)
+        assert missed == (4 if level == "burst" else 0)
+        healthy = 1.0 - rows[["sensors.0.fault_share", "sensors.1.fault_share"]].to_numpy()
+        alarms = rows[["sensors.0.false_alarm_rate", "sensors.1.false_alarm_rate"]].to_numpy() * healthy
+        assert at["false_share"] == pytest.approx(alarms.sum() / healthy.sum())
+    caption = roc_figure(contents, found)[1]
+    assert "short has no curves: all faults (4) are seen as missing samples, which need no detector." in caption
+
+
+def test_faults_that_are_seen_as_missing_samples_are_counted_apart(stored):
+    signals, _ = detected(lambda both, rng: 6.0 * both - 3.0 + 0.1 * rng.normal(size=both.shape))
+    signals["sensor_faulty"][:, 10:12, 1] = signals["sensor_missing"][:, 10:12, 1] = (
+        1.0  # a dropout of the other sensor
+    )
+    signals["sensor_missing"][:, 30:33, 0] = 1.0  # the fault begins with missing samples, and is seen after them
+    contents = Contents(precisions(stored, seeds=3, signals=signals))
+    found = read_detection(contents)
+    assert {(each.seen_as_missing, len(each.seeds)) for each in found.levels.values()} == {(6, 6)}
+    caption = roc_figure(contents, found)[1]
+    assert (
+        "gamma: alarms in 0.00% of the fault-free time, 0.0% of the faults missed, median delay 0 s, 6 faults seen as"
+        in caption
+    )
+    assert "it is neither detected nor missed, as in the table of runs." in caption
+
+
+def test_a_level_without_curves_has_its_reason(stored):
+    signals, _ = detected(lambda both, rng: both + rng.normal(size=both.shape))
+    precision = np.repeat([p["precision"] for p in PRECISIONS], 3)
+    signals["sensor_faulty"][precision == "gamma"] = 0.0
+    failed = np.flatnonzero(precision == "fixed")
+    contents = Contents(precisions(stored, seeds=3, signals=signals, failed=failed))
+    caption = roc_figure(contents, read_detection(contents))[1]
+    assert "fixed has no curves: all runs failed. gamma has no curves: no sensor has a fault." in caption
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    ("score", "said"),
+    [
+        (np.nan, "There are no figures of detection: the controller gives no fault probability."),
+        (0.0, "There are no figures of detection: the fault probability is 0 in all samples."),
+    ],
+)
+def test_a_campaign_that_cannot_be_judged_says_why(stored, score, said):
+    signals, both = detected(lambda both, rng: 0.0 * both, points=[{}])
+    signals["controller.fault_probability"] = np.full_like(both, score)
+    assert said in read(report(stored([{}], 3, {"rmse": np.ones(3)}, signals))).words
+
+
 def test_of_many_runs_some_are_drawn_at_random_and_the_page_says_how_many(stored, monkeypatch):
-    monkeypatch.setattr("bayesftc.report.detection.RUNS", 4)
+    monkeypatch.setattr("bayesftc.report.scores.RUNS", 4)
     signals, _ = detected(lambda both, rng: 2.0 * both + rng.normal(size=both.shape))
     contents = Contents(precisions(stored, seeds=3, signals=signals))
     found = read_detection(contents)
-    assert {len(own.seeds) for own in found.values()} == {4}
+    assert {len(own.seeds) for own in found.levels.values()} == {4}
     assert "in 4 of 6 runs of each, drawn at random" in roc_figure(contents, found)[1]
 
 
@@ -619,11 +712,11 @@ def test_signals_that_are_vectors_and_a_loop_without_a_controller(stored):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-def test_a_loop_whose_faults_were_not_recorded(stored, tmp_path):
+def test_a_store_of_an_earlier_version_without_the_true_faults(stored, tmp_path):
     signals, _ = detected(lambda both, rng: rng.normal(size=both.shape))
-    del signals["freeze_0.active"]
+    del signals["sensor_faulty"], signals["sensor_missing"]
     page = read(report(precisions(stored, seeds=3, signals=signals)))
-    assert "because freeze_0.active was not recorded. Add it to the recorded signals (record)." in page.words
+    assert "this store is of an earlier version, which did not keep the true faults of the sensors." in page.words
     assert "Reliability" not in page.headings
     shutil.rmtree(tmp_path / "campaign")
     del signals["controller.fault_probability"], signals["controller.beta"]
