@@ -40,7 +40,7 @@ class Contents:
         The campaign.
     metric, compare : str, optional
         The main metric, by default the first; the factor whose levels are compared, by default the first whose values are names
-        and not numbers.
+        and not numbers. The controller or its precision learner comes before other factors with names.
 
     Raises
     ------
@@ -168,7 +168,10 @@ class Contents:
 
     def _chosen(self) -> str | None:
         few = [name for name in self.varied if self.values(name) <= MOST_LEVELS]
-        return next(iter([*(name for name in few if not _is_number(self.table[name])), *few]), None)
+        named = [name for name in few if not _is_number(self.table[name])]
+        # A loop that is a function has factors with the names of its arguments.
+        learners = {self.controller, f"{self.controller}.precision", "controller", "precision", "learner"}
+        return next(iter([*(name for name in named if name in learners), *named, *few]), None)
 
 
 def _is_number(column: pd.Series[Any]) -> bool:

@@ -570,6 +570,19 @@ def test_one_seed_tells_nothing_of_noise(stored):
     assert all("±" not in cell for row in page.tables["Results"] for cell in row)
 
 
+@pytest.mark.parametrize("learner", ["controller.precision", "controller", "precision"])
+def test_learners_are_compared_before_faults(stored, learner):
+    points = grid(**{"faults[0]": ["slip", "stuck"], "slope": [1.0, 2.0], learner: ["fixed", "switching"]})
+    contents = Contents(stored(points, 2, {"rmse": noisy(points, 2, lambda p: 1.0)}))
+    assert contents.compared == learner
+    assert Contents(contents.store, compare="faults[0]").compared == "faults[0]"
+
+
+def test_a_number_of_a_learner_does_not_come_before_names(stored):
+    points = grid(**{"faults[0]": ["slip", "stuck"], "controller.precision": [1.0, 2.0]})
+    assert Contents(stored(points, 2, {"rmse": noisy(points, 2, lambda p: 1.0)})).compared == "faults[0]"
+
+
 # Campaigns of all kinds
 
 

@@ -20,7 +20,11 @@ def report(
     metric: Annotated[str | None, typer.Option(help="The metric that counts; by default the first.")] = None,
     compare: Annotated[
         str | None,
-        typer.Option(metavar="FACTOR", help="The factor whose levels are compared, as controller.precision."),
+        typer.Option(
+            metavar="FACTOR",
+            help="The factor whose levels are compared, as controller.precision. By default the learner or the controller, else "
+            "the first factor with names, else the first one.",
+        ),
     ] = None,
     title: Annotated[str | None, typer.Option(help="The question; by default the folder's name.")] = None,
     quiet: Quiet = False,
