@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -21,7 +21,8 @@ from bayesftc.cosim.campaign.runs.columns import OWN
 from bayesftc.cosim.campaign.runs.metrics import Metric, Runs, is_number
 from bayesftc.cosim.campaign.runs.truth import FAULTY, MISSING, SensorTruth
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.errors import ModelError, brief
+from bayesftc.cosim.diagram.schedule import Schedule
+from bayesftc.cosim.errors import ModelError, UnknownNameError, brief
 from bayesftc.cosim.run.many import Block, KeepGoing, ManyRuns, Overhead
 from bayesftc.cosim.run.raised import reason_of
 from bayesftc.cosim.run.recording import Selection, select_signals
@@ -30,6 +31,12 @@ from bayesftc.cosim.run.running import too_large
 from bayesftc.cosim.types import Floats
 
 Loop = Diagram | Callable[..., Diagram]
+Shapes = Mapping[str, tuple[int, ...]]
+
+EVERYWHERE = (
+    "Recorded signals must be the same at every point: give their blocks the same name everywhere (name=...), or record "
+    "other signals."
+)
 
 
 @dataclass(frozen=True)
@@ -231,14 +238,12 @@ class _Loop:
     def __init__(self, job: Job, point: int):
         self.point, self.diagram = point, job.diagram(point)
         schedule = self.diagram.schedule
-        kept = select_signals(schedule, job.record)
+        kept = _selected(job, schedule)
         self.truth = SensorTruth.of(self.diagram, kept.columns) if job.truths else None
         truths = {name: s.shape if self.truth is None else self.truth.shape for name, s in job.truths.items()}
         shapes = {name: shape for name, (_, shape) in kept.columns.items()} | truths
-        if shapes != {name: s.shape for name, s in job.signals.items()}:
-            raise ModelError(
-                "Recorded signals of this point have other shapes than at the first point; record other signals."
-            )
+        if unlike := _unlike(shapes, {name: s.shape for name, s in job.signals.items()}):
+            raise ModelError(f"{unlike} {EVERYWHERE}")
         needed = [name for metric in job.metrics for name in metric.signals(self.diagram)]
         self.decimation = 1 if job.metrics else job.decimation
         if self.truth is not None:
@@ -276,6 +281,26 @@ class _Loop:
             yield Result(
                 rows, self.selection.columns, self.diagram.step, decimation=self.decimation, units=self.selection.units
             )
+
+
+def _selected(job: Job, schedule: Schedule) -> Selection:
+    """Return the signals to keep at a point."""
+    try:
+        return select_signals(schedule, job.record)
+    except UnknownNameError as error:
+        raise UnknownNameError(f"{error} {EVERYWHERE}") from None
+
+
+def _unlike(here: Shapes, first: Shapes) -> str:
+    """Return a sentence if a point does not have the kept signals of the first point; else nothing."""
+    for name in [*first, *here]:
+        if name not in here:
+            return f"This point has no signal {name!r}, but the first point has it."
+        if name not in first:
+            return f"This point has the signal {name!r}, which the first point does not have."
+        if here[name] != first[name]:
+            return f"The signal {name!r} has the shape {here[name]}, but {first[name]} at the first point."
+    return ""
 
 
 class _Collected:
