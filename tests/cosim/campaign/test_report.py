@@ -421,6 +421,17 @@ def test_a_level_without_curves_has_its_reason(stored):
     assert "fixed has no curves: all runs failed. gamma has no curves: no sensor has a fault." in caption
 
 
+def test_a_level_whose_true_faults_are_not_known_is_not_judged(stored):
+    signals, _ = detected(lambda both, rng: both + rng.normal(size=both.shape))
+    unknown = np.repeat([p["precision"] for p in PRECISIONS], 3) == "gamma"
+    signals["sensor_faulty"][unknown] = signals["sensor_missing"][unknown] = np.nan
+    found = read_detection(Contents(precisions(stored, seeds=3, signals=signals)))
+    assert set(found.levels) == {"fixed", "switching"}
+    assert found.without == {
+        "gamma": "the diagram is no closed loop with sensors, so that their true faults are not known"
+    }
+
+
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("score", "said"),

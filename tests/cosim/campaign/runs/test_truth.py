@@ -1,5 +1,7 @@
 """The true faults that a campaign keeps beside a score of the controller."""
 
+from dataclasses import dataclass
+
 import control
 import numpy as np
 import pytest
@@ -20,6 +22,20 @@ def loop(fault):
 
 def first():
     return cosim.Freeze(sensor=0, start=2.0, stop=4.0)
+
+
+def ones(beta):
+    beta[:] = 1.0
+
+
+@dataclass(frozen=True)
+class Alone(cosim.Block):
+    """A block with the score of a controller, but without a loop."""
+
+    outputs = (cosim.Port("beta", (2,)),)
+
+    def define(self, step):
+        return cosim.Definition(ones)
 
 
 def campaign(**options):
@@ -64,6 +80,22 @@ def test_after_the_failure_of_a_run_nothing_is_true():
     assert 2 <= steps < 50
     assert flags[: steps + 1, 0].tolist() == [0.0, 0.0] + (steps - 1) * [1.0]
     assert np.isnan(flags[steps + 1 :]).all()
+
+
+def test_a_point_that_is_no_closed_loop_has_no_truth():
+    def sometimes(closed):
+        if closed:
+            return loop(first())
+        diagram = cosim.Diagram(dt=0.1)
+        diagram.add(Alone(), "controller")
+        return diagram
+
+    made = cosim.Campaign(sometimes, duration=5.0, grid={"closed": [True, False]}, record=["controller.beta"])
+    result = made.run()
+    assert result.table["reason"].tolist() == ["", ""]
+    flags = result.dataset[FAULTY].to_numpy()
+    assert flags[0].any()
+    assert np.isnan(flags[1]).all()
 
 
 def test_without_a_score_or_a_loop_no_truth_is_kept():
