@@ -13,6 +13,8 @@ Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 ALARM = 0.5
 """The lowest fault probability of an alarm."""
+LONGER, FEWEST = 1.5, 3
+"""Factor by which a gap between samples of a slow sensor is longer than usual; fewest samples that show what is usual."""
 
 
 def any_of(flags: list[Flags | None]) -> Flags | None:
@@ -81,6 +83,22 @@ class SensorSignals:
     def missing(self) -> Flags | None:
         """Which samples were missing (NaN); None if the samples were not recorded."""
         return None if self.samples is None else np.isnan(self.samples)
+
+    @property
+    def pauses(self) -> Flags:
+        """The steps between two samples of a slow sensor, at which no sample is due; none of most sensors.
+
+        A sensor is slow if half of its samples or more follow each other in several steps. A longer gap than usual is a loss.
+        """
+        steps = np.arange(len(self.samples) if self.samples is not None else 0)
+        given = np.flatnonzero(~self.missing) if self.missing is not None else steps
+        usual = int(np.median(np.diff(given))) if len(given) >= FEWEST else 1
+        if usual == 1:
+            return np.zeros(len(steps), dtype=bool)
+        last = np.searchsorted(given, steps, side="right") - 1
+        since = steps - np.append(given, -1)[last]
+        gap = np.append(np.diff(given), len(steps))[last]
+        return (since > 0) & ((since < usual) | ((last >= 0) & (gap < LONGER * usual)))  # type: ignore[no-any-return]
 
     @property
     def alarm(self) -> Flags | None:
