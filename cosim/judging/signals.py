@@ -88,11 +88,12 @@ class SensorSignals:
     def pauses(self) -> Flags:
         """The steps between two samples of a slow sensor, at which no sample is due; none of most sensors.
 
-        A sensor is slow if half of its samples or more follow each other in several steps. A longer gap than usual is a loss.
+        A sensor is slow if nine of ten samples or more come several steps after the one before. In a gap that is longer than
+        usual, samples are missing.
         """
         steps = np.arange(len(self.samples) if self.samples is not None else 0)
         given = np.flatnonzero(~self.missing) if self.missing is not None else steps
-        usual = int(np.median(np.diff(given))) if len(given) >= FEWEST else 1
+        usual = int(np.quantile(np.diff(given), 0.1, method="lower")) if len(given) >= FEWEST else 1
         if usual == 1:
             return np.zeros(len(steps), dtype=bool)
         last = np.searchsorted(given, steps, side="right") - 1
