@@ -64,11 +64,11 @@ def _unused(signals: LoopSignals, sensors: list[SensorSignals]) -> Marks:
         beyond = expected[sensor.index] > _most(signals, sensor, expected)
         if sensor.alarm is not None:
             beyond &= sensor.alarm  # a healthy sensor may be much noisier than those beside it
-        missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
+        none = np.zeros(len(signals.time), dtype=bool)
+        missing, lost = (none if each is None else each for each in (sensor.missing, sensor.lost))
         little = _held(sensor, (~missing & (sensor.precision == 0)) | beyond)
-        missing = missing & ~sensor.pauses if missing.any() else missing
         corrected = little & sensor.corrected  # its precision does not count the samples minus the offset
-        each = {"ignored": little & ~corrected, "corrected": corrected, "missing": missing}
+        each = {"ignored": little & ~corrected, "corrected": corrected, "missing": lost}
         if found := {what: where for what, where in each.items() if where.any()}:
             marks[sensor.index] = found
     return marks

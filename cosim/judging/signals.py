@@ -92,7 +92,9 @@ class SensorSignals:
         usual, samples are missing.
         """
         steps = np.arange(len(self.samples) if self.samples is not None else 0)
-        given = np.flatnonzero(~self.missing) if self.missing is not None else steps
+        if self.missing is None or not self.missing.any():
+            return np.zeros(len(steps), dtype=bool)
+        given = np.flatnonzero(~self.missing)
         usual = int(np.quantile(np.diff(given), 0.1, method="lower")) if len(given) >= FEWEST else 1
         if usual == 1:
             return np.zeros(len(steps), dtype=bool)
@@ -100,6 +102,11 @@ class SensorSignals:
         since = steps - np.append(given, -1)[last]
         gap = np.append(np.diff(given), len(steps))[last]
         return (since > 0) & ((since < usual) | ((last >= 0) & (gap < LONGER * usual)))  # type: ignore[no-any-return]
+
+    @property
+    def lost(self) -> Flags | None:
+        """Which samples were missing that were due; None if the samples were not recorded."""
+        return None if self.missing is None else self.missing & ~self.pauses
 
     @property
     def alarm(self) -> Flags | None:
