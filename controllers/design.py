@@ -117,8 +117,9 @@ def design(
     goal_covariance, control_covariance : number, vector or matrix, optional
         Inverses of the costs, in place of the squares of the acceptable values.
     precision : PrecisionLearner, optional
-        Learns the sensors' precisions; by default `SwitchingPrecision`. If a sensor is slower than `dt`, give its ``loss``, the
-        share of steps without a sample: ``SwitchingPrecision(loss=(0.01, 0.9))``.
+        Learns the sensors' precisions; by default `SwitchingPrecision`. Its ``loss`` is the share of steps without a sample;
+        `closed_loop` computes it from ``every`` of slow `Sensors`. In your own loop, give it: ``SwitchingPrecision(loss=(0.01,
+        0.9))``.
     belief : {"filtered", "joint"}
         How the state is inferred.
     u_min, u_max, u_rate : number or vector

@@ -14,10 +14,12 @@ To write a precision learner you must:
 6. if it has a rate for each sensor that `calibrate` should map to a probability, make it a `RateLearner`;
 7. if it detects faults, name one of its ports ``detected``, with a number for each sensor (1: detected). ``bayesftc run`` uses it
    as the alarm if there is no probability;
-8. if it infers something together with the state (``infer`` of the `Learner`), return from ``apart(who, instead)`` the learner
-   without that, for controllers that learn apart from the state. If it learns the noise of healthy sensors, return from
-   ``without_covariance()`` the learner that does not. A learner that wraps another passes both on. If it infers actuator faults,
-   list them in the field or property ``actuator_modes``; they become signals and a table of a run;
+8. if it judges missing samples, return from ``for_rates(every, before)`` the learner that expects those between the samples of
+   a slow sensor. If it infers something together with the state (``infer`` of the `Learner`), return from
+   ``apart(who, instead)`` the learner without that, for controllers that learn apart from the state. If it learns the noise of
+   healthy sensors, return from ``without_covariance()`` the learner that does not. A learner that wraps another passes all
+   three on. If it infers actuator faults, list them in the field or property ``actuator_modes``; they become signals and a
+   table of a run;
 9. if it calls Python code that cannot be compiled, set ``compiled=False``; its controller then runs interpreted;
 10. add it to `LEARNERS` and to ``controllers/__init__.pyi``; to the table of ``docs/explanation/precision.md`` and to
     ``docs/gallery_examples/4_learners/plot_every_learner.py``; and to `EXAMPLES` of
@@ -221,6 +223,18 @@ class PrecisionLearner(NamedArguments):
         """Return the learner without results that need a belief with a covariance, for a controller whose belief has none.
 
         There ``spread`` is zero, so that learned noise of a healthy sensor would include the belief's error.
+        """
+        return self
+
+    def for_rates(self, every: Sequence[int], before: Sequence[int]) -> PrecisionLearner:
+        """Return the learner for slow sensors; most learners need no change, because a missing sample is no evidence for them.
+
+        Parameters
+        ----------
+        every : sequence of int
+            For each sensor the number of samples of the controller from one sample of the sensor to the next.
+        before : sequence of int
+            The numbers that this learner is for.
         """
         return self
 

@@ -232,6 +232,11 @@ class ExplicitDetection(PrecisionLearner):
         """See `PrecisionLearner.without_covariance`."""
         return replace(self, learning=self.learning.without_covariance())
 
+    def for_rates(self, every: Sequence[int], before: Sequence[int]) -> ExplicitDetection:
+        """See `PrecisionLearner.for_rates`."""
+        learning = self.learning.for_rates(every, before)
+        return self if learning is self.learning else replace(self, learning=learning)
+
     def _thresholds(self, groups: int) -> tuple[float | FittedThreshold, ...]:
         if not isinstance(self.threshold, tuple):
             return (self.threshold,) * groups  # type: ignore[return-value]

@@ -60,6 +60,20 @@ MOST_MODES = 32
 """Largest number of modes of each kind; the time of a step grows with its square."""
 
 
+LOSS = 0.01
+"""Probability that a sample of a healthy sensor is missing, unless given."""
+LEAST_LOSS = 1e-6
+"""A share of lost samples below this is an error of rounding."""
+
+
+def _with_pauses(loss: float, every: int, before: int) -> float:
+    """Return the share of steps without a sample of a sensor with a sample in every n-th step, given that for another n."""
+    if every != before and loss >= 1.0 - 1.0 / before > 0.0:
+        loss = 1.0 - (1.0 - loss) * before  # of the samples that were due
+        loss = loss if loss > LEAST_LOSS else LOSS  # the user gave the pauses alone, and no losses
+    return 1.0 - (1.0 - loss) / every if loss < 1.0 - 1.0 / every else loss
+
+
 @dataclass(frozen=True)
 class SwitchingPrecision(PrecisionLearner):
     """For each sensor a hidden Markov model over healthy and several fault modes.
@@ -104,7 +118,7 @@ class SwitchingPrecision(PrecisionLearner):
         The fault modes of a sensor, with their rates; see `FAULT_MODES`.
     loss : float or sequence of float
         Probability that a sample of a healthy sensor is missing, for all sensors or for each. For a slow sensor it is the share
-        of steps without a sample.
+        of steps without a sample; `closed_loop` computes it from `every` of its `Sensors`, unless it is at least that share.
     joint : bool
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
         is faster, but detects slow drifts later.
@@ -159,7 +173,7 @@ class SwitchingPrecision(PrecisionLearner):
     """
 
     modes: Sequence[FaultMode] = (Frozen(), Offset(), Drifting(), Ramping(), Unmodelled(), Noisier(), DroppedOut())
-    loss: float | Sequence[float] = 0.01
+    loss: float | Sequence[float] = LOSS
     joint: bool = True
     actuator_modes: Sequence[ActuatorMode] = ()
     process_modes: Sequence[NoisierProcess] = PROCESS_MODES
@@ -192,6 +206,12 @@ class SwitchingPrecision(PrecisionLearner):
         for value in each:
             as_number("SwitchingPrecision has loss", value, above=0, below=1)
         object.__setattr__(self, "loss", each if len(each) > 1 else each[0])
+
+    def for_rates(self, every: Sequence[int], before: Sequence[int]) -> SwitchingPrecision:
+        """See `PrecisionLearner.for_rates`: a `loss` that does not count the steps between the samples is increased by them."""
+        losses = [float(loss) for loss in as_vector("The loss of SwitchingPrecision", self.loss, len(every))]
+        new = [_with_pauses(loss, *steps) for loss, *steps in zip(losses, every, before, strict=True)]
+        return self if new == losses else replace(self, loss=tuple(new))
 
     def slowed(self, factor: float) -> SwitchingPrecision:
         """Return the learner for a plant that is `factor` times slower: all mean times of its modes are multiplied by it.

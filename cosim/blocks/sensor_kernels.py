@@ -1,9 +1,10 @@
-"""Step functions of the sensors, each composed of a measurement function and a noise function."""
+"""Step functions of the sensors, each composed of a measurement function and a noise function, and the gate of slow ones."""
 
 from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+from bayesftc.cosim.blocks.faults.kernels import NAN, due
 from bayesftc.cosim.ops import floor, select
 from bayesftc.cosim.types import Kernel
 
@@ -57,3 +58,15 @@ def sensors(measure: Kernel, disturbance: Callable[..., Any]) -> Kernel:
             y[i] = select(resolution[i] > 0.0, floor(value / resolution[i] + 0.5) * resolution[i], value)
 
     return sense
+
+
+@cache
+def slow(sense: Kernel) -> Kernel:
+    """Return the step function of sensors of which each has a sample in every n-th step, given that of sensors with all."""
+
+    def sense_when_due(k, u, noise, matrix, factor, bias, resolution, every, clean, y):
+        sense(u, noise, matrix, factor, bias, resolution, clean, y)
+        for i in range(y.shape[0]):
+            y[i] = select(due(k, every[i]) > 0.5, y[i], NAN)
+
+    return sense_when_due

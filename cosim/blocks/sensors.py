@@ -20,6 +20,8 @@ from bayesftc.cosim.types import Floats, Kernel
 
 MOST = 10_000
 """Largest number of sensors, or of signals. Each needs memory, and a row in matrices of a controller."""
+MOST_STEPS = 1_000_000
+"""Largest number of steps from one sample of a sensor to the next."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,11 @@ class Sensors(Block):
     unit : str or sequence of str, optional
         Unit of the signal and of the readings, or of each signal: ``("m", "degC")``. By default they have the units of the
         outputs that they measure.
+    every : int or sequence of int
+        The sensor has a sample in every n-th step, from the first step on, and none (NaN) in between: ``[1, 1, 10]`` for a third
+        sensor of 5 Hz in a loop of 50 Hz. `closed_loop` also gives it to the faults of the sensor, and to the learner of the
+        controller, which then expects no samples in between. Figures of the linear loop, such as `loop.poles()`, count it as a
+        sensor with a sample in each step.
     invalid : sequence of float, or of one for each sensor
         Values that the devices send in place of a sample, such as ``[-9999, 65535]``. The samples are not changed.
         `closed_loop` gives the values to the controller, which treats such samples as missing.
@@ -83,6 +90,7 @@ class Sensors(Block):
     covariance: Sequence[Sequence[float]] | None = None
     unit: str | Sequence[str] | None = None
     invalid: Invalid = ()
+    every: int | Sequence[int] = 1
 
     def __post_init__(self) -> None:
         if isinstance(self.count, Sequence | np.ndarray) and not isinstance(self.count, str):
@@ -93,6 +101,7 @@ class Sensors(Block):
             _check_number(name, getattr(self, name))
         for name in ("std", "bias", "resolution"):
             self._check_each(name, negative=name == "bias")
+        self._check_every()
         invalid_values("Sensors", self.invalid, len(self))
         self._check_matrix("matrix", self.signals)
         self._check_matrix("covariance", len(self))
@@ -128,7 +137,7 @@ class Sensors(Block):
                 f"Sensors has count={counts}, a number for each signal, which does not go with {other}; leave one of them out."
             )
         read = np.repeat(np.arange(len(counts)), counts)
-        for name in ("std", "bias", "resolution"):
+        for name in ("std", "bias", "resolution", "every"):
             if np.shape(value := getattr(self, name)) == (len(counts),):
                 object.__setattr__(self, name, tuple(np.asarray(value)[read].tolist()))
         object.__setattr__(self, "count", len(read))
@@ -206,6 +215,11 @@ class Sensors(Block):
         """See `Block.one_unit`."""
         return ("u", "y") if self.matrix is None and self.function is None else ()
 
+    @property
+    def rates(self) -> tuple[int, ...]:
+        """For each sensor the number of steps from one sample to the next."""
+        return (self.every,) * len(self) if isinstance(self.every, int) else tuple(self.every)
+
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
         measure: Kernel = kernels.one_to_one
@@ -217,14 +231,18 @@ class Sensors(Block):
         factor = self._each("std")[:, np.newaxis]
         if self.covariance is not None:
             disturbance, factor = kernels.correlated, _semidefinite_factor(np.asarray(self.covariance))
+        sense, rates = kernels.sensors(measure, disturbance), {}
+        if max(self.rates) > 1:
+            sense, rates = kernels.slow(sense), {"every": np.array(self.rates, float)}
         return Definition(
-            kernels.sensors(measure, disturbance),
+            sense,
             state={"clean": np.zeros(len(self))},
             parameters={
                 "matrix": [[0.0]] if self.matrix is None else self.matrix,
                 "factor": factor,
                 "bias": self._each("bias"),
                 "resolution": self._each("resolution"),
+                **rates,
             },
         )
 
@@ -243,6 +261,17 @@ class Sensors(Block):
                 f"Sensors has {name}={brief(value)}; it must be finite{'' if negative else ' and not negative'}."
             )
         object.__setattr__(self, name, tuple(numbers.tolist()) if numbers.ndim else float(numbers))
+
+    def _check_every(self) -> None:
+        numbers = reals(self.every)
+        fits = (numbers >= 1) & (numbers <= MOST_STEPS) & (numbers % 1 == 0)
+        if numbers.shape not in {(), (self.count,)} or not fits.all():
+            raise ModelError(
+                f"Sensors has every={brief(self.every)} for {counted(len(self), 'sensor')}; give a whole number of steps from 1 "
+                f"to {MOST_STEPS:,}, or one for each sensor: [1, 10] for a second one with a sample in every tenth step."
+            )
+        steps = numbers.astype(int)
+        object.__setattr__(self, "every", tuple(steps.tolist()) if numbers.ndim else int(steps))
 
     def _check_matrix(self, name: str, columns: int) -> None:
         value = getattr(self, name)

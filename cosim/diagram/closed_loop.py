@@ -38,6 +38,7 @@ from bayesftc.cosim.diagram.wiring import (
     warn_of_held_inputs,
     warn_of_other_signals,
     warn_of_start,
+    with_rates,
     wrong_goals,
 )
 from bayesftc.cosim.errors import (
@@ -98,7 +99,8 @@ def closed_loop(
         ``preview`` is n > 0, each becomes a `Preview`: its ``y`` is the present goal, and the controller gets its ``ahead``,
         that of n of its samples later. Blocks between reference and controller then get ``"reference.ahead"``.
     sensors : Sensors, optional
-        By default one perfect sensor for each measured output. The controller gets their ``invalid`` values.
+        By default one perfect sensor for each measured output. The controller gets their ``invalid`` values, and its learner
+        expects no samples of slow sensors (``every``) between theirs.
     faults : Fault or sequence of Fault
         Sensor faults, applied to the samples one after the other.
     input_faults : mapping of plant input to Fault or sequence of Fault, optional
@@ -219,7 +221,7 @@ def closed_loop(
     check_units_of_goals(diagram)
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
-    return diagram.build()
+    return with_rates(diagram.build())
 
 
 def check_parts(

@@ -185,7 +185,8 @@ def find_roles(diagram: Diagram) -> LoopRoles:
         )
         for i in range(y.size)
     )
-    inputs = _inputs(diagram, {sensor_node.name, controller.name}, controller)
+    of_sensors = {name for sensor in sensors for name in sensor.faults}
+    inputs = _inputs(diagram, {sensor_node.name, controller.name}, controller, of_sensors)
     kinds = {
         f"{of}_{what}": tuple(getattr(controller.block, f"{of}_{what}", ()))
         for what in ("kinds", "sizes")
@@ -228,11 +229,18 @@ def _reference(diagram: Diagram, controller: Node, goal: int) -> Place | None:
     return f"{node.name}.{source[0].port.name}", source[1]
 
 
-def _inputs(diagram: Diagram, others: Container[str], controller: Node) -> tuple[InputRole, ...]:
-    """Return the inputs that are fed through faults, except for those of the named blocks."""
+def _inputs(
+    diagram: Diagram, others: Container[str], controller: Node, of_sensors: Container[str]
+) -> tuple[InputRole, ...]:
+    """Return the inputs that are fed through faults, except for those of the named blocks, and faults of sensors.
+
+    A block between the faults of sensors and the controller, such as a filter, has an input fed through faults, but these are
+    the sensors' ones.
+    """
     roles = []
     for node, port, i in elements(diagram, others):
-        if chain := faults_right_before(diagram, node, port, i):
+        faults = faults_right_before(diagram, node, port, i)
+        if chain := [(fault, element) for fault, element in faults if fault.name not in of_sensors]:
             first, element = chain[0]
             sent = _source(diagram, first, first.port("u"), element)
             received = _source(diagram, node, port, i)

@@ -1,8 +1,9 @@
-"""Find the parts of a closed loop among the blocks of a diagram, the faults between them, and where a goal comes from."""
+"""Find the parts of a closed loop among a diagram's blocks, the faults between them, its slow sensors, and origins of goals."""
 
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -102,6 +103,73 @@ def faults_right_before(diagram: Diagram, node: Node, port: Port, element: int) 
     fault, channel = origin[0].node, origin[1]
     before = faults_right_before(diagram, fault, fault.port("u"), channel)
     return [*before, (fault, channel)] if origin[0].node.block.sensor == channel else before
+
+
+def with_rates(diagram: Diagram, before: Diagram | None = None) -> Diagram:
+    """Return a closed loop in which faults of sensors and the controller's learner know how often each sensor has a sample.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        Any diagram; one that is no closed loop does not change.
+    before : Diagram, optional
+        The same loop with other sensors, from which the faults and the controller are. By default they know of no slow sensors.
+
+    Raises
+    ------
+    ConnectionError
+        If the controller misses samples of a slow sensor, because it runs at other steps.
+    """
+    try:
+        controller, rates = find_controller(diagram), find_sensors(diagram).block.rates  # type: ignore[attr-defined]
+        former = (1,) * len(rates) if before is None else find_sensors(before).block.rates  # type: ignore[attr-defined]
+    except ModelError:
+        return diagram
+    if max(rates) == max(former) == 1 or len(rates) != controller.port("y").size or len(former) != len(rates):
+        return diagram
+    blocks = {node.name: node.block for node in diagram.nodes}
+    for i, every in enumerate(rates):
+        for name in faults_before(diagram, controller, i):
+            fault = blocks[name]
+            if isinstance(fault, Fault) and fault.sensor == i:
+                blocks[name] = replace(fault, spacing=every)
+    blocks[controller.name] = for_rates(controller.block, rates, controller.every, former)
+    return diagram.rewired(blocks)
+
+
+def for_rates(controller: Block, rates: Sequence[int], steps: int = 1, former: Sequence[int] = ()) -> Block:
+    """Return a controller whose learner knows the number of steps between two samples of each sensor.
+
+    Parameters
+    ----------
+    controller : Block
+        The controller. One without a learner does not change.
+    rates : sequence of int
+        Steps from one sample to the next, of each sensor.
+    steps : int
+        Steps from one sample of the controller to the next.
+    former : sequence of int
+        The rates that it knows; by default all sensors have a sample at each step.
+
+    Raises
+    ------
+    ConnectionError
+        If the controller misses samples of a slow sensor.
+    """
+    for i, every in enumerate(rates):
+        if every % steps and steps % every:
+            raise ConnectionError(
+                f"Sensors has every={every} for sensor {i}, but the controller runs every {steps} steps and misses some samples. "
+                f"Give slow sensors a multiple of {steps}."
+            )
+    block: Any = controller
+    learner = getattr(block, "precision", None)
+    if learner is None or not hasattr(learner, "for_rates"):
+        return controller
+    new, before = (tuple(max(every // steps, 1) for every in each) for each in (rates, former or (1,) * len(rates)))
+    adapted = learner.for_rates(new, before)
+    changed: Block = controller if adapted is learner else replace(block, precision=adapted)
+    return changed
 
 
 def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tuple[Node, Port, int] | None:

@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.judging.findings import parts_of_device
 from bayesftc.cosim.judging.metrics import periods
-from bayesftc.cosim.judging.panels import LETTER, name_spans, thin
+from bayesftc.cosim.judging.panels import LETTER, WIDTH, name_spans, thin
 from bayesftc.cosim.judging.plotting import BLACK, LINES, colour_of
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.types import Floats
@@ -64,10 +64,11 @@ def _unused(signals: LoopSignals, sensors: list[SensorSignals]) -> Marks:
         beyond = expected[sensor.index] > _most(signals, sensor, expected)
         if sensor.alarm is not None:
             beyond &= sensor.alarm  # a healthy sensor may be much noisier than those beside it
-        missing = np.zeros(len(signals.time), dtype=bool) if sensor.missing is None else sensor.missing
-        little = (~missing & (sensor.precision == 0)) | beyond
+        none = np.zeros(len(signals.time), dtype=bool)
+        missing, lost = (none if each is None else each for each in (sensor.missing, sensor.lost))
+        little = _held(sensor, (~missing & (sensor.precision == 0)) | beyond)
         corrected = little & sensor.corrected  # its precision does not count the samples minus the offset
-        each = {"ignored": little & ~corrected, "corrected": corrected, "missing": missing}
+        each = {"ignored": little & ~corrected, "corrected": corrected, "missing": lost}
         if found := {what: where for what, where in each.items() if where.any()}:
             marks[sensor.index] = found
     return marks
@@ -126,14 +127,21 @@ def _mark(
             ends = np.array([(a, b, np.nan) for a, b in spans]).ravel()
             axis.plot(ends, np.where(np.isnan(ends), np.nan, top), color=colour, **bar, **style)
         else:
-            crosses: dict[str, Any] = {
-                "ls": "none",
-                "marker": "x",
-                "ms": 2.5 if what == "missing" else 5,
-                "color": colour,
-            }
-            axis.plot(*thin(time[where], np.full(int(where.sum()), top)), **crosses, **style)
+            size = 2.5 if what == "missing" else 5
+            at, values = thin(time[where], np.full(int(where.sum()), top))
+            crosses: dict[str, Any] = {"ls": "none", "marker": "x", "ms": size, "color": colour}
+            drawn = _apart(at, 1.5 * size / 72 / WIDTH * float(time[-1] - time[0]))
+            axis.plot(at, values, markevery=drawn, **crosses, **style)
     _name_bars(axis, time, bars, top, colour, across, once=True)
+
+
+def _apart(time: Floats, least: float) -> list[int]:
+    """Return the numbers of those of ascending times that lie apart, so that crosses at them do not run into one bar."""
+    kept: list[int] = []
+    for i, t in enumerate(time):
+        if not kept or t - time[kept[-1]] >= least:
+            kept.append(i)
+    return kept
 
 
 def _name_bars(
@@ -355,8 +363,20 @@ def _kind(name: str, of: str, number: str) -> str:
 
 
 def _given(sensor: SensorSignals, values: Floats) -> Floats:
-    """Return a learner's output with gaps for missing samples, because without samples it only relaxes."""
-    return values if sensor.missing is None else np.where(sensor.missing, np.nan, values)
+    """Return a learner's output with gaps for missing samples, because without samples it only relaxes.
+
+    Between two samples of a slow sensor it is that of the last one.
+    """
+    return values if sensor.missing is None else _held(sensor, np.where(sensor.missing, np.nan, values))
+
+
+def _held(sensor: SensorSignals, values: Any) -> Any:
+    """Return values over time, with that of the last sample at the pauses of a slow sensor."""
+    pauses = sensor.pauses
+    if not pauses.any():
+        return values
+    last = np.maximum.accumulate(np.where(pauses, 0, np.arange(len(values))))
+    return values[last]
 
 
 def _line(signals: LoopSignals, sensor: SensorSignals) -> dict[str, Any]:

@@ -11,6 +11,8 @@ from functools import partial
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.judging.fault_panels import (
     detection_panels,
@@ -56,7 +58,7 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     - the standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``). While it is more than a
       hundred times the smallest one of the same quantity, a sensor with an alarm has a bar above the values instead: filled for
       "ignored", or hatched for "corrected" if the controller subtracts an offset that it infers and still uses the sensor.
-      Crosses are missing samples;
+      Crosses are missing samples, but not the steps between two samples of a slow sensor;
     - the fault probability of each sensor and, in black, of each actuator whose faults the controller infers; above it the most
       probable kind of fault during an alarm. Without a probability: beta, with marks for detected faults. Without both there is
       no such panel.
@@ -64,8 +66,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     If a transient at the start would squeeze a panel, its belief or control is cut off there, with marks and the largest value.
 
     Present faults are named at the top, and shaded in the panels that they concern; those of an input are hatched in all. Lines
-    have gaps at missing samples, except probabilities of learners that infer dropouts. Signals that were not recorded are left
-    out.
+    have gaps at missing samples, except probabilities of learners that infer dropouts, and keep the value of the last sample
+    between those of a slow sensor. Signals that were not recorded are left out.
 
     Parameters
     ----------
@@ -145,7 +147,18 @@ def _draw_samples(axis: Axes, *, time: Floats, sensor: SensorSignals, belief: Fl
         limit_axis(axis, time, [] if sensor.samples is None else [sensor.samples], [belief])
         axis.plot(*thin(time, belief), color=BLUE, lw=0.8, zorder=2, label=label and "belief: mean")
     style: dict[str, Any] = {"ls": "none", "marker": MARKERS[sensor.index % len(MARKERS)], "ms": 2.0, "mew": 0}
-    axis.plot(*thin(time, sensor.samples), color=colour_of(sensor.index), alpha=0.6, zorder=3, label=label, **style)  # type: ignore[arg-type]
+    assert sensor.samples is not None
+    given = ~np.isnan(
+        sensor.samples
+    )  # first, as thinning of the samples of a slow sensor with its pauses may leave none
+    axis.plot(
+        *thin(time[given], sensor.samples[given]),
+        color=colour_of(sensor.index),
+        alpha=0.6,
+        zorder=3,
+        label=label,
+        **style,
+    )
     axis.set_ylabel(f"sensor {sensor.index}" + (f"\n({sensor.unit})" if sensor.unit else ""), fontsize=8)
 
 

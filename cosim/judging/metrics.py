@@ -88,7 +88,8 @@ class Detection:
     fault_share : float
         Share of time with a fault.
     missing_share : float
-        Share of missing samples; NaN if the samples were not recorded (then none counts as missing).
+        Share of missing samples; NaN if the samples were not recorded (then none counts as missing). The steps between two
+        samples of a slow sensor are not missing.
     faults : float
         Number of faults.
     seen_as_missing : float
@@ -260,7 +261,7 @@ def errors_by_phase(error: Floats | None, faulty: Flags | None) -> Errors:
 def detection(signals: SensorSignals, time: Floats) -> Detection:
     """Return the detection of the faults of one sensor, from its signals and the time of each row in seconds."""
     faulty, probability = signals.faulty, signals.probability
-    missing = NAN if signals.missing is None else _share(signals.missing)
+    missing = NAN if signals.lost is None else _share(signals.lost)
     if faulty is None:
         return Detection(signals.index, signals.unit, NAN, missing, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
     present = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing

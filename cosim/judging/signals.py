@@ -15,6 +15,8 @@ ALARM = 0.5
 """The lowest fault probability of an alarm."""
 SCORES = ("fault_probability", "beta")
 """Outputs of a controller that rank samples by how likely a sensor fault is, in order of preference."""
+LONGER, FEWEST = 1.5, 3
+"""Factor by which a gap between samples of a slow sensor is longer than usual; fewest samples that show what is usual."""
 
 
 def any_of(flags: list[Flags | None]) -> Flags | None:
@@ -83,6 +85,30 @@ class SensorSignals:
     def missing(self) -> Flags | None:
         """Which samples were missing (NaN); None if the samples were not recorded."""
         return None if self.samples is None else np.isnan(self.samples)
+
+    @property
+    def pauses(self) -> Flags:
+        """The steps between two samples of a slow sensor, at which no sample is due; none of most sensors.
+
+        A sensor is slow if nine of ten samples or more come several steps after the one before. In a gap that is longer than
+        usual, samples are missing.
+        """
+        steps = np.arange(len(self.samples) if self.samples is not None else 0)
+        if self.missing is None or not self.missing.any():
+            return np.zeros(len(steps), dtype=bool)
+        given = np.flatnonzero(~self.missing)
+        usual = int(np.quantile(np.diff(given), 0.1, method="lower")) if len(given) >= FEWEST else 1
+        if usual == 1:
+            return np.zeros(len(steps), dtype=bool)
+        last = np.searchsorted(given, steps, side="right") - 1
+        since = steps - np.append(given, -1)[last]
+        gap = np.append(np.diff(given), len(steps))[last]
+        return (since > 0) & ((since < usual) | ((last >= 0) & (gap < LONGER * usual)))  # type: ignore[no-any-return]
+
+    @property
+    def lost(self) -> Flags | None:
+        """Which samples were missing that were due; None if the samples were not recorded."""
+        return None if self.missing is None else self.missing & ~self.pauses
 
     @property
     def alarm(self) -> Flags | None:

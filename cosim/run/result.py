@@ -444,7 +444,9 @@ class Result(Mapping[str, Floats]):
 
         if (roles := self.roles) is None:
             raise ModelError(
-                "The run is not one of a closed loop, so it has no tracking errors and no faults to detect."
+                "Tables and findings need a run of a closed loop: a diagram with exactly one Sensors block and exactly one "
+                "controller (a block with the inputs y and goal and the output u). Make the loop with cosim.closed_loop(...), or "
+                "put all sensors into one block, such as cosim.Sensors(count=2, std=[1.0, 0.2], every=[1, 10])."
             )
         return signals_of(roles, self)
 

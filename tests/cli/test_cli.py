@@ -352,6 +352,14 @@ def test_a_dropout_is_neither_missed_nor_detected(bayesftc_, tmp_path):
     assert "samples missing" not in run_car(bayesftc_, "--duration", "1").output
 
 
+def test_the_pauses_of_a_slow_sensor_are_no_missing_samples(bayesftc_, tmp_path):
+    car = tmp_path / "slow.toml"
+    car.write_text(shipped_scenarios()["cruise_control"].read_text().replace("count = 2", "count = 2\nevery = [1, 5]"))
+    done = bayesftc_("run", car, "--duration", "2", "--out", tmp_path / "out")
+    assert "sensor 1" in done.output
+    assert "missing" not in done.output
+
+
 def test_what_tracking_compares_is_said(bayesftc_):
     assert "steers the state to it one step later" in " ".join(run_car(bayesftc_, "--duration", "1").output.split())
 

@@ -56,6 +56,7 @@ BLOCKS = {
     "delay": cosim.UnitDelay(size=2, initial=3.0),
     "saturation": cosim.Saturation(-1.0, 1.5, size=2),
     "sensors": cosim.Sensors(count=3, signals=2, std=0.3, bias=0.1, resolution=0.05, matrix=[[1, 0], [0, 1], [1, 1]]),
+    "slow sensors": cosim.Sensors(count=2, std=0.3, every=[1, 3]),
     "sine": cosim.Sine(amplitude=1.0, period=0.7),
     "constant": cosim.Constant(2.0),
     "step": cosim.Step(time=1.0, before=2.0, after=3.0),
@@ -119,6 +120,14 @@ BLOCKS = {
         mean_time_to_recovery=2.0,
         start=cosim.when("controller.u", "<", 0.5, delayed=True),
         latching=False,
+    ),
+    "fault of a slow sensor": cosim.Delay(delay=0.3, sensor=1, spacing=3, **WINDOW),
+    "random faults of a slow sensor": cosim.RandomFaults(
+        kinds=(cosim.Lag(time_constant=0.5), cosim.Freeze(), cosim.Delay(delay=0.3)),
+        channels=2,
+        spacing=3,
+        mean_time_to_fault=3.0,
+        mean_time_to_recovery=2.0,
     ),
     "fault for a duration": cosim.Drift(slope=2.0, channels=2, start=3.0, duration=2.0),
 }

@@ -63,6 +63,15 @@ def test_the_shipped_scenario_is_the_loop_of_the_python_example(same_bits):
     assert scenario.controller.precision == controllers.SwitchingPrecision()
 
 
+def test_a_slow_sensor(write):
+    scenario = load_scenario(write(("count = 2\n", "count = 2\nevery = [10, 1]\n")))
+    assert scenario.sensors.rates == (10, 1)
+    assert scenario.controller.precision.loss == pytest.approx((0.901, 0.01))
+    assert scenario.loop()["freeze_0"].block.spacing == 10
+    samples = short(scenario)["freeze_0.y"][:, 0]
+    assert np.flatnonzero(~np.isnan(samples)).tolist() == [0, 10]
+
+
 def test_without_a_learner_it_is_the_default(write):
     text = CAR[: CAR.index("[controller.precision]")]
     assert load_scenario(write(text=text)).controller.precision == controllers.SwitchingPrecision()

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bayesftc.cosim.base.numbers import real
+from bayesftc.cosim.base.numbers import check_count, real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.faults import kernels
@@ -56,6 +56,9 @@ class Fault(Block):
         probabilities step / mean_time_to_fault and step / mean_time_to_recovery. Else it is present in the whole window.
     channels : int, optional
         Length of the signal; `closed_loop` sets it.
+    spacing : int
+        Of a slow sensor, the number of steps from one sample to the next; `closed_loop` sets it to that of its sensors. The fault
+        acts on these samples alone: a `Freeze` repeats the last of them as often as the sensor has samples.
     name : str, optional
         Name in the diagram, by default kind and channel (``freeze_0``). The random numbers depend on this name, and not on
         the order or the number of the faults.
@@ -89,6 +92,7 @@ class Fault(Block):
     mean_time_to_fault: float | None = None
     mean_time_to_recovery: float | None = None
     channels: int | None = None
+    spacing: int = 1
     name: str | None = None
 
     def __post_init__(self) -> None:
@@ -104,6 +108,7 @@ class Fault(Block):
             raise ModelError(f"{kind} has sensor={brief(self.sensor)}; it must be the number of a channel, from 0.")
         if self.channels is not None and not (real(self.channels) >= 1 and real(self.channels).is_integer()):
             raise ModelError(f"{kind} has channels={brief(self.channels)}; it must be a whole number, at least 1.")
+        check_count(self, "spacing")
         if self.channels is not None and self.sensor >= self.channels:
             raise ModelError(
                 f"{kind} refers to sensor {self.sensor}, but there are {self.channels}, numbered from 0; "
@@ -243,13 +248,13 @@ class Fault(Block):
         """See `Block.define`."""
         settings, memory = [[*self.numbers(step), 0.0]], np.zeros((1, self.memory(step)))
         records = {"draws": kernels.ONE, "course": kernels.COURSE}
-        return self.assembled(
-            partial(kernels.one_kind, self.kernel()), step, {"settings": settings}, memory, self.remembers, records
-        )
+        kernel = partial(kernels.one_kind, self.kernel())
+        return self.assembled(kernel, kernels.slow_kind, step, {"settings": settings}, memory, self.remembers, records)
 
     def assembled(
         self,
         kernel: Callable[[Kernel], Kernel],
+        slow: Callable[[Kernel], Kernel],
         step: Fraction,
         parameters: Mapping[str, ArrayLike],
         memory: ArrayLike,
@@ -263,6 +268,8 @@ class Fault(Block):
         ----------
         kernel : callable
             Returns the step function, given the function that states whether the window is open.
+        slow : callable
+            Returns the step function for a slow sensor, given that one.
         step : Fraction
             Sample time in seconds.
         parameters, records, **state : mappings
@@ -271,8 +278,9 @@ class Fault(Block):
             The memory of the value functions; a state if one of them `remembers`.
         """
         window, kept = self._window, {"memory": memory}
+        fault = kernel(window.inside)
         return Definition(
-            kernel(window.inside),
+            fault if self.spacing == 1 else slow(fault),
             window.update,
             state={**STATE, **state, **window.state, **(kept if remembers else {})},
             parameters={
@@ -307,7 +315,7 @@ class Fault(Block):
                 )
         inputs = {port.name for port in self.inputs}
         return {
-            "channel": self.sensor,
+            "channel": self.sensor if self.spacing == 1 else [self.sensor, self.spacing],
             "hazard": hazard,
             "step": float(step),
             **{name: 0.5 for name in DRAWS if name not in inputs},  # a constant replaces each number that is not drawn

@@ -155,6 +155,19 @@ def replace(u, channel, value, y):
         y[i] = select(channel[0] == i, value, u[i])
 
 
+def due(k, every):
+    """Return 1 at every n-th step, beginning with the first, else 0."""
+    return select(k - every * floor(k / every) < 0.5, 1.0, 0.0)
+
+
+def pause(k, channel, before, held, y):
+    """Leave out a sample of a slow sensor that is not due, and keep what was held before; `channel`: number, and spacing."""
+    now = due(k, channel[1])
+    held[0] = select(now > HALF, held[0], before)
+    for i in range(y.shape[0]):
+        y[i] = select(both(channel[0] == i, now < HALF), NAN, y[i])
+
+
 class Draws(NamedTuple):
     """Random numbers of a step: for begin and end, uniform and normal numbers of the fault, and for the choice of its kind."""
 
@@ -229,6 +242,30 @@ def several_kinds(kinds: tuple[Value, ...], inside: Value) -> Kernel:
         kind[0] = select(on[0] > HALF, chosen[0], -1.0)
 
     return fault
+
+
+@cache
+def slow_kind(fault: Kernel) -> Kernel:
+    """Return the step function of a fault of a slow sensor, given that of `one_kind`: the fault acts on samples that are due."""
+
+    def slow(t, k, u, channel, draws, window, course, settings, memory, held, y, active):
+        before = held[0]
+        fault(t, k, u, channel, draws, window, course, settings, memory, held, y, active)
+        pause(k, channel, before, held, y)
+
+    return slow
+
+
+@cache
+def slow_kinds(fault: Kernel) -> Kernel:
+    """Return the step function of a fault of a slow sensor, given that of `several_kinds`."""
+
+    def slow(t, k, u, channel, draws, window, course, mixture, held, y, active, kind):
+        before = held[0]
+        fault(t, k, u, channel, draws, window, course, mixture, held, y, active, kind)
+        pause(k, channel, before, held, y)
+
+    return slow
 
 
 def _numbered(kinds: tuple[Value, ...], last: int) -> Value:

@@ -27,7 +27,7 @@ It is then available in random, scheduled and mixed faults, both engines and sce
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from functools import partial
 from math import inf, isfinite, isinf
@@ -54,7 +54,7 @@ class Freeze(Fault):
 
     Parameters
     ----------
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -76,7 +76,7 @@ class Stuck(Fault):
     ----------
     at : float
         Value of the channel, in the unit of the signal.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -107,7 +107,7 @@ class Injection(Fault):
         Seconds. From one maximum to the next.
     phase : float
         Radians. Phase at the onset.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -139,7 +139,7 @@ class Bias(Fault):
     ----------
     magnitude : float
         The offset, in the unit of the signal.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -165,7 +165,7 @@ class Drift(Fault):
     ----------
     slope : float
         Per second. How fast the offset grows.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -188,7 +188,7 @@ class GainFault(Fault):
     ----------
     factor : float
         The factor, without a unit.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -209,7 +209,7 @@ class Dropout(Fault):
 
     Parameters
     ----------
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -238,7 +238,7 @@ class Spikes(Fault):
         Probability of an outlier at a step, from 0 to 1.
     random_size : bool
         Whether sizes are normal numbers.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -273,7 +273,7 @@ class NoiseIncrease(Fault):
     ----------
     std : float
         Standard deviation of the added noise, in the unit of the signal; not negative.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -309,7 +309,7 @@ class NoiseGrowth(Fault):
     ----------
     slope : float
         Per second. How fast the standard deviation grows.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -342,7 +342,7 @@ class Clipping(Fault):
     ----------
     low, high : float
         The limits, in the unit of the signal; by default there is none.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -371,7 +371,7 @@ class Rounding(Fault):
     ----------
     resolution : float
         Distance of two neighbouring values, in the unit of the signal; positive.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -412,7 +412,7 @@ class Lag(Fault):
     ----------
     time_constant : float
         Seconds, not negative; 0 for no lag.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -435,7 +435,8 @@ class Lag(Fault):
 
     def numbers(self, step: Fraction) -> tuple[float, ...]:
         """See `Fault.numbers`."""
-        return (_share(float(step) / self.time_constant) if self.time_constant else 1.0,)
+        between = float(step * self.spacing)
+        return (_share(between / self.time_constant) if self.time_constant else 1.0,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -448,11 +449,11 @@ class Delay(Fault):
     Parameters
     ----------
     delay : float
-        Seconds, not negative; rounded to whole steps.
+        Seconds, not negative; rounded to whole steps, of a slow sensor to its samples.
     initial : float, optional
         Value of the channel until the first sample arrives, in the unit of the signal, NaN for a missing one; by default the
         first sample.
-    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, name
+    sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
     Examples
@@ -492,7 +493,7 @@ class Delay(Fault):
                 f"Delay has delay={self.delay!r}, which is {steps:.3g} steps; use at most {MOST_DELAY:,}. A fault that "
                 "keeps the first sample for ever is a Freeze."
             )
-        return (float(round(steps)), self.settings[1])
+        return (float(round(steps / self.spacing) * self.spacing), self.settings[1])
 
     def memory(self, step: Fraction) -> int:
         """See `Fault.memory`."""
@@ -513,7 +514,7 @@ class RandomFaults(Fault):
         Relative frequencies of the kinds, in any unit; by default all are equal.
     mean_time_to_fault, mean_time_to_recovery : float, optional
         Mean times in seconds from the end of a fault to the next onset, and from the onset to the end.
-    sensor, start, stop, duration, latching, channels, name
+    sensor, start, stop, duration, latching, channels, spacing, name
         See `Fault`.
 
     Raises
@@ -584,16 +585,17 @@ class RandomFaults(Fault):
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""
-        settings = np.zeros((len(self.kinds), max(len(kind.settings) for kind in self.kinds) + 1))
-        for row, kind in zip(settings, self.kinds, strict=True):
+        kinds = [replace(kind, spacing=self.spacing) for kind in self.kinds]
+        settings = np.zeros((len(kinds), max(len(kind.settings) for kind in kinds) + 1))
+        for row, kind in zip(settings, kinds, strict=True):
             row[: len(kind.settings)] = kind.numbers(step)
         weights = np.ones(len(self.kinds)) if self.weights is None else np.asarray(self.weights)
         parameters = {"settings": settings, "shares": np.cumsum(weights) / np.cumsum(weights)[-1]}
-        memory = np.zeros((len(self.kinds), max(kind.memory(step) for kind in self.kinds)))
+        memory = np.zeros((len(kinds), max(kind.memory(step) for kind in kinds)))
         kernel = partial(kernels.several_kinds, tuple(kind.kernel() for kind in self.kinds))
         records = {"draws": kernels.SEVERAL, "course": kernels.COURSE, "mixture": kernels.KINDS}
         remembers = any(kind.remembers for kind in self.kinds)
-        return self.assembled(kernel, step, parameters, memory, remembers, records, chosen=0.0)
+        return self.assembled(kernel, kernels.slow_kinds, step, parameters, memory, remembers, records, chosen=0.0)
 
 
 FAULTS: tuple[type[Fault], ...] = (

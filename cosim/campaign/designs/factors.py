@@ -13,7 +13,7 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
-from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_time
+from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_time, with_rates
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 
@@ -75,7 +75,7 @@ def varied(diagram: Diagram, changes: Mapping[str, Any]) -> Diagram:
             if not change.steps:
                 blocks[name] = _in_place_of(blocks[name], change.value, change.path)
         blocks[name] = _changed(blocks[name], [change for change in of_block if change.steps])
-    return diagram.rewired(blocks | _previews(diagram, blocks))
+    return with_rates(diagram.rewired(blocks | _previews(diagram, blocks)), diagram)
 
 
 def _previews(diagram: Diagram, blocks: Mapping[str, Block]) -> dict[str, Block]:

@@ -16,6 +16,7 @@ from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.blocks.sensors import Sensors
 from bayesftc.cosim.diagram.closed_loop import base_step, check_parts, closed_loop, with_invalid
 from bayesftc.cosim.diagram.feedthrough import DELAYED
+from bayesftc.cosim.diagram.wiring import for_rates
 from bayesftc.cosim.errors import AlgebraicLoopError
 from bayesftc.scenario import _sections as sections
 from bayesftc.scenario._blocks import Added, Connection, Surroundings, blocks, connections
@@ -197,11 +198,19 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
     if sensors is not None:
         with (root / "sensors").named():
             controller = with_invalid(controller, sensors)
+            controller = for_rates(controller, sensors.rates, _steps_of(controller, simulation))
     if step is None:
         added = _blocks(content, root, folder, step_of(root, controller, simulation))
     return Scenario(
         path=file, simulation=simulation, plant=plant, wiring=wiring, controller=controller, blocks=added, **parts
     )
+
+
+def _steps_of(controller: Block, simulation: Simulation) -> int:
+    """Return the number of base steps from one sample of the controller to the next; 1 if they do not fit, which is refused."""
+    time = controller.sample_time
+    steps = Fraction(1) if simulation.dt is None or time is None else time / rational_step(simulation.dt)
+    return int(steps) if steps.denominator == 1 else 1
 
 
 def _blocks(content: Mapping[str, Any], root: Place, folder: Path, step: Fraction) -> Added:

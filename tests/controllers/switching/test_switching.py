@@ -18,6 +18,7 @@ from bayesftc.controllers import (
     Burst,
     Drifting,
     DroppedOut,
+    ExplicitDetection,
     Frozen,
     LinearModel,
     Noisier,
@@ -665,3 +666,21 @@ def test_a_time_that_was_given_is_refused_where_samples_are_further_apart():
     model = replace(MODEL, dt=30.0)
     with pytest.raises(ModelError, match=r"Offset has time_to_recovery=20.0, .* 30 s"):
         SwitchingPrecision([Offset(time_to_recovery=20.0)]).learner(model)
+
+
+@pytest.mark.parametrize(
+    ("loss", "before", "every", "expected"),
+    [
+        (0.01, (1, 1), (1, 1), 0.01),
+        (0.01, (1, 1), (1, 10), (0.01, 0.901)),
+        ((0.01, 0.95), (1, 1), (1, 10), (0.01, 0.95)),  # it counts the pauses already
+        ((0.01, 0.901), (1, 10), (1, 10), (0.01, 0.901)),
+        ((0.01, 0.901), (1, 10), (1, 4), (0.01, 0.7525)),
+        ((0.01, 0.9), (1, 10), (1, 1), (0.01, 0.01)),  # of which none was for losses
+    ],
+)
+def test_the_loss_of_a_slow_sensor_counts_the_steps_between_its_samples(loss, before, every, expected):
+    learner = SwitchingPrecision(loss=loss)
+    assert learner.for_rates(every, before).loss == pytest.approx(expected)
+    wrapped = ExplicitDetection(learner, threshold=0.5).for_rates(every, before)
+    assert wrapped.learning == learner.for_rates(every, before)

@@ -136,6 +136,18 @@ def test_a_missing_signal_is_missed_only_where_it_is_read(engine):
         assert_array_equal(np.isnan(diagram.simulate(0.1, engine=engine)["sensors.y"][1]), missing)
 
 
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
+@pytest.mark.parametrize("every", [(1, 3, 10), 4])
+def test_a_slow_sensor_has_the_samples_of_a_fast_one_in_every_nth_step(every, engine):
+    slow, fast = (read(cosim.Sensors(3, **DIFFERENT, every=n), engine=engine)["sensors.y"] for n in (every, 1))
+    due = np.arange(len(fast))[:, np.newaxis] % np.broadcast_to(every, 3) == 0
+    assert_array_equal(slow, np.where(due, fast, np.nan))
+
+
+def test_rates_of_each_signal():
+    assert cosim.Sensors((1, 2), every=(1, 5)).rates == (1, 5, 5)
+
+
 def test_another_sensor_leaves_the_noise_of_the_others():
     three = read(cosim.Sensors(3, (0.1, 0.0, 2.0), signals=1))["sensors.y"]
     four = read(cosim.Sensors(4, (0.1, 0.0, 2.0, 1.0), signals=1))["sensors.y"]
@@ -200,6 +212,10 @@ def test_units_are_those_of_the_signal():
         ({"count": 2, "bias": (1.0,)}, "one number, or one for each"),
         ({"bias": np.inf}, "finite"),
         ({"resolution": -0.1}, "not negative"),
+        ({"every": 0}, "every=0 for 1 sensor; give a whole number of steps from 1"),
+        ({"count": 2, "every": (1, 2.5)}, "whole number of steps"),
+        ({"count": 2, "every": (1, 2, 3)}, r"every=\(1, 2, 3\) for 2 sensors"),
+        ({"every": "ten"}, "whole number of steps"),
         ({"count": 2, "signals": 3}, "2 sensors cannot share 3 signals"),
         ({"count": 3, "signals": 2}, r"3 sensors cannot share 2 signals evenly; .* count=\(1, 2\)"),
         ({"count": (1, 0)}, "count=0"),

@@ -372,6 +372,18 @@ def test_a_whole_block_takes_the_place_of_another_one():
         assert (other.simulate(2.0)["injection_0.active"][-1] == 1.0).all()
 
 
+def test_faults_and_learner_follow_the_rates_of_sensors():
+    base = loop(precision=controllers.SwitchingPrecision())
+    for start, every, loss in ((base, (1, 1), 0.01), (base, (10, 1), 0.901)):
+        changed = cosim.varied(start, {"sensors.every": every})
+        assert changed["injection_0"].block.spacing == every[0]
+        assert np.broadcast_to(changed["controller"].block.precision.loss, 2)[0] == pytest.approx(loss)
+        for other, share in (((4, 1), 1.0 - 0.99 / 4), ((1, 1), 0.01)):  # of a loop that knows other rates
+            back = cosim.varied(changed, {"sensors.every": other})
+            assert back["injection_0"].block.spacing == other[0]
+            assert np.broadcast_to(back["controller"].block.precision.loss, 2)[0] == pytest.approx(share)
+
+
 def test_what_is_inside_of_another_factor_is_changed_after_it():
     whole, part = "controller.precision", "controller.precision.forgetting"
     for order in ([whole, part], [part, whole]):

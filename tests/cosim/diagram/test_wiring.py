@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.controllers import LinearModel, LQGController
-from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.controllers import BayesianController, LinearModel, LQGController, SwitchingPrecision
+from bayesftc.cosim.judging.metrics import figures
+from bayesftc.cosim.judging.roles import loop_signals, signals_of
 
 
 @pytest.mark.parametrize(
@@ -28,6 +29,56 @@ def test_a_sensor_of_several_signals_is_named_by_what_it_reads(matrix, names_of)
     run = loop_signals(loop, loop.simulate(2.0))
     assert [quantity.name for quantity in run.quantities] == names_of
     assert run.sensor_name(0) == f"sensor 0 ({names_of[0]})"
+
+
+def slow_loop(every=(1, 5), loss=0.01, **options):
+    model = LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+    return cosim.closed_loop(
+        cosim.StateSpace(control.ss([[-1.0]], [[1.0]], [[1.0]], 0)),
+        BayesianController(model, SwitchingPrecision(loss=loss)), control="u", measured="y", reference=1.0,
+        sensors=cosim.Sensors(2, 0.2, every=every), **options,
+    )  # fmt: skip
+
+
+def test_faults_and_learner_know_how_often_a_sensor_has_a_sample(same_bits):
+    loop = slow_loop(faults=[cosim.Freeze(sensor=1, start=2.03, stop=6.0), cosim.Injection(sensor=0, magnitude=1.0)])
+    assert (loop["freeze_1"].block.spacing, loop["injection_0"].block.spacing) == (5, 1)
+    assert loop["controller"].block.precision.loss == pytest.approx((0.01, 1.0 - 0.99 / 5))
+    result = loop.simulate(10.0, seed=1)
+    y, due = result["injection_0.y"][:, 1], np.arange(101) % 5 == 0
+    assert np.isnan(y[~due]).all()
+    assert (y[due][5:12] == y[20]).all()  # the last sample before the onset, at 2 s
+    for name, values in loop.simulate(1.0, seed=1, engine="interpreted").items():
+        same_bits(values, result[name][:11], name)
+    sensors = figures(signals_of(result.roles, result)).sensors
+    assert [(each.missing_share, each.faults, each.seen_as_missing) for each in sensors] == [(0, 1, 0), (0, 1, 0)]
+    assert "samples missing" not in str(result.summary())
+
+
+def test_the_pauses_of_a_healthy_slow_sensor_are_no_dropouts():
+    result = slow_loop().simulate(100.0, seed=1)
+    assert result["controller.fault_probability"][:, 1].max() < 0.5
+    assert len(result.findings()) == 0
+
+
+@pytest.mark.parametrize(
+    ("loss", "used"), [((0.01, 0.9), (0.01, 0.9)), ((0.2, 0.2), (0.2, 0.84)), ((0.01, 0.8), (0.01, 0.8))]
+)
+def test_a_loss_that_counts_the_pauses_is_kept(loss, used):
+    assert slow_loop(loss=loss)["controller"].block.precision.loss == pytest.approx(used)
+
+
+def test_a_loop_without_slow_sensors_does_not_change():
+    assert slow_loop(every=1)["controller"].block.precision == SwitchingPrecision()
+
+
+def test_slow_sensors_beside_a_controller_of_its_own_rate():
+    loop = slow_loop(every=(2, 20), dt=0.025)  # the controller runs every four steps
+    assert loop["controller"].block.precision.loss == pytest.approx((0.01, 1.0 - 0.99 / 5))
+    samples = ~np.isnan(loop.simulate(2.0)["sensors.y"][::4])
+    assert samples.sum(axis=0).tolist() == [21, 5]
+    with pytest.raises(cosim.ConnectionError, match=r"every=6 for sensor 1, but the controller runs every 4 steps"):
+        slow_loop(every=(1, 6), dt=0.025)
 
 
 def test_a_sensor_of_many_signals_has_its_number_as_name():

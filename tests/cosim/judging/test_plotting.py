@@ -253,6 +253,28 @@ def test_missing_samples_are_gaps_and_marks():
     assert "dropped out" in [t.get_text() for t in detection.texts]
 
 
+def test_a_slow_sensor_has_a_line_through_its_samples_and_only_its_losses_are_missing(signals):
+    first, second = signals.sensors
+    steps = np.arange(len(signals.time))
+    due = steps % 10 == 0
+    lost = (steps >= 300) & (steps < 400)
+    slow = replace(second, samples=np.where(due, second.samples, np.nan), kinds=(), kind=None)
+    figure = plot_run(replace(signals, sensors=(first, slow)))
+    deviation, detection = panel(figure, "expected"), panel(figure, "fault")
+    assert names(deviation) == ["sensor 0", "sensor 0 ignored", "sensor 1"]
+    for axis, values in ((deviation, 1 / np.sqrt(slow.precision)), (detection, slow.probability)):
+        (line,) = [each for each in axis.lines if each.get_label() == "sensor 1"]
+        assert np.array_equal(line.get_ydata(), values[steps - steps % 10])
+    (strip,) = [each for each in panel(figure, "sensor 1").lines if each.get_marker() != "None"]
+    assert len(strip.get_xdata()) == due.sum()
+    stopped = replace(slow, samples=np.where(lost, np.nan, slow.samples))
+    marks = {
+        line.get_label(): line for line in panel(plot_run(replace(signals, sensors=(first, stopped))), "expected").lines
+    }
+    assert np.array_equal(marks["sensor 1 missing"].get_xdata(), signals.time[lost])
+    assert 10 < len(marks["sensor 1 missing"].get_markevery()) < 50  # crosses that one can tell apart
+
+
 def test_many_faults_are_not_named_one_by_one():
     loop = integrator_loop(
         faults=[cosim.RandomFaults(sensor=i, mean_time_to_fault=0.2, mean_time_to_recovery=0.1) for i in range(2)],

@@ -125,8 +125,10 @@ def test_faults_of_inputs_have_a_table(loop):
 def test_a_diagram_that_is_no_loop_has_none():
     diagram = cosim.Diagram(dt=0.1)
     diagram.add(cosim.Ramp(1.0), "ramp")
-    with pytest.raises(ModelError, match="not one of a closed loop"):
-        diagram.simulate(1.0, engine="interpreted").summary()
+    sentence = r"need a run of a closed loop: .*one Sensors block.*one controller.* Make the loop with cosim.closed_loop\(...\)"
+    for table in ("summary", "findings"):
+        with pytest.raises(ModelError, match=sentence):
+            getattr(diagram.simulate(1.0, engine="interpreted"), table)()
 
 
 def of_car(precision, **settings):

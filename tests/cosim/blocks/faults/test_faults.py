@@ -215,6 +215,27 @@ def test_random_faults_draw_one_kind_at_every_onset(run):
     assert_allclose(run["mixed.y"][:, SENSOR], expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "fault", [fault for fault, _ in KINDS if not fault.draws], ids=lambda fault: fault.default_name
+)
+def test_a_fault_of_a_slow_sensor_acts_on_its_samples_alone(fault):
+    # The oracle is a loop that runs only when the slow sensor has a sample.
+    aged = isinstance(fault, cosim.Injection | cosim.Drift)  # a fault of these begins to grow between two samples
+    every, at = 5, {"sensor": SENSOR, "channels": CHANNELS, "start": 0.7 if aged else 0.73, "stop": 2.2}
+    steps = np.arange(STEPS + 1)
+    slow = SIGNAL.copy()
+    slow[steps % every > 0, SENSOR] = nan
+    fault = replace(fault, **at, name="fault")
+    y = diagram_of(replace(fault, spacing=every), signal=slow).simulate(STEPS * DT, engine="interpreted")["fault.y"]
+    alone = diagram_of(fault, signal=SIGNAL[::every], dt="1/10").simulate(
+        (STEPS // every) * every * DT, engine="interpreted"
+    )
+    np.testing.assert_allclose(y[::every, SENSOR], alone["fault.y"][:, SENSOR], rtol=1e-12)
+    assert np.isnan(y[steps % every > 0, SENSOR]).all()
+    others = np.arange(CHANNELS) != SENSOR
+    np.testing.assert_array_equal(y[:, others], SIGNAL[:, others])
+
+
 def test_freeze_holds_the_last_sample_exactly():
     freezes = [
         cosim.Freeze(sensor=0, channels=1, start=0.2, stop=0.6, name="held"),

@@ -323,7 +323,7 @@ def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] =
             )
             if when := _first_not_finite(probability, signals.time):
                 notes.append(f"The fault probability of sensor {sensor.index} is not finite {when}.")
-    if any(s.missing is not None and s.missing.any() for s in signals.sensors):
+    if any(s.lost is not None and s.lost.any() for s in signals.sensors):
         notes.append(
             "A missing sample needs no detector: the controller leaves that sensor out at once. The figures of detection and "
             "precision leave out missing samples. A fault that only causes missing samples counts as seen."

@@ -1,0 +1,59 @@
+"""Roles in a closed loop: faults belong to the sensors or to the inputs of the plant, whatever blocks lie in between."""
+
+import control
+import pytest
+
+from bayesftc import cosim
+from bayesftc.controllers import LinearModel, LQGController
+from bayesftc.cosim.diagram.roles import find_roles
+
+FAULTS = {0: ("freeze_0",), 1: ("injection_1",)}
+
+
+def loop(blocks, connections, **options):
+    model = LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+    return cosim.closed_loop(
+        cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1)), LQGController(model), control="u", measured="y",
+        sensors=cosim.Sensors(2, 0.2), reference=1.0, faults=[cosim.Freeze(sensor=0), cosim.Injection(sensor=1, magnitude=1.0)],
+        blocks=blocks, connections=connections, **options,
+    )  # fmt: skip
+
+
+FILTER = cosim.Gain([[1.0, 0.0], [0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("blocks", "connections"),
+    [
+        ({"filter": FILTER}, [("controller.y", "filter.u"), ("filter.y", "controller.y")]),
+        ({"filter": FILTER}, [("sensors.y", "filter.u"), ("filter.y", "freeze_0.u")]),
+        ({"filter": cosim.Gain([[0.5]])}, [("controller.y[0]", "filter.u"), (["filter.y", "controller.y[1]"], "controller.y")]),
+        (
+            {"first": FILTER, "second": FILTER},
+            [("controller.y", "first.u"), ("first.y", "second.u"), ("second.y", "controller.y")],
+        ),
+        ({"logged": cosim.UnitDelay()}, [("controller.y[1]", "logged.u")]),
+    ],
+    ids=["behind", "before", "one sensor", "two filters", "a block beside the controller"],
+)  # fmt: skip
+def test_a_block_behind_the_sensors_makes_their_faults_none_of_the_plant(blocks, connections):
+    roles = find_roles(loop(blocks, connections))
+    assert {i: sensor.faults for i, sensor in enumerate(roles.sensors)} == FAULTS
+    assert roles.inputs == ()
+
+
+def test_a_fault_of_the_input_stays_one_beside_a_filter():
+    wiring = [("controller.y", "filter.u"), ("filter.y", "controller.y")]
+    roles = find_roles(loop({"filter": FILTER}, wiring, input_faults={"u": cosim.GainFault(factor=0.5)}))
+    assert {i: sensor.faults for i, sensor in enumerate(roles.sensors)} == FAULTS
+    assert [(each.name, each.faults, each.control) for each in roles.inputs] == [("u", ("u_gain_fault_0",), 0)]
+
+
+def test_a_sensor_that_also_damps_the_plant_keeps_the_fault_of_the_input():
+    blocks = {"damping": cosim.Gain([[-0.1]]), "total": cosim.Sum()}
+    wiring = [
+        ("freeze_0.y[0]", "damping.u"), (["controller.u", "damping.y"], "total.u"), ("total.y", "u_gain_fault_0.u"),
+    ]  # fmt: skip
+    roles = find_roles(loop(blocks, wiring, input_faults={"u": cosim.GainFault(factor=0.5)}))
+    assert {i: sensor.faults for i, sensor in enumerate(roles.sensors)} == FAULTS
+    assert [(each.name, each.faults) for each in roles.inputs] == [("u", ("u_gain_fault_0",))]
