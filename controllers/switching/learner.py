@@ -109,12 +109,12 @@ class SwitchingPrecision(PrecisionLearner):
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
         is faster, but detects slow drifts later.
     actuator_modes : sequence of ActuatorMode
-        The fault modes of each actuator and of the process, see `ACTUATOR_MODES`; in the joint form only. With them there are,
-        for each actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first),
-        ``actuator_fault_probability``, ``actuator_fault_kind`` (number of the most probable mode, 0: healthy) and
-        ``actuator_fault_size`` (c of that mode; NaN for a healthy one). The control compensates the inferred faults: give the
-        controller its limits ``u_min`` and ``u_max``. By default there are none. An actuator that is slower than in the model
-        also looks faulty, and compensating that can make the loop unstable.
+        The fault modes of each actuator and of the process, such as ``[InputOffset(), LostEffect()]``: instances of classes in
+        `ACTUATOR_MODES`, or of your own. They belong to the joint form. With them there are, for each actuator, the outputs
+        ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``, ``actuator_fault_kind``
+        (number of the most probable mode, 0: healthy) and ``actuator_fault_size`` (c of that mode; NaN for a healthy one). The
+        control compensates the inferred faults: give the controller its limits ``u_min`` and ``u_max``. By default there are
+        none. An actuator that is slower than in the model also looks faulty, and compensating that can make the loop unstable.
     process_modes : sequence of NoisierProcess
         Times with more process noise than nominal: by default kicks, and longer ones in which the belief fades, slowly or fast,
         because the model is less precise than assumed. Without any, a common deviation of all sensors counts as faults of all
