@@ -28,7 +28,7 @@ LASTING = 1 / 8
 With a smaller share, an offset that is called a drift only once it has grown is two faults. The same time as for the end of an
 alarm is the least, because a learner distinguishes offset, drift and jump only some samples after the begin.
 """
-UNITS = {"noise": "x noise", "effect": "of the effect"}
+UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
 """Units of sizes that are not in the unit of the sensor or the control."""
 
 PROCESS_KINDS = ("NoisierProcess",)
@@ -79,7 +79,8 @@ class Finding:
     size : float or None
         Size of the fault at the end; None if it is not estimated.
     unit : str
-        Unit of the size; ``"x noise"`` for multiples of the sensor's noise, ``"of the effect"`` for the share that is lost.
+        Unit of the size; ``"x noise"`` for multiples of the sensor's noise, ``"x noise from the belief"`` for the distance of the
+        samples from the belief in these (about 1 for a healthy sensor), ``"of the effect"`` for the share that is lost.
     probability : float or None
         Largest fault probability; None for a detection without probabilities.
     """

@@ -411,7 +411,10 @@ def _turbine(stated):
 
 @pytest.mark.parametrize("stated", [0.01, 0.1])
 def test_a_process_noise_that_is_stated_too_large_is_named_where_it_makes_a_sensor_blamed(stated):
-    (sentence,) = _turbine(stated).summary().notes
+    result = _turbine(stated)
+    blamed = result.findings().iloc[0]
+    assert (blamed["kind"], blamed["unit"]) == ("Unmodelled", "x noise from the belief")
+    (sentence,) = result.summary().notes
     assert re.match(r"Sensor 3 \(pitch\) is blamed for \d\d% of its fault-free time\. While it is blamed, ", sentence)
     apart, expected = map(float, re.findall(r"by ([\d.]+) rad .* at least ([\d.]+) rad", sentence)[0])
     assert apart < 0.7 * expected
