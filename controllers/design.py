@@ -243,7 +243,11 @@ def design(
         whole_delays("design() has input_delays", input_delays, p, "control", model.dt),
         whole_delays("design() has sensor_delays", sensor_delays, model.sensors, "sensor", model.dt),
     )
-    warn_of_unused(model, "Give noise= for a further input, or disturbance=.")
+    warn_of_unused(
+        model,
+        "Give disturbance=, for an unknown load on the control. Or, if another input moves what they measure, give its noise=. "
+        "State true sizes: with sizes that are far too large, healthy sensors are blamed.",
+    )
     if late is not model:
         model, H = late, extended_rows(late, H)
     return LQGController(

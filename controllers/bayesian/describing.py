@@ -43,11 +43,9 @@ def model_lines(controller: BayesianController) -> list[str]:
     d = model.disturbances - model.constant
     states = f"{_count(model.plant_states, 'state')}" + (f" and {_count(d, 'disturbance')}" if d else "")
     named = f" ({', '.join(model.names.controls)})" if model.names else ""
-    sensors = ", ".join(map(str, dict.fromkeys(model.names.sensors))) if model.names else ""
     std = np.sqrt(np.diag(model.matrix("sensor_covariance")))
     lines = [
-        f"Model: {states}, {_count(model.controls, 'control')}{named}, {_count(model.sensors, 'sensor')} of "
-        f"{_count(len(model.alike), 'quantity', 'quantities')}{f' ({sensors})' if sensors else ''}, every {show(model.step)} s"
+        f"Model: {states}, {_count(model.controls, 'control')}{named}, {_sensors(model)}, every {show(model.step)} s"
         f"{_about(model)}.",
         f"Expected standard deviations of the sensors: {_of_sensors(controller, std)}.",
         f"Expected process noise in each step, as standard deviations: {_process_noise(model)}.",
@@ -62,6 +60,19 @@ def model_lines(controller: BayesianController) -> list[str]:
             1, f"Delays in samples: {'; '.join(late)}; {_count(model.delays.states, 'state')} of past signals."
         )
     return lines
+
+
+def _sensors(model: LinearModel) -> str:
+    """Return the numbers of sensors and quantities, and their names after what they name: columns name sensors."""
+    sensors = _count(model.sensors, "sensor")
+    quantities = _count(len(model.alike), "quantity", "quantities")
+    if not model.names:
+        return f"{sensors} of {quantities}"
+    names = list(dict.fromkeys(map(str, model.names.sensors)))
+    listed = f" ({', '.join(names)})"
+    return (
+        f"{sensors} of {quantities}{listed}" if len(names) == len(model.alike) else f"{sensors}{listed} of {quantities}"
+    )
 
 
 def _process_noise(model: LinearModel) -> str:

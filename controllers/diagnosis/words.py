@@ -78,7 +78,10 @@ def _actuators(
     if not lost and not (inferred is not None and any(kind == "onset" for kind, _ in found)):
         return ""
     if inferred is None:
-        return " SwitchingPrecision can infer faults of actuators (actuator_modes=ACTUATOR_MODES)."
+        return (
+            " A controller with precision=controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()]) can infer a "
+            "lost effect of an actuator."
+        )
     if not inferred:
         return " Record actuator_fault_probability of the controller: its actuator modes may see it."
     j = int(lost[0][3]) if lost else int(np.argmax(inferred))

@@ -245,7 +245,10 @@ class PrecisionLearner(NamedArguments):
 
     @property
     def fault_sizes(self) -> tuple[str, ...]:
-        """What sizes of `fault_kinds` are in: ``"unit"`` of the sensor, or multiples of its ``"noise"``; empty for no fault."""
+        """What sizes of `fault_kinds` are in; empty for no fault.
+
+        The ``"unit"`` of the sensor, multiples of its ``"noise"``, or the ``"distance"`` from the belief in such multiples.
+        """
         return ()
 
     @property

@@ -106,6 +106,8 @@ class FaultMode:
     """Whether this mode counts as a fault of the sensor."""
     size_in_noise: ClassVar[bool] = False
     """Whether its size is a multiple of the standard deviation of the sensor's noise, and not in the sensor's unit."""
+    size_from_belief: ClassVar[bool] = False
+    """Whether this multiple is of the distance of the samples from the belief, in which a healthy sensor has about 1 as well."""
     own_hypothesis: ClassVar[bool] = False
     """Whether the joint form has a hypothesis for each sensor in this mode, which infers the state without that sensor."""
     joint_only: ClassVar[bool] = False
@@ -470,6 +472,7 @@ class Unmodelled(FaultMode):
 
     own_hypothesis: ClassVar[bool] = True
     size_in_noise: ClassVar[bool] = True
+    size_from_belief: ClassVar[bool] = True
     evidence: ClassVar[Callable[..., float]] = kernels.regresses
 
     def __post_init__(self) -> None:

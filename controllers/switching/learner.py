@@ -51,6 +51,11 @@ KNOWN = 1e12
 """Shape of the gamma distribution of a precision that is not learned, and therefore certain."""
 
 
+def _scale(mode: FaultMode) -> str:
+    """Return what the size of a mode is in; see `PrecisionLearner.fault_sizes`."""
+    return "distance" if mode.size_from_belief else "noise" if mode.size_in_noise else "unit"
+
+
 def _kept(mode: FaultMode) -> int:
     """Return the number of a mode's numbers that are merged: up to its age if its faults have no further numbers."""
     return TRUST if type(mode).evidence in (mode_kernels.freezes, mode_kernels.drops) else TRUST + len(mode.first)
@@ -123,12 +128,12 @@ class SwitchingPrecision(PrecisionLearner):
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
         is faster, but detects slow drifts later.
     actuator_modes : sequence of ActuatorMode
-        The fault modes of each actuator and of the process, see `ACTUATOR_MODES`; in the joint form only. With them there are,
-        for each actuator, the outputs ``actuator_mode_probability`` (p x 1 + modes, healthy first),
-        ``actuator_fault_probability``, ``actuator_fault_kind`` (number of the most probable mode, 0: healthy) and
-        ``actuator_fault_size`` (c of that mode; NaN for a healthy one). The control compensates the inferred faults: give the
-        controller its limits ``u_min`` and ``u_max``. By default there are none. An actuator that is slower than in the model
-        also looks faulty, and compensating that can make the loop unstable.
+        The fault modes of each actuator and of the process, such as ``[InputOffset(), LostEffect()]``: instances of classes in
+        `ACTUATOR_MODES`, or of your own. They belong to the joint form. With them there are, for each actuator, the outputs
+        ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``, ``actuator_fault_kind``
+        (number of the most probable mode, 0: healthy) and ``actuator_fault_size`` (c of that mode; NaN for a healthy one). The
+        control compensates the inferred faults: give the controller its limits ``u_min`` and ``u_max``. By default there are
+        none. An actuator that is slower than in the model also looks faulty, and compensating that can make the loop unstable.
     process_modes : sequence of NoisierProcess
         Times with more process noise than nominal: by default kicks, and longer ones in which the belief fades, slowly or fast,
         because the model is less precise than assumed. Without any, a common deviation of all sensors counts as faults of all
@@ -382,7 +387,7 @@ class SwitchingPrecision(PrecisionLearner):
     @property
     def fault_sizes(self) -> tuple[str, ...]:
         """See `PrecisionLearner.fault_sizes`."""
-        return tuple(("noise" if mode.size_in_noise else "unit") if mode.is_fault else "" for mode in self.modes)
+        return tuple(_scale(mode) if mode.is_fault else "" for mode in self.modes)
 
     @property
     def offset_kinds(self) -> tuple[str, ...]:

@@ -84,6 +84,10 @@ def _exponent(value: float) -> int:
     return int(f"{value:.1e}".partition("e")[2])
 
 
+MOMENTS = ("start", "end", "onset")
+"""Attributes that are times: the difference of two of them matters, so that large ones have three decimals as well."""
+
+
 def short(result: Any, **units: str) -> str:
     """Return the ``repr`` of a result: numbers with four digits and their units, arrays by their shape.
 
@@ -95,8 +99,14 @@ def short(result: Any, **units: str) -> str:
         Unit of each attribute that has one.
     """
     names = [f.name for f in fields(result) if f.repr] if is_dataclass(result) else result._fields
-    shown = [f"{name}={_short(getattr(result, name))} {units.get(name, '')}".rstrip() for name in names]
+    values = {name: getattr(result, name) for name in names}
+    texts = {name: _moment(value) if name in MOMENTS else _short(value) for name, value in values.items()}
+    shown = [f"{name}={text} {units.get(name, '')}".rstrip() for name, text in texts.items()]
     return f"{type(result).__name__}({', '.join(shown)})"
+
+
+def _moment(value: Any) -> str:
+    return f"{round(value, 3):.15g}" if isinstance(value, float) and abs(value) >= 10.0 else _short(value)
 
 
 def _short(value: Any) -> str:

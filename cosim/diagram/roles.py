@@ -115,7 +115,8 @@ class LoopRoles:
 
     ``fault_kinds`` and ``actuator_kinds`` name the kinds of faults that the controller can identify, from number 1 on.
     ``fault_sizes`` and ``actuator_sizes`` say for each of them what the size of a fault is in: ``"unit"`` of the sensor or the
-    control, ``"noise"`` for multiples of the sensor's noise, ``"effect"`` for a share of the control's effect; empty: no fault.
+    control, ``"noise"`` for multiples of the sensor's noise, ``"distance"`` for that from the belief in such multiples,
+    ``"effect"`` for a share of the control's effect; empty: no fault.
     ``corrected_kinds`` are those of sensor faults that the controller estimates and subtracts, so that the sensor is still used.
     ``readings`` is the signal of all sensors before their faults, and ``lag`` a sentence about how far the controller is behind a
     moving reference; both are empty in files of earlier versions.

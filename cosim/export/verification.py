@@ -141,7 +141,7 @@ class Verification:
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join([r[0].ljust(widths[0]), *map(str.rjust, r[1:], widths[1:])]).rstrip() for r in rows]
         if self.in_loop:
-            lines.append(f"In the loop, in their place: {_in_loop(self.in_loop)}.")
+            lines.append(f"In a run with the FMU in place of these blocks: {_in_loop(self.in_loop)}.")
         return "\n".join([*lines, "", *self.notes, self.verdict(tolerance)])
 
 
@@ -212,7 +212,7 @@ def verify_fmu(
     ...     print(cosim.verify_fmu(fmu, diagram, duration=10.0))
     output   largest difference  at t in s  units in the last place
     limit.y                   0                                   0
-    In the loop, in their place: 0 at most.
+    In a run with the FMU in place of these blocks: largest difference 0.
     <BLANKLINE>
     limit.fmu does what limit does: the same numbers at all 101 steps.
     """
@@ -275,7 +275,7 @@ def _in_loop(deviations: Sequence[Deviation]) -> str:
     if finite:
         worst = max(finite, key=_relative)
         at = "" if worst.time is None else f", of {worst.signal} at t = {worst.time:g} s"
-        parts.append(f"{worst.largest:.3g} at most{at}")
+        parts.append(f"largest difference {worst.largest:.3g}{at}")
     if len(finite) < len(deviations):
         parts.append(_difference(next(each for each in deviations if each not in finite)))
     return "; ".join(parts)

@@ -28,7 +28,7 @@ LASTING = 1 / 8
 With a smaller share, an offset that is called a drift only once it has grown is two faults. The same time as for the end of an
 alarm is the least, because a learner distinguishes offset, drift and jump only some samples after the begin.
 """
-UNITS = {"noise": "x noise", "effect": "of the effect"}
+UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
 """Units of sizes that are not in the unit of the sensor or the control."""
 
 PROCESS_KINDS = ("NoisierProcess",)
@@ -51,10 +51,14 @@ MANY_FALSE_ALARMS = 0.05
 
 LOOK_AT_MODEL = (
     "Look at the model first: gain, time constants and delay of the plant, an input that it lacks, a constant offset of other "
-    "sensors (such as gyros), or noise that is larger than process_covariance or sensor_covariance. A longer run without faults "
-    "can show which of them is wrong."
+    "sensors (such as gyros), noise that is larger than process_covariance or sensor_covariance, or a process_covariance (noise= "
+    "in design) that is several times too large. After a longer run without faults, controllers.diagnose(result, controller) may "
+    "name the error."
 )
 """What to do where a healthy sensor is blamed often, and nothing else says why."""
+
+QUIET = 0.7
+"""Ratio of the distance of samples from the belief to its standard deviation, below which the plant moves less than stated."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,8 @@ class Finding:
     size : float or None
         Size of the fault at the end; None if it is not estimated.
     unit : str
-        Unit of the size; ``"x noise"`` for multiples of the sensor's noise, ``"of the effect"`` for the share that is lost.
+        Unit of the size; ``"x noise"`` for multiples of the sensor's noise, ``"x noise from the belief"`` for the distance of the
+        samples from the belief in these (about 1 for a healthy sensor), ``"of the effect"`` for the share that is lost.
     probability : float or None
         Largest fault probability; None for a detection without probabilities.
     """
@@ -414,6 +419,32 @@ def often_blamed(signals: LoopSignals) -> tuple[int, str] | None:
     if worst is None or not rates[worst] >= MANY_FALSE_ALARMS:
         return None
     return worst, f"{signals.sensor_name(worst)} is blamed for {rates[worst]:.0%} of its fault-free time"
+
+
+def advice_on(signals: LoopSignals, sensor: int) -> str:
+    """Return what to do about a healthy sensor that is blamed often.
+
+    Without a sensor that it blames, the belief is uncertain by the process noise. If the samples are much closer to it, that
+    noise is stated too large.
+    """
+    of, quantity = signals.sensors[sensor], next((q for q in signals.quantities if sensor in q.sensors), None)
+    if of.samples is None or of.alarm is None or of.faulty is None or quantity is None:
+        return LOOK_AT_MODEL
+    if quantity.belief is None or quantity.spread is None:
+        return LOOK_AT_MODEL
+    blamed = of.alarm & ~of.faulty & np.isfinite(of.samples)
+    apart, expected = (
+        float(np.sqrt(np.mean(values[blamed] ** 2))) if blamed.any() else np.nan
+        for values in (of.samples - quantity.belief, quantity.spread)
+    )
+    if not apart < QUIET * expected:
+        return LOOK_AT_MODEL
+    unit = of.unit or ""
+    return (
+        f"While it is blamed, its samples differ from the belief by {f'{apart:.3g} {unit}'.rstrip()} (root mean square), but the "
+        f"model expects at least {f'{expected:.3g} {unit}'.rstrip()}. The process noise of the model (noise= in design, "
+        "process_covariance) is probably too large. State it as it is."
+    )
 
 
 def alarms_of_all(samples: Sequence[Floats], alarms: Sequence[Flags]) -> int | None:

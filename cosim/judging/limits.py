@@ -27,7 +27,7 @@ SCATTER = 6.0
 """Range of the noise, in standard deviations."""
 
 
-def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[Floats]) -> None:
+def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[Floats], what: str = "") -> None:
     """Limit an axis to what a run needs after its start, if a transient there would squeeze the rest; mark what is cut off.
 
     Parameters
@@ -40,6 +40,8 @@ def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[
         Lines that are always shown wholly, such as the true value.
     cut : sequence of ndarray
         Lines whose start may be outside, such as the belief.
+    what : str
+        Name of these lines in the marks; empty if it is clear.
     """
     later = int(np.ceil(SHARE * len(time)))
     needed, every = _ends([*whole, *(values[later:] for values in cut)]), _ends([*whole, *cut])
@@ -51,10 +53,10 @@ def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[
     space = MARGIN * (high - low)
     low, high = low - space, high + space
     axis.set_ylim(low, high)
-    mark_cut(axis, time, cut, (low, high))
+    mark_cut(axis, time, cut, (low, high), what)
 
 
-def mark_cut(axis: Axes, time: Floats, cut: Sequence[Floats], limits: tuple[float, float]) -> None:
+def mark_cut(axis: Axes, time: Floats, cut: Sequence[Floats], limits: tuple[float, float], what: str = "") -> None:
     """Mark on an axis with these limits where lines leave it, and say how far they go.
 
     Parameters
@@ -67,6 +69,8 @@ def mark_cut(axis: Axes, time: Floats, cut: Sequence[Floats], limits: tuple[floa
         The lines.
     limits : tuple of float
         Lower and upper end of the axis.
+    what : str
+        Name of the lines in the marks.
     """
     low, high = limits
     for ahead, end, height, marker in ((1.0, high, 1.0, "^"), (-1.0, -low, 0.0, "v")):
@@ -79,7 +83,7 @@ def mark_cut(axis: Axes, time: Floats, cut: Sequence[Floats], limits: tuple[floa
         axis.plot(begins, np.full(len(begins), height), ls="none", marker=marker, ms=4, **style)
         side = "bottom" if height == 0.0 else "top"
         axis.annotate(
-            f"cut off: {'down' if height == 0.0 else 'up'} to {furthest:.3g}", (begins[0], height),
+            f"{what} cut off: {'down' if height == 0.0 else 'up'} to {furthest:.3g}".lstrip(), (begins[0], height),
             xycoords=axis.get_xaxis_transform(), xytext=(6, 3 if side == "bottom" else -3), textcoords="offset points",
             fontsize=7, color="0.3", va=side,
         )  # fmt: skip

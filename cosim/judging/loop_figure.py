@@ -117,15 +117,16 @@ def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> Non
     for label, values, look in lines:
         if values is not None:
             axis.plot(*thin(time, values), label=label, **look)
-    cut = [] if quantity.belief is None else [quantity.belief]
+    cut, what = [] if quantity.belief is None else [quantity.belief], ""
     if quantity.belief is not None and quantity.spread is not None:
         cut = [quantity.belief - NORMAL_95 * quantity.spread, quantity.belief + NORMAL_95 * quantity.spread]
+        what = "95 % interval"  # wide before the first samples, while the belief is inside
         shown, mean = thin(time, quantity.belief)
         half = NORMAL_95 * thin(time, quantity.spread)[1]
         style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
         axis.fill_between(shown, mean - half, mean + half, label="belief: 95 % interval", **style)
     axis.set_ylabel(broken(with_unit(quantity.name, quantity.unit), MAIN))
-    limit_axis(axis, time, [values for values in (quantity.truth, quantity.reference) if values is not None], cut)
+    limit_axis(axis, time, [values for values in (quantity.truth, quantity.reference) if values is not None], cut, what)
 
 
 def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panels:

@@ -50,7 +50,8 @@ class SensorSignals:
     size, onset : array or None
         The size and the begin in seconds of a fault of that kind; None if there is no such output, or if not recorded.
     sizes : tuple of str
-        What the size of each kind is in: the ``"unit"`` of the sensor, or multiples of its ``"noise"``; empty for no fault.
+        What the size of each kind is in: the ``"unit"`` of the sensor, or multiples of its ``"noise"``; for ``"distance"`` such a
+        multiple is the distance of the samples from the belief. Empty for no fault.
     corrected_kinds : tuple of str
         Those of ``kinds`` that the controller estimates and subtracts, so that the sensor is still used.
     chances : array of shape (steps, 1 + kinds) or None

@@ -256,8 +256,6 @@ class Result(Mapping[str, Floats]):
 
     def _sentences(self) -> list[str]:
         """Return the notes as sentences."""
-        from bayesftc.cosim.judging.findings import LOOK_AT_MODEL
-
         notes = ["The run stopped early."] if self.stopped else []
         wrong = [
             f"The model of {block} is suspect from t = {self.time[k]:g} s{self._or_sensors(block, k)}."
@@ -267,7 +265,7 @@ class Result(Mapping[str, Floats]):
             [f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("model", "start", "often")
         )
         cause = f"Sensors may be blamed because of it. {DIAGNOSE} looks for the cause."
-        blamed = [] if wrong else [f"{text} {LOOK_AT_MODEL}" for text in often]
+        blamed = [] if wrong else [f"{text} {self._advice}" for text in often]
         limited = [f"The {note}. {advice}" for note, advice in self._limited]
         return [*notes, *(f"{text} {cause}" for text in wrong or model), *start, *blamed, *limited]
 
@@ -307,6 +305,16 @@ class Result(Mapping[str, Floats]):
         together = blamed_together(signals, self.decimation)
         often = None if any(together.values()) else often_blamed(signals)
         return {**together, "often": [] if often is None else [often[1]]}
+
+    @cached_property
+    def _advice(self) -> str:
+        """What to do about the healthy sensor that is blamed often."""
+        from bayesftc.cosim.judging.findings import LOOK_AT_MODEL, advice_on, often_blamed
+        from bayesftc.cosim.judging.roles import signals_of
+
+        signals = None if self.roles is None else signals_of(self.roles, self)
+        often = None if signals is None else often_blamed(signals)
+        return LOOK_AT_MODEL if signals is None or often is None else advice_on(signals, often[0])
 
     @cached_property
     def _limited(self) -> list[tuple[str, str]]:

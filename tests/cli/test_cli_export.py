@@ -49,7 +49,7 @@ def test_a_controller_leaves_and_is_verified(bayesftc_, scenarios, tmp_path, c_c
     assert done.exit_code == 0, done.output
     assert "controller.fmu beside controller of" in done.output
     assert "1001 steps, seed 1" in done.output
-    assert "In the loop, in their place: 0 at most." in done.output
+    assert "In a run with the FMU in place of these blocks: largest difference 0." in done.output
     assert "controller.fmu does what controller does: the same numbers at all 1001 steps." in done.output
 
     done = bayesftc_("verify", "controller.fmu", "--against", other, "--duration", 4, "--seed", 7, "--json")

@@ -501,6 +501,40 @@ def test_headings_that_pass_north_count_on(tmp_path):
     assert f"If they are angles, add period = 360 below each of their sensors in {model}" in note
 
 
+def slower_than_its_log(path, seed, seconds=80, frozen=()):
+    """Write a log of 25 rows a second of three speeds, of which the third one has 5 values a second."""
+    rng, t = np.random.default_rng(seed), 0.04 * np.arange(25 * seconds)
+    y = np.sin(t / 3)[:, None] + [0.02, 0.03, 0.1] * rng.standard_normal((len(t), 3))
+    y[:, 2] = np.repeat(y[::5, 2], 5)
+    for begin, end in frozen:
+        y[(t >= begin) & (t < end), 2] = y[np.searchsorted(t, begin) - 1, 2]
+    pd.DataFrame({"t": t, "left": y[:, 0], "right": y[:, 1], "gnss": y[:, 2]}).to_csv(path, index=False)
+
+
+def test_a_sensor_whose_values_the_log_repeats_is_fitted_without_the_repetitions(tmp_path):
+    """They hid half of its noise, and it had 6 alarms in 80 healthy seconds."""
+    model, fitted, watched = tmp_path / "model.toml", tmp_path / "fit.csv", tmp_path / "watched.csv"
+    slower_than_its_log(fitted, 0)
+    slower_than_its_log(watched, 1, frozen=[(40, 46)])
+    command = ["monitor", "--json", "--model", str(model)]
+    report = json.loads(RUNNER.invoke(app, [*command, str(fitted), "--fit"]).stdout)
+    assert report["fitted"]["sensors"]["gnss"]["std"] == pytest.approx(0.1, rel=0.15)
+    assert report["faults"] == []
+    assert "gnss has a new value about every 0.2 s, and repeats it in the rows between." in " ".join(report["notes"])
+    assert model.read_text().count("held = true") == 1
+    (fault,) = json.loads(RUNNER.invoke(app, [*command, str(watched)]).stdout)["faults"]
+    assert (fault["sensor"], fault["kind"]) == ("gnss", "DroppedOut")
+    assert (fault["onset"], fault["end"]) == (pytest.approx(40, abs=0.5), pytest.approx(46, abs=0.5))
+
+
+def test_too_few_values_of_such_a_sensor_are_refused_with_the_reason(tmp_path):
+    slower_than_its_log(tmp_path / "log.csv", 0, seconds=30)
+    done = RUNNER.invoke(app, ["monitor", str(tmp_path / "log.csv"), "--fit", "--model", str(tmp_path / "model.toml")])
+    words = " ".join(done.output.split())
+    assert "The sensor 'gnss' has 150 samples in the stretch; a fit needs 200." in words
+    assert "gnss has a new value about every 0.2 s" in words
+
+
 def test_a_code_of_a_heading_is_named_and_not_fitted(tmp_path):
     """It was put on a turn, each time with another value: nothing named it, and its sensor had thirty times its noise."""
     rng, t = np.random.default_rng(1), 1.0 * np.arange(900)

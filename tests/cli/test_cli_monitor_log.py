@@ -308,7 +308,7 @@ def test_the_figure_has_dates_gaps_bare_names_and_the_kinds_of_faults(table, tmp
     assert [[text.get_text() for text in axis.texts] for axis in figure.axes[:4]] == [["TT-2: Offset"], [], [], []]
     labels = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert labels == ["belief", "shaded: an alarm", "dotted: a gap of\nthe recording"]
-    assert [text.get_text() for text in last.get_legend().get_texts()] == ["TT-1", "TT-2", "TT-3"]
+    assert [text.get_text() for text in last.get_legend().get_texts()] == ["TT-1", "TT-2", "TT-3", "alarm from 0.9"]
 
 
 @pytest.mark.slow

@@ -104,6 +104,17 @@ def test_an_angle_counts_on_as_in_a_recording():
     assert {event.sensor for event in monitored.events} == {"b"}
 
 
+def test_values_that_a_slower_sensor_repeats_are_no_samples():
+    y, monitor = rows(), Monitor(DT, RandomWalk(std=0.06), sensors())
+    repeated = np.column_stack([y[:, :2], np.repeat(y[::2, 2], 2)])
+    slow = replace(monitor, sensors=sensors() | {"c": Sensor(std=0.1, resolution=0.0, held=True)})
+    live, expected = (
+        run(MonitorStepper(each, compiled=False), rows)["fault_probability"]
+        for each, rows in ((slow, repeated), (monitor, y))
+    )
+    np.testing.assert_array_equal(live, expected)
+
+
 @pytest.mark.parametrize("turn", [-12.0, 0.0, 6.0])
 def test_the_belief_about_an_angle_begins_on_the_turn_of_its_samples(turn):
     y = rows()[:60]

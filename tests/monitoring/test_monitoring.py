@@ -502,6 +502,17 @@ def test_each_of_several_beliefs_says_which_sensor_reads_it():
     }
 
 
+def test_the_belief_in_the_figure_contains_the_operating_point():
+    t, rng = 0.1 * np.arange(40), np.random.default_rng(0)
+    signals = {name: Signal(t, 2.0 + 0.1 * rng.standard_normal(40)) for name in "ab"}
+    model = LinearModel([[0.9]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1).about([0.0], [0.0], [2.0, 2.0])
+    axes = monitor_recording(align(signals, {}, dt=0.1), model, initial_mean=(0.0, 1.0)).plot().axes
+    assert len(axes) == 4  # one belief, two sensors, the probabilities
+    belief, *residuals = (axis.lines[0].get_ydata() for axis in axes[:3])
+    assert belief.mean() == pytest.approx(2.0, abs=0.1)
+    assert [values.mean() for values in residuals] == pytest.approx([0.0, 0.0], abs=0.1)
+
+
 def test_the_figure_shows_from_which_probability_on_there_is_an_alarm(tmp_path):
     found = found_in(tmp_path, drive(2.0))
     for alarm, label in ((found.alarm, "alarm from 0.9"), (Alarm(threshold=0.99), "alarm from 0.99")):

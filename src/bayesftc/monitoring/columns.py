@@ -78,6 +78,9 @@ class Sensor(Column):
     period : float
         Full turn of an angle, such as 360 for a heading in degrees; 0 for other quantities. Its samples count on where they begin
         anew, on the turn of the other sensors with this period.
+    held : bool
+        Whether a value that repeats the one before is no sample: the log, or the wire of a live monitor, is faster than the
+        sensor and repeats its last value. If the sensor freezes, it has no samples and counts as dropped out.
     unit : str
         Its unit, for figures and tables. Samples of a column whose name ends in another unit, as in ``h [cm]``, are converted.
 
@@ -96,6 +99,7 @@ class Sensor(Column):
     repeats: float = HEALTHY_REPEATS
     reads: Sequence[float] | None = None
     period: float = 0.0
+    held: bool = False
     unit: str = ""
 
     def __post_init__(self) -> None:

@@ -50,9 +50,7 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
     figure : Figure, optional
         An empty figure to draw on.
     """
-    plant = monitored.model.states - monitored.model.disturbances
-    rows = monitored.model.quantities[:, :plant]
-    quantities, of = np.unique(rows, axis=0, return_inverse=True)
+    quantities = monitored.model.alike
     recording = monitored.recording
     clock, sensors = _Clock(recording), [bare_name(sensor) for sensor in recording.sensors]
     time, units = clock(monitored.time), recording.units
@@ -63,9 +61,8 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
     strips = [STRIP + ROW * (many and any(s.kind and s.sensor == i for s in spans)) for i in range(len(sensors))]
     heights = [MAIN] * len(quantities) + strips + [MAIN]
     figure, axes = make_panels(heights, figure)
-    belief = monitored.x_hat[:, :plant] @ rows.T
-    for q, axis in enumerate(axes[: len(quantities)]):
-        members = [i for i, quantity in enumerate(of.reshape(-1)) if quantity == q]
+    belief = monitored.x_hat @ monitored.model.quantities.T
+    for members, axis in zip(quantities, axes, strict=False):
         axis.plot(*thin(time, belief[:, members[0]]), color=BLACK, lw=1.2, label="belief")
         what = f"belief of what\n{sensors[members[0]]} reads" if len(quantities) > 1 else "belief"
         axis.set_ylabel(broken(with_unit(what, units[members[0]]), MAIN))

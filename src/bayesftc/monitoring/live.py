@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesftc.controllers.learning.resolution import find_resolution
 from bayesftc.cosim.base.invalid import numbers_of
+from bayesftc.cosim.base.recordings.held import HeldValues
 from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError
@@ -98,6 +99,7 @@ class MonitorStepper(Stepper):
         self._smoothed: list[deque[float]] = [deque(maxlen=window) for window in windows]
         self._opening: deque[tuple[Floats, Floats]] = deque(maxlen=LONGEST)
         self._rest, self._gap = RestWatch(len(monitor.sensors)), GapWatch(len(monitor.sensors))
+        self._held = HeldValues(sensor.held for sensor in monitor.sensors.values())
         self._turns = Turns(sensor.period for sensor in monitor.sensors.values())
         self._running: Online | None = None
         self._k = -1
@@ -152,8 +154,10 @@ class MonitorStepper(Stepper):
         for i, invalid in enumerate(self._invalid):
             if np.isin(inputs[i], invalid):
                 values[i] = np.nan
-        y = self._turns.place(values[: len(self._monitor.sensors)])
-        u = self._averaged(values[len(self._monitor.sensors) :])
+        sensors = len(self._monitor.sensors)
+        values[:sensors][self._held.repeated(values[:sensors])] = np.nan
+        y = self._turns.place(values[:sensors])
+        u = self._averaged(values[sensors:])
         if self._running is not None:
             return self._judge(self._running, y, u)
         self._opening.append((y, u))

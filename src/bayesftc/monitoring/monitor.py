@@ -182,6 +182,7 @@ class Monitor:
                     "sensor",
                     resolution=s.resolution,
                     period=s.period,
+                    held=s.held,
                     unit=s.unit or column_unit(s.column or name),
                 )
                 for name, s in self.sensors.items()

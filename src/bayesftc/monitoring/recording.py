@@ -16,6 +16,7 @@ from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
+from bayesftc.cosim.base.recordings.held import without_held
 from bayesftc.cosim.base.recordings.order import without_repeats, wrong_order
 from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step, show
@@ -66,6 +67,8 @@ class Signal:
         anew. 0 if it measures no angle. Sensors with the same period measure the same angle.
     gain : float
         How far the values move while the quantity moves by 1. Values, less the bias, are divided by it.
+    held : bool
+        Whether a value that repeats the one before is no sample: the log is faster than the sensor and repeats its last value.
 
     Raises
     ------
@@ -95,6 +98,7 @@ class Signal:
     origin: datetime | None = None
     period: float = 0.0
     gain: float = 1.0
+    held: bool = False
 
     def __repr__(self) -> str:
         return short(self, delay="s", smooth="s")
@@ -129,6 +133,8 @@ class Signal:
             inform(_counted_once(repeated, self.origin))
         if problem := wrong_order(time, values, self.origin):
             raise RecordingError(problem)
+        if self.held:
+            time, values = without_held(time, values)
         if self.resolution is None:
             object.__setattr__(self, "resolution", find_resolution(values))
         object.__setattr__(self, "time", time)

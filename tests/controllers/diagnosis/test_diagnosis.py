@@ -713,9 +713,12 @@ def test_the_remedy_for_a_load_depends_on_whether_the_model_already_has_a_distur
 def test_a_lost_effect_looks_at_the_actuator_modes():
     model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
     loss = (5.0, float("inf"), 0.6, 0.0)
-    assert "actuator_modes=ACTUATOR_MODES" in sentence("loss", loss, model)
+    advice = re.search(r"with precision=(.*) can infer a lost effect of an actuator", sentence("loss", loss, model))
+    assert advice
+    learner = eval(advice[1], {"controllers": controllers})  # the advice is code that runs
+    controllers.StateEstimator(model, learner)
     inferred = sentence("loss", loss, model, inferred=[0.99])
-    assert "ACTUATOR_MODES" not in inferred
+    assert "actuator_modes=" not in inferred
     assert "The controller infers a fault of the control: its fault probability reaches 0.99." in inferred
     assert "do not see it" in sentence("loss", loss, model, inferred=[0.1])
 
@@ -736,7 +739,7 @@ def test_too_few_samples_are_no_evidence(present):
 def test_actuator_modes_that_are_not_recorded_are_not_advised_again():
     model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
     words = sentence("loss", (5.0, float("inf"), 0.6, 0.0), model, inferred=[])
-    assert "ACTUATOR_MODES" not in words
+    assert "actuator_modes=" not in words
     assert "Record actuator_fault_probability" in words
 
 

@@ -48,7 +48,7 @@ def test_a_known_system_comes_back_with_the_noise_of_each_sensor():
     assert "Sensors of flow" not in found.describe()
     assert "move alike" not in found.describe()
     by_quantity, by_column = (design(found, goal=goal) for goal in ("level", "b"))
-    assert "4 sensors of 2 quantities" in by_quantity.describe()
+    assert "4 sensors (a, b, c, d) of 2 quantities, every" in by_quantity.describe()
     np.testing.assert_array_equal(by_quantity.goal_matrix, by_column.goal_matrix)
     # A quantity of one sensor is a goal as well: it had to be named by its column.
     np.testing.assert_array_equal(design(found, goal="flow").goal_matrix, design(found, goal="d").goal_matrix)

@@ -28,6 +28,13 @@ def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
     )
 
 
+def test_short_alarms_late_in_a_recording_have_a_length():
+    event = monitoring.FaultEvent("wheel", 2907.1000000000004, 2907.3, 1.0, "Frozen", 1764237600.05)
+    assert repr(event) == (
+        "FaultEvent(sensor='wheel', start=2907.1 s, end=2907.3 s, probability=1, kind='Frozen', onset=1764237600.05 s, size=None)"
+    )
+
+
 @pytest.mark.parametrize(
     ("value", "half", "text"),
     [

@@ -330,7 +330,10 @@ def test_the_verdict_names_the_control_first():
     assert found.verdict() == (
         "law.fmu does NOT do what law does: u differs by 0.5 of its largest value, and 2 more signals differ."
     )
-    assert "In the loop, in their place: 8 at most, of P at t = 0 s; at t = 0 s, size is NaN or infinite" in repr(found)
+    assert (
+        "In a run with the FMU in place of these blocks: largest difference 8, of P at t = 0 s; at t = 0 s, "
+        "size is NaN or infinite" in repr(found)
+    )
 
 
 @pytest.mark.slow

@@ -50,7 +50,10 @@ def test_the_wide_interval_of_the_first_belief_is_cut_off():
     quantity = QuantitySignals("level", "m", (0,), WAVE, WAVE, WAVE, True, True, spread)
     draw_quantity(axis, time=TIME, quantity=quantity)
     assert np.abs(axis.get_ylim()).max() < 1.5
-    assert [text.get_text() for text in axis.texts] == ["cut off: up to 196", "cut off: down to -196"]
+    assert [text.get_text() for text in axis.texts] == [
+        "95 % interval cut off: up to 196",
+        "95 % interval cut off: down to -196",
+    ]
 
 
 def test_samples_count_for_an_axis_unless_they_would_squeeze_the_lines():

@@ -391,6 +391,37 @@ def test_a_result_says_that_a_healthy_sensor_is_blamed_often(factor):
     assert sentence.startswith(f"S{note[1:]}. Look at the model first: ")
 
 
+def _turbine(stated):
+    """Return a run of a rotor whose pitch has one sensor and no noise, with a model that states some."""
+    measured, std = ["speed", "pitch"], [0.004, 0.004, 0.01, 0.002]
+    A = [[-0.2, -1.8, 1.0], [0.0, -1 / 0.3, 0.0], [0.0, 0.0, -0.25]]
+    plant = control.ss(
+        A, [[0, 0], [1 / 0.3, 0], [0, 0.25]], np.eye(2, 3), 0, inputs=["command", "gust"], outputs=measured
+    )
+    controller = controllers.design(
+        plant, measured=measured, actuated="command", sensors=[3, 1], sensor_std=std, goal="speed", dt=0.1,
+        noise={"gust": 0.4, "command": stated}, acceptable_error=0.05, acceptable_control=0.05,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        plant, controller, control="command", measured=measured, sensors=cosim.Sensors(count=[3, 1], std=std, unit="rad"),
+        noise={"gust": cosim.Gaussian(std=0.4)}, reference=0.0,
+    )  # fmt: skip
+    return loop.simulate(60.0, seed=1)
+
+
+@pytest.mark.parametrize("stated", [0.01, 0.1])
+def test_a_process_noise_that_is_stated_too_large_is_named_where_it_makes_a_sensor_blamed(stated):
+    result = _turbine(stated)
+    blamed = result.findings().iloc[0]
+    assert (blamed["kind"], blamed["unit"]) == ("Unmodelled", "x noise from the belief")
+    (sentence,) = result.summary().notes
+    assert re.match(r"Sensor 3 \(pitch\) is blamed for \d\d% of its fault-free time\. While it is blamed, ", sentence)
+    apart, expected = map(float, re.findall(r"by ([\d.]+) rad .* at least ([\d.]+) rad", sentence)[0])
+    assert apart < 0.7 * expected
+    assert "The process noise of the model (noise= in design, process_covariance) is probably too large." in sentence
+    assert "Look at the model first" not in sentence
+
+
 def test_agreement_is_that_of_all_pairs_of_sensors_in_any_order():
     rng = np.random.default_rng(0)
     noise, late = 0.1 * rng.standard_normal((3, 200)), np.arange(200) >= 60

@@ -33,10 +33,9 @@ def monitor_lane(monitor: Monitor, stepper: MonitorStepper) -> LiveLane:
 def _quantities(monitor: Monitor) -> tuple[QuantityRole, ...]:
     """Return what the sensors measure: those that read the same of the plant's states, in one unit, measure one quantity."""
     model = monitor.model
-    plant = model.states - model.disturbances
     groups: dict[tuple[tuple[float, ...], str], list[int]] = {}
-    for i, (row, sensor) in enumerate(zip(model.matrix("C"), monitor.sensors.values(), strict=True)):
-        groups.setdefault((tuple(map(float, row[:plant])), sensor.unit or ""), []).append(i)
+    for i, (row, sensor) in enumerate(zip(model.quantities, monitor.sensors.values(), strict=True)):
+        groups.setdefault((tuple(map(float, row)), sensor.unit or ""), []).append(i)
     names = list(monitor.sensors)
     return tuple(
         QuantityRole(
@@ -45,7 +44,7 @@ def _quantities(monitor: Monitor) -> tuple[QuantityRole, ...]:
             tuple(members),
             None,
             None,
-            (*row, *(0.0,) * model.disturbances),
+            row,
             None,
         )
         for (row, unit), members in groups.items()

@@ -14,6 +14,7 @@ import numpy as np
 from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
 from bayesftc.cosim.base.recordings.day_first import iso_of
+from bayesftc.cosim.base.recordings.held import is_held
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import RecordingError, did_you_mean
@@ -36,6 +37,8 @@ class Place:
         Values that stand for no sample.
     period : float
         Full turn of an angle; 0 for other quantities.
+    held : bool
+        Whether a value that repeats the one before is no sample.
 
     Examples
     --------
@@ -47,7 +50,7 @@ class Place:
     ...     _ = file.write_text("time,T_1,T_2\n0.0,20.1,20.0\n0.1,20.2,20.1\n")
     ...     places, signals = monitoring.redundant_signals([file])
     >>> places["T_2"]
-    Place(file='tank.csv', column='T_2', time='time', invalid=(), period=0.0)
+    Place(file='tank.csv', column='T_2', time='time', invalid=(), period=0.0, held=False)
     """
 
     file: str
@@ -55,6 +58,7 @@ class Place:
     time: str
     invalid: tuple[float | str, ...] = ()
     period: float = 0.0
+    held: bool = False
 
 
 def redundant_signals(
@@ -124,9 +128,11 @@ def signals_of(
             times, logged = tables.times(file, time), tables.column(file, column, "a sensor", places[name].invalid)
             samples = in_unit(logged, column, unit)
             try:
-                signals[name] = Signal(times, samples, unit=column_unit(column) and unit, origin=tables.origin)
+                signal = Signal(times, samples, unit=column_unit(column) and unit, origin=tables.origin)
             except RecordingError as error:
                 raise RecordingError(f"{file}, the column {column!r}: {error}") from None
+            held = is_held(*signal.corrected, signal.resolution or 0.0)
+            places[name], signals[name] = replace(places[name], held=held), replace(signal, held=held)
     if not signals:
         raise RecordingError("There is no column besides the times. Give a file with two or more sensors.")
     if period := find_period(np.asarray(signal.values) for signal in signals.values()):

@@ -77,6 +77,8 @@ def as_model_file(
             lines.append(f"invalid = [{', '.join(map(_value, place.invalid))}]  # these stand for no sample")
         if place.period:
             lines.append(f"period = {place.period:.10g}  # an angle, which begins anew after a full turn")
+        if place.held:
+            lines.append("held = true  # a value that repeats the one before is no sample")
         if units[name]:
             lines.append(f"unit = {_text(units[name])}")
         lines += [

@@ -21,7 +21,7 @@ from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times, find_controller
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
-from bayesftc.cosim.judging.findings import LOOK_AT_MODEL, blamed_together, never_began, numbers_of, often_blamed
+from bayesftc.cosim.judging.findings import advice_on, blamed_together, never_began, numbers_of, often_blamed
 from bayesftc.cosim.judging.metrics import limited, without_nan
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
@@ -233,7 +233,7 @@ def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block,
         return []
     worst, note = often
     blamed = " ".join(together["model"]) or f"{note[0].upper()}{note[1:]}."
-    return [f"{blamed} {_scatter(signals, worst, controller) or LOOK_AT_MODEL}"]
+    return [f"{blamed} {_scatter(signals, worst, controller) or advice_on(signals, worst)}"]
 
 
 def _scatter(signals: LoopSignals, sensor: int, controller: Block) -> str:

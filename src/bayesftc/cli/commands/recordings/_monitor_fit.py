@@ -20,13 +20,14 @@ from bayesftc.cosim.base.recordings.columns import column_called
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.day_first import day_first_date
 from bayesftc.cosim.base.recordings.turns import find_period
-from bayesftc.cosim.errors import ResultFileError
+from bayesftc.cosim.errors import RecordingError, ResultFileError
 from bayesftc.monitoring import (
     FittedModel,
     Monitor,
     Place,
     RandomWalk,
     Recording,
+    Signal,
     as_model_file,
     fit_model,
     recorded,
@@ -133,7 +134,12 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
         signals[name] = replace(signals[name], invalid=(*signals[name].invalid, code.value))
     samples = recorded(signals)
     stretch = stretch_of(samples, part.start, part.stop)
-    fitted = fit_model(samples, stretch, gains=not any(place.period for place in places.values()))
+    slow = _held(places, signals)
+    try:
+        fitted = fit_model(samples, stretch, gains=not any(place.period for place in places.values()))
+    except RecordingError as error:  # with what the user does not see in the file
+        reasons = [note for name, note in slow.items() if repr(name) in str(error)]
+        raise RecordingError(" ".join([str(error), *reasons])) from None
     text = as_model_file(fitted, samples, places, stretch)
     if os.path.lexists(model) and not overwrite and not _has(model, text):
         raise ResultFileError(
@@ -148,6 +154,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
         [
             *_without_numbers(tables, part),
             *_angles(places),
+            *slow.values(),
             *_codes({**codes(samples), **turned}, samples, tables, places),
             *_strangers(fitted),
             *_changes(fitted, samples, stretch),
@@ -175,6 +182,17 @@ def _angles(places: Mapping[str, Place]) -> Iterator[str]:
             f"count on instead: each sensor has period = {period:.10g} in the model file. If the columns are no angles, delete "
             "these lines there and give --model without --fit."
         )
+
+
+def _held(places: Mapping[str, Place], signals: Mapping[str, Signal]) -> dict[str, str]:
+    """Return a note for each sensor whose last value the log repeats until the next one."""
+    intervals = {name: float(np.median(np.diff(signals[name].corrected[0]))) for name in places if places[name].held}
+    return {
+        name: f"{name} has a new value about every {interval:.2g} s, and repeats it in the rows between. The fit and the monitor "
+        f"take repeated values for no samples: {name} has held = true in the model file. If {name} freezes, it then counts as "
+        "dropped out (DroppedOut). If repeated values are samples, delete this line there and give --model without --fit."
+        for name, interval in intervals.items()
+    }
 
 
 def turns_note(monitor: Monitor, recording: Recording, model: Path) -> list[str]:

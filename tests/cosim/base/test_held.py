@@ -1,0 +1,71 @@
+"""A log that is faster than a sensor repeats its last value; other repetitions are samples."""
+
+import numpy as np
+import pytest
+
+from bayesftc.cosim.base.recordings.held import HeldValues, is_held, without_held
+from bayesftc.monitoring import Signal
+
+ROWS = 3000
+
+
+def held(ratio, seed=0, resolution=0.0, jitter=0.0):
+    """Return times and values of a noisy sensor whose last value stands in about `ratio` rows of .02 s."""
+    rng = np.random.default_rng(seed)
+    rows = np.arange(ROWS) + jitter * rng.uniform(-1, 1, ROWS)
+    values = np.sin(np.arange(ROWS) / 200) + 0.1 * rng.standard_normal(ROWS)
+    values = values[((np.arange(ROWS) + rng.uniform()) // ratio).astype(int)]
+    return 0.02 * rows, np.round(values / resolution) * resolution if resolution else values
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("ratio", [2, 2.5, 3.3, 5, 10, 17])
+def test_a_slower_sensor_is_recognised(ratio, seed):
+    for more in ({}, {"resolution": 0.1}, {"jitter": 0.1}, {"jitter": 0.7}):
+        time, values = held(ratio, seed, **more)
+        order = np.argsort(time)
+        assert is_held(time[order], values, more.get("resolution", 0.0)), more
+
+
+def test_lost_rows_and_faults_do_not_hide_it():
+    time, values = held(10)
+    values[1000:1300] = values[999]  # frozen
+    values[2000:2200] += 3.0
+    there = np.random.default_rng(0).random(ROWS) > 0.05
+    assert is_held(time[there], values[there], 0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95])
+def test_samples_that_repeat_at_random_are_no_held_ones(share, seed):
+    rng = np.random.default_rng(seed)
+    fresh = np.flatnonzero((rng.random(ROWS) >= share) | (np.arange(ROWS) == 0))
+    values = rng.standard_normal(ROWS)[np.repeat(fresh, np.diff(np.append(fresh, ROWS)))]
+    assert not is_held(0.02 * np.arange(ROWS), values, 0.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.1, 0.3])
+def test_a_coarse_sensor_that_repeats_by_chance_is_no_held_one(noise):
+    """Without noise the steps of a ramp come at regular intervals."""
+    rng = np.random.default_rng(0)
+    values = np.round(np.arange(ROWS) / 100 + noise * rng.standard_normal(ROWS))
+    assert not is_held(0.02 * np.arange(ROWS), values, 1.0)
+
+
+def test_few_changes_show_nothing():
+    time, values = held(10)
+    assert not is_held(time[:150], values[:150], 0.0)
+    assert not is_held(time[:1], values[:1], 0.0)
+    assert not is_held(time, np.zeros(ROWS), 0.0)
+
+
+def test_repeated_values_are_left_out_of_a_recording_and_row_by_row_alike():
+    values = np.array([1.0, 1.0, 2.0, np.nan, 2.0, 1.0, 1.0])
+    watch = HeldValues([True, False])
+    again = np.array([watch.repeated(np.array([value, value])) for value in values])
+    assert again.tolist() == [[k in (1, 4, 6), False] for k in range(7)]
+    there = np.isfinite(values)
+    time, fresh = without_held(np.arange(7.0)[there], values[there])
+    assert (time.tolist(), fresh.tolist()) == ([0.0, 2.0, 5.0], [1.0, 2.0, 1.0])
+    signal = Signal(np.arange(7.0), values, held=True)
+    assert [each.tolist() for each in signal.corrected] == [[0.0, 2.0, 5.0], [1.0, 2.0, 1.0]]
