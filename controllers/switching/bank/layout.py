@@ -334,9 +334,19 @@ class Layout:
         return 3 + 3 * (self.n + 2)
 
     @property
+    def surprise(self) -> int:
+        """Place of the mean squared innovation without a fault, in its expected variances."""
+        return self.readings + self.hypotheses * self.reading
+
+    @property
+    def usual(self) -> int:
+        """Place of each sensor's log density without a fault in the order of the sensors, then of all variances of that."""
+        return self.surprise + 1
+
+    @property
     def saved(self) -> int:
         """Place of the hypotheses before a step, if there may be outages."""
-        return self.readings + self.hypotheses * self.reading
+        return self.usual + 2 * self.m
 
     @property
     def scratch(self) -> int:
@@ -355,5 +365,6 @@ class Layout:
         hypotheses = np.tile(hypothesis, (self.hypotheses + 2, 1))
         hypotheses[:, PROBABILITY] = [1.0, *[LEAST] * (self.hypotheses + 1)]
         between = np.zeros(self.scratch - self.grow)
+        between[self.surprise - self.grow] = 1.0
         scratch = np.zeros(max(N * N, COURSE_SCRATCH, 2 * self.m))
         return np.concatenate([np.tile(actuator, self.p), hypotheses.ravel(), between, scratch])

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 
 from bayesftc.controllers.precision.base import NAN
+from bayesftc.controllers.switching.bank.calm import make_credit, make_notice
 from bayesftc.controllers.switching.bank.conditioning import ABSURD, make_condition
 from bayesftc.controllers.switching.bank.hypothesis import OFFSET_AGE, STATE, expect
 from bayesftc.controllers.switching.bank.layout import (
@@ -73,6 +74,7 @@ def make_weigh(
     U, lost = len(layout.lost), layout.lost or (0,)
     courses, course, repeated = layout.courses, layout.course, layout.repeated
     condition = make_condition(layout, weigh_alone, weigh_other)
+    notice, credit = make_notice(layout), make_credit(layout)
 
     def weigh(sample, C, memory, settings):
         for h in range(H):
@@ -83,6 +85,8 @@ def make_weigh(
             memory[repeated + i] = repetition(change, sample.nominal[i, i], memory, place, settings, i * row_length)
         for i in range(m):
             condition(i, sample, C, memory, settings)
+            if U > 0:
+                notice(i, sample.present[i], sample.nominal[i, i], memory)
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
@@ -95,6 +99,7 @@ def make_weigh(
                     error / deviation, change / deviation, sample.present[i], memory[begun], memory, begun + 1, scratch,
                     settings, place + OWN_SETTINGS, select(noise > LOUD, noise, 0.0),
                 ) - log(deviation)  # fmt: skip
+                density = credit(density, error * error, spread + variance * noise, i, memory)
                 width = settings[i * row_length + WIDTH]
                 equal = select(absolute(change) <= 0.5 * width, 1.0, 0.0)
                 share = repeats_share(

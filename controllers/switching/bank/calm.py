@@ -1,0 +1,66 @@
+"""A process that is quieter than the model says, and what an unmodelled course is then credited with.
+
+Process noise is often stated too large, to be on the safe side. The belief then follows the noise of the sensors, and beside one
+sensor another one that does not follow that noise seems frozen or filtered; a single sensor seems too quiet. An unmodelled course
+would explain either. While the innovations are smaller than expected, a course is therefore credited with the density of no fault
+at most, as far as the sensor's error is not large.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from bayesftc.controllers.switching.bank.conditioning import ERROR, SPREAD, TOTAL
+from bayesftc.controllers.switching.bank.layout import Layout
+from bayesftc.controllers.switching.mode_kernels import log_density
+from bayesftc.controllers.switching.sensor_kernels import HEALTHY
+from bayesftc.cosim.ops import maximum, minimum, select
+
+CALM = 0.85
+"""Mean squared innovation, in its expected variances, below which the process is quieter than the model says."""
+
+LEARNED = 0.01
+"""Weight of a sample in that mean."""
+
+LARGE = 9.0
+"""Squared error, in its expected variances, up to which an error counts in the mean, and is not large for a course."""
+
+
+@cache
+def make_notice(layout: Layout) -> Callable[..., None]:
+    """Return the step function that learns from a reading without a fault how large innovations are, and keeps its density.
+
+    A reading counts by the share of its variance that the state has. Errors of a faulty sensor count as long as they are small:
+    it may only seem faulty, because the process is quiet.
+    """
+    m, sensor, readings, surprise, usual = layout.m, layout.sensor, layout.readings, layout.surprise, layout.usual
+
+    def notice(i, present, nominal, memory):
+        square, total = memory[readings + ERROR] * memory[readings + ERROR], memory[readings + TOTAL]
+        memory[usual + i] = log_density(minimum(square, LARGE * total), total)
+        memory[usual + m + i] = total
+        spread = memory[readings + SPREAD]
+        ratio = minimum(square / maximum(total, spread + nominal), LARGE)
+        sound = present * select(square < total, 1.0, minimum(memory[i * sensor + HEALTHY], 1.0))
+        memory[surprise] = memory[surprise] + LEARNED * sound * (spread / total) * (ratio - memory[surprise])
+
+    return notice
+
+
+@cache
+def make_credit(layout: Layout) -> Callable[..., float]:
+    """Return the function for the log density with which a course is credited.
+
+    Without a fault the reading has its density given all other sensors. Without the only sensor of a quantity the state is soon
+    unknown; then it is that in the hypothesis without any fault.
+    """
+    m, surprise, usual = layout.m, layout.surprise, layout.usual
+
+    def credit(density, square, total, i, memory):
+        """Return it for a course's log ``density`` and the sensor's ``square`` error, without a fault of variance ``total``."""
+        given_others = log_density(minimum(square, LARGE * total), total)
+        most = select(total <= memory[usual + m + i], given_others, memory[usual + i])
+        return select(memory[surprise] < CALM, minimum(density, most), density)
+
+    return credit
