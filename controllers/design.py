@@ -105,7 +105,8 @@ def design(
         Inputs at which process noise acts, and its standard deviations.
     disturbance : number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
-        model would leave.
+        model would leave. If further outputs are measured, and the load acts elsewhere than the control, an error remains: make
+        such a load a state of the plant, and give its `noise`.
 
         `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`. A `LinearModel`
         contains all but the last: leave them out with one. Only the default of `noise` differs: here it is 5 % of half the range

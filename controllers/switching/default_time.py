@@ -1,4 +1,4 @@
-"""Default times, such as those of modes and alarms, which grow with the sample time."""
+"""Default times, such as those of modes and alarms, which grow with the sample time, and shrink with very short ones."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from typing import Self
 USUAL_STEP = 0.02
 """Sample time in seconds up to which default times hold unchanged."""
 
+FAST_STEP = 0.005
+"""Sample time below which the plant is a fast one, as in power electronics: default times are then shorter, so that the number of
+samples is that at this sample time."""
+
 
 class DefaultTime(float):
-    """A default time in seconds, which grows with long sample times.
+    """A default time in seconds, which grows with long sample times and shrinks with very short ones.
 
     A time from the user is an ordinary number and does not change, even if it equals the default.
 
@@ -32,4 +36,6 @@ class DefaultTime(float):
 
 def time_at(time: float, step: float) -> float:
     """Return a time for samples that are `step` seconds apart; a time from the user does not change."""
-    return max(1.0, step / time.usual_step) * float(time) if isinstance(time, DefaultTime) else time
+    if not isinstance(time, DefaultTime):
+        return time
+    return max(min(1.0, step / FAST_STEP), step / time.usual_step) * float(time)

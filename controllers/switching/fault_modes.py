@@ -63,7 +63,7 @@ OFFSET_VARIANCES = 3
 class FaultMode:
     """Base of all fault modes.
 
-    The default times are for samples up to 20 ms apart; `SwitchingPrecision.paced` lengthens them for longer sample times.
+    The default times are for samples 5 to 20 ms apart; `SwitchingPrecision.paced` adapts them to longer and shorter sample times.
 
     Parameters
     ----------

@@ -238,8 +238,8 @@ class SwitchingPrecision(PrecisionLearner):
     def paced(self, step: float) -> SwitchingPrecision:
         """Return the learner with the mean times for samples `step` seconds apart; `learner` uses these.
 
-        Times from the user do not change. Default times are for samples of up to 20 ms; beyond, they grow with the step (those of
-        `Burst` beyond 0.1 s).
+        Times from the user do not change. Default times are for samples of 5 to 20 ms. For longer steps they grow with the step
+        (those of `Burst` beyond 0.1 s), for shorter ones, as in power electronics, they shrink with it.
 
         Parameters
         ----------

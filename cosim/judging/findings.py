@@ -20,8 +20,8 @@ from bayesftc.cosim.types import Floats
 if TYPE_CHECKING:
     import pandas as pd
 
-HOLD, HOLD_SAMPLES = 1.0, 10
-"""Seconds, and at least so many samples, below the threshold after which an alarm ends."""
+HOLD, HOLD_SAMPLES, MOST_HOLD_SAMPLES = 1.0, 10, 200
+"""Seconds below the threshold after which an alarm ends; at least, and at most so many samples."""
 LASTING = 1 / 8
 """Share of an alarm by which a change of its kind must be more probable than none.
 
@@ -105,7 +105,7 @@ def findings(signals: LoopSignals, threshold: float = ALARM, hold: float | None 
     threshold : float
         Least fault probability of an alarm.
     hold : float, optional
-        Seconds below the threshold after which an alarm ends; by default 1 s, or ten samples if they are more than 0.1 s apart.
+        Seconds below the threshold after which an alarm ends; by default 1 s, but at least 10 and at most 200 samples.
         A shorter pause ends it as well if the kind before the pause is another than that after it.
     """
     time = signals.time
@@ -227,7 +227,7 @@ def parts_of_alarms(score: Floats, chances: Floats | None, threshold: float, hol
 
 def usual_hold(step: float) -> float:
     """Return the seconds below the threshold after which an alarm ends by default, for samples that are `step` seconds apart."""
-    return max(HOLD, HOLD_SAMPLES * step)
+    return max(min(HOLD, MOST_HOLD_SAMPLES * step), HOLD_SAMPLES * step)
 
 
 def parts(chances: Floats, begin: int, end: int, step: float, above: Flags | None = None) -> list[tuple[int, int, int]]:

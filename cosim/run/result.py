@@ -425,7 +425,7 @@ class Result(Mapping[str, Floats]):
         threshold : float
             Least fault probability of an alarm. Controllers without probabilities report their detections.
         hold : float, optional
-            Seconds below the threshold after which an alarm ends; by default 1 s, or ten samples if these are longer.
+            Seconds below the threshold after which an alarm ends; by default 1 s, but at least 10 and at most 200 samples.
 
         Raises
         ------

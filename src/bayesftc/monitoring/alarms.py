@@ -30,7 +30,7 @@ class Alarm:
     threshold : float
         Least fault probability of an alarm.
     hold : float
-        Seconds below the threshold after which the alarm ends. By default 1 s, or ten samples if they are more than 0.1 s apart.
+        Seconds below the threshold after which the alarm ends. By default 1 s, but at least 10 and at most 200 samples.
         A shorter pause ends it as well if the kind before the pause is another than that after it.
 
     Raises
