@@ -598,7 +598,8 @@ class LinearModel(Printed, NamedArguments):
 
         The disturbance ``d`` adds to the control, ``x_t+1 = A x_t + B (u_t + d_t) + q``, and drifts as a random walk. Under a
         flat control prior, a constant load then leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003). A proper
-        control prior moves the control towards the prior mean, which leaves a steady error.
+        control prior moves the control towards the prior mean, which leaves a steady error. So does a load that acts elsewhere
+        than the control if further outputs are measured; make it a state of the plant.
 
         The disturbances follow the plant's states and its past signals, whatever other changes the model has or gets:
         `with_disturbance`, `with_sensor_errors`, `with_delays` and `about` may be applied in any order.

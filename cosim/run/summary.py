@@ -20,7 +20,7 @@ PHASES = {"overall": "whole run", "before": "before faults", "during": "during",
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
-    "kind. A pause of up to 1 s, or of 10 samples if these last longer, does not end an alarm of the same kind. "
+    "kind. Alarms of one kind with a short pause between them (1 s, but at least 10 and at most 200 samples) are one row. "
     "Size: at its end."
 )
 PROCESS_REMARK = (

@@ -3,7 +3,7 @@
 Process noise is often stated too large, to be on the safe side. The belief then follows the noise of the sensors, and beside one
 sensor another one that does not follow that noise seems frozen or filtered; a single sensor seems too quiet. An unmodelled course
 would explain either. While the innovations are smaller than expected, a course is therefore credited with the density of no fault
-at most, as far as the sensor's error is not large.
+at most, unless the last errors of its sensor were large.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from bayesftc.controllers.switching.bank.conditioning import ERROR, SPREAD, TOTA
 from bayesftc.controllers.switching.bank.layout import Layout
 from bayesftc.controllers.switching.mode_kernels import log_density
 from bayesftc.controllers.switching.sensor_kernels import HEALTHY
-from bayesftc.cosim.ops import maximum, minimum, select
+from bayesftc.cosim.ops import both, maximum, minimum, select
 
 CALM = 0.85
 """Mean squared innovation, in its expected variances, below which the process is quieter than the model says."""
@@ -24,12 +24,15 @@ LEARNED = 0.01
 """Weight of a sample in that mean."""
 
 LARGE = 9.0
-"""Squared error, in its expected variances, up to which an error counts in the mean, and is not large for a course."""
+"""Largest squared error, in its expected variances, that counts in a mean."""
+
+FOLLOWED, WRONG = 0.2, 4.0
+"""Weight of a sample in the mean of a sensor's last squared errors, and the mean from which on these are large."""
 
 
 @cache
 def make_notice(layout: Layout) -> Callable[..., None]:
-    """Return the step function that learns from a reading without a fault how large innovations are, and keeps its density.
+    """Return the step function that learns from a reading without a fault how large innovations are, and keeps it.
 
     A reading counts by the share of its variance that the state has. Errors of a faulty sensor count as long as they are small:
     it may only seem faulty, because the process is quiet.
@@ -38,7 +41,7 @@ def make_notice(layout: Layout) -> Callable[..., None]:
 
     def notice(i, present, nominal, memory):
         square, total = memory[readings + ERROR] * memory[readings + ERROR], memory[readings + TOTAL]
-        memory[usual + i] = log_density(minimum(square, LARGE * total), total)
+        memory[usual + i] = square
         memory[usual + m + i] = total
         spread = memory[readings + SPREAD]
         ratio = minimum(square / maximum(total, spread + nominal), LARGE)
@@ -57,10 +60,14 @@ def make_credit(layout: Layout) -> Callable[..., float]:
     """
     m, surprise, usual = layout.m, layout.surprise, layout.usual
 
-    def credit(density, square, total, i, memory):
+    def credit(density, square, total, i, present, memory):
         """Return it for a course's log ``density`` and the sensor's ``square`` error, without a fault of variance ``total``."""
-        given_others = log_density(minimum(square, LARGE * total), total)
-        most = select(total <= memory[usual + m + i], given_others, memory[usual + i])
-        return select(memory[surprise] < CALM, minimum(density, most), density)
+        known = total <= memory[usual + m + i]
+        square, total = select(known, square, memory[usual + i]), select(known, total, memory[usual + m + i])
+        last = memory[usual + 2 * m + i]
+        last = last + present * FOLLOWED * (minimum(square / total, LARGE) - last)
+        memory[usual + 2 * m + i] = last
+        most = select(both(memory[surprise] < CALM, last < WRONG), log_density(square, total), density)
+        return minimum(density, most)
 
     return credit

@@ -340,13 +340,13 @@ class Layout:
 
     @property
     def usual(self) -> int:
-        """Place of each sensor's log density without a fault in the order of the sensors, then of all variances of that."""
+        """Place of each sensor's squared error without a fault in the order of the sensors, of the variances, and last errors."""
         return self.surprise + 1
 
     @property
     def saved(self) -> int:
         """Place of the hypotheses before a step, if there may be outages."""
-        return self.usual + 2 * self.m
+        return self.usual + 3 * self.m
 
     @property
     def scratch(self) -> int:

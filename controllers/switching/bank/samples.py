@@ -99,7 +99,7 @@ def make_weigh(
                     error / deviation, change / deviation, sample.present[i], memory[begun], memory, begun + 1, scratch,
                     settings, place + OWN_SETTINGS, select(noise > LOUD, noise, 0.0),
                 ) - log(deviation)  # fmt: skip
-                density = credit(density, error * error, spread + variance * noise, i, memory)
+                density = credit(density, error * error, spread + variance * noise, i, sample.present[i], memory)
                 width = settings[i * row_length + WIDTH]
                 equal = select(absolute(change) <= 0.5 * width, 1.0, 0.0)
                 share = repeats_share(

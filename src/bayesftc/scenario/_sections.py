@@ -83,6 +83,10 @@ def plant(table: object, place: Place, folder: Path, simulation: Simulation) -> 
         _refuse_start(rest, place, ("start", "initial", "x0"), "parameters = { angle_0 = 0.4 }, by variable")
         return fmu_of(rest, place, folder), wiring
     if "kind" in rest:
+        if "A" in rest:
+            raise (place / "kind").error(
+                "is not needed for a linear plant, which is known by its matrix A. Leave kind out."
+            )
         _, rest = choose((Subsystem,), rest, place)
         return _subsystem(rest, place, folder, simulation), wiring
     if "A" in rest:

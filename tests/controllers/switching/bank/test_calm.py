@@ -1,5 +1,6 @@
 """A process that is quieter than its model: no healthy sensor is blamed, and faults are still found."""
 
+import control
 import numpy as np
 import pytest
 
@@ -41,6 +42,30 @@ def test_a_fault_of_large_errors_is_found_in_a_quiet_process(wrong):
     assert (said[:600] > 0.5).mean() < 0.02
     assert (said[640:, 0] > 0.9).mean() > 0.95
     assert (said[640:, 1] > 0.5).mean() < 0.05
+
+
+def test_a_lagging_sensor_does_not_outvote_two_that_agree_in_a_quiet_process():
+    """An underwater vehicle: its error grows slowly, and the belief followed it for 1.5 m, while two healthy ones agreed."""
+    A = [[0, 1, 0], [0, -40 / 120, 1 / 120], [0, 0, -1 / 0.4]]
+    plant = control.ss(
+        A, [[0, 0], [0, 1 / 120], [1 / 0.4, 0]], np.eye(2, 3), 0, inputs=["thrust", "load"], outputs=["depth", "speed"]
+    )
+    plant, std = cosim.StateSpace(plant, initial=[10.0, 0.0, 0.0]), [0.02, 0.02, 0.05, 0.01]
+    controller = controllers.design(
+        plant, measured=["depth", "speed"], actuated="thrust", sensors=[3, 1], sensor_std=std, goal="depth", dt=0.1,
+        noise={"load": 1.0}, disturbance=0.01, acceptable_error=0.1, acceptable_control=20.0, initial_spread=1e4,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        plant, controller, control="thrust", measured=["depth", "speed"], sensors=cosim.Sensors([3, 1], std=std),
+        noise={"load": cosim.Constant(-8.0)},
+        reference=cosim.Table([0, 60, 120, 240, 300, 420, 460, 600], [10, 10, 22, 22, 10, 10, 4, 4]),
+        faults=[cosim.Lag(sensor=0, start=210.0, time_constant=8.0), cosim.Dropout(sensor=3, start=200.0, stop=500.0)],
+    )  # fmt: skip
+    result = loop.simulate(500.0, seed=1)
+    blamed = (result["controller.fault_probability"] > 0.5)[result.time > 310].mean(axis=0)
+    assert blamed[0] > 0.9
+    assert blamed[1:3].max() < 0.02
+    assert np.abs(result["controller.x_hat"][:, 0] - result["plant.depth"])[100:].max() < 0.2
 
 
 @pytest.mark.parametrize("frozen", [False, True])

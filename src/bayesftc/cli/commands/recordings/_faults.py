@@ -49,7 +49,10 @@ def print_faults(
         )
     if any(event.continued for event in events):
         say("An alarm whose kind changes has a row for each kind.")
-    say("Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
+    say(
+        "Alarms of one kind with a short pause between them (1 s, but at least 10 and at most 200 samples) are one row. Size: at "
+        "the end of the alarm. With x: the deviations as a multiple of the expected noise."
+    )
     if any(isinstance(event, ActuatorEvent) for event in events):
         say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")
 
@@ -66,9 +69,13 @@ class Clock:
     def __init__(self, recording: Recording | None):
         self._origin = None if recording is None else recording.origin
         self._digits, self._dropped, self.day = 2, "", ""
-        if recording is None or self._origin is None:
+        if recording is None:
             return
-        self._digits = 0 if recording.dt >= 1 else 2  # of dates
+        exponent = int(f"{float(recording.dt):.0e}".partition("e")[2])
+        self._digits = max(2, -exponent)  # neighbouring samples have other times
+        if self._origin is None:
+            return
+        self._digits = 0 if recording.dt >= 1 else min(self._digits, 6)  # of dates
         first, last = (time_text(float(t), self._origin, 0)[:DAY] for t in recording.time[[0, -1]])
         if first == last:
             self.day, self._dropped = f" on {first}", f"{first} "
