@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,7 @@ from bayesftc.controllers.diagnosis.explanations import (
     innovations,
     lagged,
 )
-from bayesftc.controllers.diagnosis.judge import RELEVANT, Explanation, Judge
+from bayesftc.controllers.diagnosis.judge import EVIDENCE, RELEVANT, Explanation, Judge
 from bayesftc.controllers.diagnosis.offsets import offsets
 from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.estimation.observers import observers
@@ -48,6 +49,9 @@ NEAR = (0.87, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.15)
 
 NOISES = (0.1, 1.0, 10.0, 100.0, 1000.0)
 """Additional process noise of the coarse search: its variance in a sample, relative to that of the steady filter's belief."""
+
+QUIETER = (1.0, 0.3, 0.1, 0.01, 1e-4)
+"""Factors of the process covariance, of the plant's states and of loads, where it may be stated too large."""
 
 LEVELS = tuple(np.linspace(0.1, 0.97, 24))
 """Quantiles of the control's size to try as limits in the coarse search."""
@@ -109,6 +113,24 @@ def _loaded(
     changed = with_loads(model, covariance, [control])
     bank = observers(changed, sets)
     return None if bank is None else (changed, bank)
+
+
+def quieter(judge: Judge) -> Judge:
+    """Return a judge of the same run whose model has less process noise, if the run has evidence for that; else the same judge.
+
+    Noise that is stated too large makes the observers follow the sensors too closely. Their innovations are then correlated, as
+    they are with other dynamics, and with the control that reacts to them.
+    """
+    Q, plant = judge.model.matrix("process_covariance"), judge.model.plant_states
+    possible: list[_Fitted] = []
+    for of_plant, of_loads in product(QUIETER, QUIETER if Q[plant:, plant:].any() else QUIETER[:1]):
+        size = np.where(np.arange(len(Q)) < plant, of_plant, of_loads) ** 0.5
+        changed = replace(judge.model, process_covariance=Q * np.outer(size, size))
+        if (bank := observers(changed, judge.bank.sensors)) is not None:
+            possible.append(((of_plant, of_loads), 2, changed, bank))
+    found = _by_models(judge, "quieter", possible)
+    best = max(range(len(found)), key=lambda h: found[h].total, default=-1)
+    return Judge(*possible[best][2:], judge.recording) if found and min(found[best].support) > EVIDENCE else judge
 
 
 def noisier(judge: Judge, constant: Explanation | None = None) -> list[Explanation]:

@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
-from bayesftc.controllers.diagnosis.candidates import explanations, noisier, ranked
+from bayesftc.controllers.diagnosis.candidates import explanations, noisier, quieter, ranked
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
@@ -352,6 +352,9 @@ def best_explanations(
             continue
         found = explanations(judge)
         counting = [x for x in found if x.counts]
+        if counting and (calmer := quieter(judge)) is not judge:
+            judge, found = calmer, explanations(calmer)
+            counting = [x for x in found if x.counts]
         if counting or alone:
             load = next((x for x in found if x.kind == "load"), None)
             counting = ranked(counting + [x for x in noisier(judge, load) if x.counts])

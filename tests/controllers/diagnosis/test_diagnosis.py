@@ -56,6 +56,35 @@ def test_a_right_model_is_not_blamed_whatever_one_sensor_does(case):
     assert not suspect
 
 
+@pytest.mark.parametrize(("stated", "true"), [(100.0, 100.0), (300.0, 0.0), (3000.0, 300.0)])
+def test_a_right_model_is_not_blamed_where_noise_is_stated_too_large(stated, true):
+    """A converter at 20 us with a load current: the controls react to innovations that are correlated, as for other dynamics."""
+    plant, wrong = (_converter(inductance) for inductance in (22e-6, 31e-6))
+    std = [0.006, 0.006, 0.02, 0.08]
+    controller = controllers.design(
+        plant, measured=["v", "i"], actuated="duty", goal="v", dt="20e-6", sensors=(2, 2), sensor_std=std,
+        precision=controllers.FixedPrecision(), noise={"w": stated}, disturbance=1e-6, acceptable_error=0.05,
+        acceptable_control=0.01, u_min=0.0, u_max=1.0,
+    )  # fmt: skip
+    kinds = []
+    for real in (plant, wrong):
+        loop = cosim.closed_loop(
+            real, controller, control="duty", measured=["v", "i"], sensors=cosim.Sensors((2, 2), std=std, signals=2),
+            reference=12.0, noise={"w": cosim.Gaussian(std=true)},
+        )  # fmt: skip
+        finding = controllers.diagnose(loop.simulate(0.1, seed=1), loop)
+        kinds.append(None if finding is None else finding.kind)
+    assert kinds[0] is None
+    assert stated < 3000 or kinds[1] == "dt"  # with little motion a wrong inductance does not show
+
+
+def _converter(inductance):
+    A = [[-0.01 / inductance, -1 / inductance, 0], [1 / 220e-6, -1 / 220e-6, -1 / 220e-6], [0, 0, -10.0]]
+    B, C = [[24 / inductance, 0], [0, 0], [0, 10.0]], [[0, 1, 0], [1, 0, 0]]
+    system = control.ss(A, B, C, 0, inputs=["duty", "w"], outputs=["v", "i"], states=["i_L", "v_C", "i_load"])
+    return cosim.StateSpace(system, initial=[12.0, 12.0, 0.0])
+
+
 def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
     """A car with three times the noise, of which the model has none of its own direction; without more noise nothing is said."""
     rng = np.random.default_rng(3)
