@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from bayesftc.cosim.judging.fault_panels import draw_detection
-from bayesftc.cosim.judging.findings import HOLD, HOLD_SAMPLES, findings, onset_of_alarm, parts
+from bayesftc.cosim.judging.findings import HOLD, HOLD_SAMPLES, MOST_HOLD_SAMPLES, findings, onset_of_alarm, parts
 from bayesftc.cosim.judging.signals import LoopSignals, SensorSignals
-from bayesftc.cosim.run.summary import FINDINGS_REMARK
+from bayesftc.cosim.run.summary import FINDINGS_REMARK, PAUSES
 
 FROZEN, OFFSET, DRIFTING = np.eye(4)[1:]
 
@@ -161,4 +161,6 @@ def test_a_brief_pause_does_not_end_an_alarm_of_one_kind():
 
 
 def test_the_text_below_the_list_names_the_longest_pause_within_an_alarm():
-    assert f"up to {HOLD:g} s, or of {HOLD_SAMPLES} samples if these last longer, does not end" in FINDINGS_REMARK
+    pause = f"{HOLD:g} s, but at least {HOLD_SAMPLES} and at most {MOST_HOLD_SAMPLES} samples"
+    assert pause in PAUSES
+    assert PAUSES in FINDINGS_REMARK

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from bayesftc.cli import output
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
+from bayesftc.cosim.run.summary import PAUSES
 from bayesftc.monitoring import ActuatorEvent, FaultEvent, Recording
 
 IN_NOISE = tuple(mode.__name__ for mode in FAULT_MODES if mode.size_in_noise)
@@ -49,10 +50,7 @@ def print_faults(
         )
     if any(event.continued for event in events):
         say("An alarm whose kind changes has a row for each kind.")
-    say(
-        "Alarms of one kind with a short pause between them (1 s, but at least 10 and at most 200 samples) are one row. Size: at "
-        "the end of the alarm. With x: the deviations as a multiple of the expected noise."
-    )
+    say(f"{PAUSES} Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
     if any(isinstance(event, ActuatorEvent) for event in events):
         say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")
 
