@@ -513,7 +513,8 @@ def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str
 
 
 __all__ = [
-    "AGREE", "HOLD", "HOLD_SAMPLES", "LOOK_AT_MODEL", "MANY_FALSE_ALARMS", "MOST_HOLD_SAMPLES", "Finding", "Part", "alarms", "alarms_of_all",
-    "blamed_together", "findings", "findings_frame", "last_of_kind", "never_began", "numbers_of", "often_blamed",
-    "onset_of_alarm", "parts", "parts_of_alarms", "parts_of_device", "plain_findings", "sections", "usual_hold",
+    "AGREE", "HOLD", "HOLD_SAMPLES", "LOOK_AT_MODEL", "MANY_FALSE_ALARMS", "MOST_HOLD_SAMPLES", "Finding", "Part",
+    "alarms", "alarms_of_all", "blamed_together", "findings", "findings_frame", "last_of_kind", "never_began",
+    "numbers_of", "often_blamed", "onset_of_alarm", "parts", "parts_of_alarms", "parts_of_device", "plain_findings",
+    "sections", "usual_hold",
 ]  # fmt: skip

@@ -18,7 +18,7 @@ TRACKING = "The tracking error uses the reference at the same instant."
 ERRORS = "Root-mean-square errors (tracking: true value - reference; belief: estimate - true value)"
 PHASES = {"overall": "whole run", "before": "before faults", "during": "during", "after": "after"}
 FINDINGS = "Faults that the controller infers"
-PAUSES = "Alarms of one kind with a short pause between them (by default 1 s, but at least 10 and at most 200 samples) are one row."
+PAUSES = "Alarms of one kind with a short pause between them (usually 1 s, but at least 10 and at most 200 samples) are one row."
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
     f"kind. {PAUSES} Size: at its end."
