@@ -123,7 +123,12 @@ class BayesianBlock(Block, ABC):
         }
         invalid_values(type(self).__name__, self.invalid, self.model.sensors)  # raises for wrong values
         if self.initial_control is not None:
-            values["initial_control"] = as_vector("The initial_control", self.initial_control, p)
+            values["initial_control"] = before = as_vector("The initial_control", self.initial_control, p)
+            if ((before < values["u_min"]) | (before > values["u_max"])).any():
+                raise ModelError(
+                    f"The initial_control {before.tolist()} is outside the limits u_min={values['u_min'].tolist()} and "
+                    f"u_max={values['u_max'].tolist()}. Give the control before the first step."
+                )
         if self.control_covariance is not None:
             values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)
         for name, value in values.items():

@@ -23,6 +23,9 @@ CALM = 0.85
 LEARNED = 0.01
 """Weight of a sample in that mean."""
 
+START = 200.0
+"""Number of samples from the first one on in which small errors of a sensor that seems faulty count."""
+
 LARGE = 9.0
 """Largest squared error, in its expected variances, that counts in a mean."""
 
@@ -34,10 +37,11 @@ FOLLOWED, WRONG = 0.2, 4.0
 def make_notice(layout: Layout) -> Callable[..., None]:
     """Return the step function that learns from a reading without a fault how large innovations are, and keeps it.
 
-    A reading counts by the share of its variance that the state has. Errors of a faulty sensor count as long as they are small:
-    it may only seem faulty, because the process is quiet.
+    A reading counts by the share of its variance that the state has, and that of a faulty sensor not at all: a filtered one has
+    small errors as well. At the start such errors count, because a sensor may only seem faulty then, as the process is quiet.
     """
     m, sensor, readings, surprise, usual = layout.m, layout.sensor, layout.readings, layout.surprise, layout.usual
+    count = m * sensor
 
     def notice(i, present, nominal, memory):
         square, total = memory[readings + ERROR] * memory[readings + ERROR], memory[readings + TOTAL]
@@ -45,7 +49,8 @@ def make_notice(layout: Layout) -> Callable[..., None]:
         memory[usual + m + i] = total
         spread = memory[readings + SPREAD]
         ratio = minimum(square / maximum(total, spread + nominal), LARGE)
-        sound = present * select(square < total, 1.0, minimum(memory[i * sensor + HEALTHY], 1.0))
+        seems = both(memory[count] < START, square < total)
+        sound = present * select(seems, 1.0, minimum(memory[i * sensor + HEALTHY], 1.0))
         memory[surprise] = memory[surprise] + LEARNED * sound * (spread / total) * (ratio - memory[surprise])
 
     return notice

@@ -340,7 +340,7 @@ class Layout:
 
     @property
     def usual(self) -> int:
-        """Place of each sensor's squared error without a fault in the order of the sensors, of the variances, and last errors."""
+        """Place of the sensors' squared errors without a fault, then of their variances, then of the means of the last ones."""
         return self.surprise + 1
 
     @property

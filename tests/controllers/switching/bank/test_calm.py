@@ -44,6 +44,21 @@ def test_a_fault_of_large_errors_is_found_in_a_quiet_process(wrong):
     assert (said[640:, 1] > 0.5).mean() < 0.05
 
 
+@pytest.mark.parametrize(("sensors", "size", "fault"), [(2, 1.0, "gain"), (2, 0.1, "lag"), (3, 0.1, "lag")])
+def test_a_fault_of_small_errors_is_found_where_the_noise_is_as_stated(sensors, size, fault):
+    """Small errors of a filtered sensor made the process seem quiet, and its alarm was withdrawn."""
+    late = 0.0
+
+    def wrong(k, y, rng):
+        nonlocal late
+        late = late + (y - late) / 10 if k else y
+        return y if k < 500 else 0.7 * y if fault == "gain" else late + (1 - 1 / 19) ** 0.5 * 0.3 * rng.normal()
+
+    said = probabilities(sensors, size, size, fault=wrong, seeds=(0,), count=1900)
+    assert (said[700:, 0] > 0.5).mean() > 0.7
+    assert (said[700:, 1:] > 0.5).mean() < 0.15
+
+
 def test_a_lagging_sensor_does_not_outvote_two_that_agree_in_a_quiet_process():
     """An underwater vehicle: its error grows slowly, and the belief followed it for 1.5 m, while two healthy ones agreed."""
     A = [[0, 1, 0], [0, -40 / 120, 1 / 120], [0, 0, -1 / 0.4]]
