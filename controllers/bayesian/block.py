@@ -127,7 +127,7 @@ class BayesianBlock(Block, ABC):
             if ((before < values["u_min"]) | (before > values["u_max"])).any():
                 raise ModelError(
                     f"The initial_control {before.tolist()} is outside the limits u_min={values['u_min'].tolist()} and "
-                    f"u_max={values['u_max'].tolist()}. Give the control before the first step."
+                    f"u_max={values['u_max'].tolist()}. Give a control within them."
                 )
         if self.control_covariance is not None:
             values["control_covariance"] = as_covariance("The control_covariance", self.control_covariance, p)

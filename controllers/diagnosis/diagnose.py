@@ -358,12 +358,10 @@ def best_explanations(
         if counting or alone:
             load = next((x for x in found if x.kind == "load"), None)
             counting = ranked(counting + [x for x in noisier(judge, load) if x.counts])
-            if (
-                judge.model is not model
-            ):  # one state's noise is too large in the model, another's too small: no remedy for both
-                counting = (
-                    [] if counting and counting[0].kind == "noise" else [x for x in counting if x.kind != "noise"]
-                )
+            if judge.model is not model:
+                # Noise to add to the quieter model is no noise that the user's model lacks: it may have more already.
+                best_is_noise = bool(counting) and counting[0].kind == "noise"
+                counting = [x for x in counting if x.kind != "noise" and not best_is_noise]
         near = [x for x in counting if _near(x, counting[0])]
         kinds = {x.kind for x in near}
         near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]

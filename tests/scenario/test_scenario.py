@@ -348,6 +348,10 @@ WRONG = {
         ["'freeze_0'", "'plant.w'", "did you mean 'plant.v'"],
     ),
     "matrix": (("A = [[0.999]]", "A = [[0.999, 1.0]]"), ModelError, ["'model'", "square"]),
+    "kind of a linear plant": (
+        ('fmu = "CruiseControl"', 'kind = "StateSpace"\nA = [[0.9]]'), ScenarioError,
+        ["'plant.kind' is not needed for a linear plant", "Leave kind out"],
+    ),
 }  # fmt: skip
 
 

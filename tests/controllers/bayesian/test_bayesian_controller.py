@@ -350,6 +350,8 @@ def test_models_that_cannot_be_right(change, words):
         ({"initial_mean": [1.0, 2.0]}, "initial_mean has the shape"),
         ({"u_min": 1.0, "u_max": 0.0}, "u_min is 1, above its u_max of 0"),
         ({"u_rate": 0.0}, "u_rate"),
+        ({"initial_control": 2.0, "u_max": 1.0}, r"The initial_control \[2.0\] is outside the limits .* u_max=\[1.0\]"),
+        ({"initial_control": [0.0, 1.0]}, "The initial_control has the shape"),
         ({"belief": "kalman"}, "must be 'filtered' or 'joint'"),
         ({"goal_on": "inputs"}, "must be 'states', 'outputs' or a matrix"),
         ({"goal_on": [[1.0, 0.0]]}, "goal_on is 1 x 2"),

@@ -78,6 +78,21 @@ def test_a_right_model_is_not_blamed_where_noise_is_stated_too_large(stated, tru
     assert stated < 3000 or kinds[1] == "dt"  # with little motion a wrong inductance does not show
 
 
+def test_more_noise_is_not_advised_where_it_is_stated_too_large():
+    """One factor for all states makes that of the second one too small; added to that, it was less than the model states."""
+    system = control.ss([[-1, 0], [0, -0.2]], np.eye(2), np.eye(2), 0, inputs=["u", "v"], outputs=["y", "z"])
+    controller = controllers.design(
+        system, measured=["y", "z"], actuated="u", goal="y", sensors=(2, 2), sensor_std=0.02, dt=0.05,
+        noise={"u": 1.0, "v": 0.5},
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        system, controller, control="u", measured=["y", "z"], sensors=cosim.Sensors((2, 2), std=0.02, signals=2),
+        reference=cosim.Table([0, 10, 20, 30, 40], [0, 1, 0, 0.5, 1]), noise={"v": cosim.Gaussian(std=0.3)},
+    )  # fmt: skip
+    for seed in (3, 4):
+        assert controllers.diagnose(loop.simulate(50.0, seed=seed), loop) is None
+
+
 def _converter(inductance):
     A = [[-0.01 / inductance, -1 / inductance, 0], [1 / 220e-6, -1 / 220e-6, -1 / 220e-6], [0, 0, -10.0]]
     B, C = [[24 / inductance, 0], [0, 0], [0, 10.0]], [[0, 1, 0], [1, 0, 0]]
