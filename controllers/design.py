@@ -173,8 +173,14 @@ def design(
         plant = plant.model
     if isinstance(plant, LinearModel):
         determined: dict[str, object] = {
-            "measured": measured, "actuated": actuated, "dt": dt, "at": at, "order": order, "sensors": sensors, "noise": noise,
-        }  # fmt: skip
+            "measured": measured,
+            "actuated": actuated,
+            "dt": dt,
+            "at": at,
+            "order": order,
+            "sensors": sensors,
+            "noise": noise,
+        }
         for name, value in determined.items():
             if value is not None:
                 raise ModelError(f"A LinearModel already determines {name}; leave {name}= out.")

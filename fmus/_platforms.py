@@ -37,22 +37,32 @@ class Platform:
 
 
 PLATFORMS = (
+    Platform("linux-x86_64", "Linux", "x86_64", "linux64", "x86_64-linux", "linux64", ".so", "x86_64-linux-gnu.2.17"),
     Platform(
-        "linux-x86_64", "Linux", "x86_64", "linux64", "x86_64-linux", "linux64", ".so", "x86_64-linux-gnu.2.17"
+        "linux-aarch64",
+        "Linux",
+        "aarch64",
+        "aarch64-linux",
+        "aarch64-linux",
+        "linux64",
+        ".so",
+        "aarch64-linux-gnu.2.17",
     ),
-    Platform(
-        "linux-aarch64", "Linux", "aarch64", "aarch64-linux", "aarch64-linux", "linux64", ".so", "aarch64-linux-gnu.2.17"
-    ),
-    Platform(
-        "windows-x86_64", "Windows", "AMD64", "win64", "x86_64-windows", "win64", ".dll", "x86_64-windows-gnu"
-    ),
+    Platform("windows-x86_64", "Windows", "AMD64", "win64", "x86_64-windows", "win64", ".dll", "x86_64-windows-gnu"),
     Platform(
         "macos-x86_64", "Darwin", "x86_64", "darwin64", "x86_64-darwin", "darwin64", ".dylib", "x86_64-macos.11.0"
     ),
     Platform(
-        "macos-aarch64", "Darwin", "arm64", "aarch64-darwin", "aarch64-darwin", "darwin64", ".dylib", "aarch64-macos.11.0"
+        "macos-aarch64",
+        "Darwin",
+        "arm64",
+        "aarch64-darwin",
+        "aarch64-darwin",
+        "darwin64",
+        ".dylib",
+        "aarch64-macos.11.0",
     ),
-)  # fmt: skip
+)
 
 
 def host() -> Platform:

@@ -93,6 +93,13 @@ def test_functions_take_few_arguments(modules):
     assert not {f"{name}: {count}" for name, count in functions if count > floors.MOST_ARGUMENTS}
 
 
+def test_only_tables_of_coefficients_are_formatted_by_hand():
+    folders = [TOOL.parents[1] / folder for folder in ("cosim", "controllers", "fmus", "src", "examples", "tools")]
+    files = [file for folder in folders for file in folder.rglob("*.py")]
+    by_hand = {file.name for file in files if "# fmt:" in file.read_text(encoding="utf-8")}
+    assert by_hand == {"drawing.py", "elementary.py"}
+
+
 def test_no_module_needs_itself_to_be_imported(modules):
     needs = {}
     behind = floors.public(modules)

@@ -25,8 +25,11 @@ from bayesftc.cosim.stepping.machine.steps import text_of as step_text
 from bayesftc.cosim.stepping.source.tree import Sections
 
 GENERIC = {
-    "NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0",
-}  # fmt: skip
+    "NUMBA_CPU_NAME": "x86-64",
+    "NUMBA_CPU_FEATURES": "",
+    "NUMBA_LOOP_VECTORIZE": "0",
+    "NUMBA_SLP_VECTORIZE": "0",
+}
 """Settings with which numba does not translate for this machine's processor."""
 
 CPU = "x86-64-v3"

@@ -241,14 +241,27 @@ class UnbiasedActiveInference(Block):
         q = len(rates)
         screens, screen_parameters = screening(self, self._learned_model())
         parameters = {
-            "A": A, "B": B, "Px": Px, "Pu": Pu, "nominal": nominal, "sigma": sigma, "gain": weights_of(self._groups),
-            "settings": learner.settings, "limit": sqrt(ERROR_CAP) * sigma, "rate": h * np.asarray(self.belief_rate),
+            "A": A,
+            "B": B,
+            "Px": Px,
+            "Pu": Pu,
+            "nominal": nominal,
+            "sigma": sigma,
+            "gain": weights_of(self._groups),
+            "settings": learner.settings,
+            "limit": sqrt(ERROR_CAP) * sigma,
+            "rate": h * np.asarray(self.belief_rate),
             "rate_u": h * np.asarray(self.control_rate if self.control_rate is not None else np.zeros(p)),
-            "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1], "means": float(n + p),
-            "prior_curvature": self._prior_curvature(), "root_rate": np.sqrt(rates), "largest": largest,
+            "prior_log_determinant": np.linalg.slogdet(Px)[1] + np.linalg.slogdet(Pu)[1],
+            "means": float(n + p),
+            "prior_curvature": self._prior_curvature(),
+            "root_rate": np.sqrt(rates),
+            "largest": largest,
             "spread": np.zeros((m, m)),  # the belief has no covariance
-            **law.parameters, **sensing.parameters, **screen_parameters,
-        }  # fmt: skip
+            **law.parameters,
+            **sensing.parameters,
+            **screen_parameters,
+        }
         sizes: dict[str, tuple[int, ...]] = {
             **dict.fromkeys(("expected", "samples", "e", "present", "used", "weighted"), (m,)),
             **dict.fromkeys(("L", "inverse", "weights"), (m, m)),
@@ -278,11 +291,17 @@ class UnbiasedActiveInference(Block):
         names = ["t", "k", "outputs", *ports, *state, *parameters, *scratch]
         first = sum(port.size for port in self._common_outputs)
         functions = {
-            **FUNCTIONS, **law.functions, **sensing.functions, "learn": learner.step, "report": learner.report,
+            **FUNCTIONS,
+            **law.functions,
+            **sensing.functions,
+            "learn": learner.step,
+            "report": learner.report,
             "alarm": alarm_of(learner, first),
-            "inner_steps": int(self.inner_steps), "squarings": squarings, "__name__": __name__,
+            "inner_steps": int(self.inner_steps),
+            "squarings": squarings,
+            "__name__": __name__,
             "first": first,
-        }  # fmt: skip
+        }
         lines = step_lines(
             {**law.calls, **sensing.calls}, descends=self.control == "gradient", watches=watched is not None
         )

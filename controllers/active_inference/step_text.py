@@ -93,14 +93,24 @@ FUNCTIONS: dict[str, Any] = {
     **{
         name: getattr(_descent, name)
         for name in (
-            "act", "add_control_gradient", "belief_gradient", "descend", "free_energy_of", "place", "place_rows",
-            "predict_state", "prior_error", "quadratic", "read", "weigh",
+            "act",
+            "add_control_gradient",
+            "belief_gradient",
+            "descend",
+            "free_energy_of",
+            "place",
+            "place_rows",
+            "predict_state",
+            "prior_error",
+            "quadratic",
+            "read",
+            "weigh",
         )
     },
     **{name: getattr(_absurd, name) for name in ("mark_absurd", "count_doubts", "accept_confirmed", "screen_samples")},
     **{name: getattr(_consistency, name) for name in ("check_consistency", "follow")},
     **{name: getattr(_curvature, name) for name in ("curvature_of_belief", "curvature_of_control", "shortening")},
-}  # fmt: skip
+}
 """Functions that the text calls, besides those of modalities, law and learner."""
 
 

@@ -301,8 +301,13 @@ class BayesianBlock(Block, ABC):
         Q, nominal = self.model.matrix("process_covariance"), self.model.matrix("sensor_covariance")
         initial, (G, goal_covariance, _) = np.asarray(self.initial_covariance), self._priors()
         return {
-            "Q": Q, "nominal": nominal, "G": G, "GQ": G @ Q @ G.T + goal_covariance,
+            "Q": Q,
+            "nominal": nominal,
+            "G": G,
+            "GQ": G @ Q @ G.T + goal_covariance,
             "settings": self._learner().settings,
-            "u_min": self.u_min, "u_max": self.u_max, "u_change": np.asarray(self.u_rate) * float(step),
+            "u_min": self.u_min,
+            "u_max": self.u_max,
+            "u_change": np.asarray(self.u_rate) * float(step),
             "largest": VARIANCE_CAP * max(M.diagonal().max() for M in (initial, Q, nominal)),
-        }  # fmt: skip
+        }

@@ -392,10 +392,18 @@ class NonlinearBayesianController(BayesianBlock):
         watching, constants = extended_consistency(
             start, np.asarray(self.initial_mean, float), np.asarray(self.initial_covariance, float)
         )
-        parameters = self._shared_parameters(step) | screen_parameters | self._densities() | constants | {
-            "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
-            "control_mean": self.control_mean, "initial_mean": self.initial_mean, "initial_covariance": self.initial_covariance,
-        }  # fmt: skip
+        parameters = (
+            self._shared_parameters(step)
+            | screen_parameters
+            | self._densities()
+            | constants
+            | {
+                "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
+                "control_mean": self.control_mean,
+                "initial_mean": self.initial_mean,
+                "initial_covariance": self.initial_covariance,
+            }
+        )
         unknowns, equations = p + n, m + g
         sizes: dict[str, tuple[int, ...]] = {
             **dict.fromkeys(("samples", "e", "present", "used", "reading", "seer_error"), (m,)),
@@ -418,8 +426,12 @@ class NonlinearBayesianController(BayesianBlock):
             "seer_vectors": (VECTORS_OF_CHECK, max(n, m)),
         }
         state = {
-            "mean": self.initial_mean, "covariance": self.initial_covariance, "applied": self.control_before,
-            "memory": learner.memory, **screens, **watching,
-        }  # fmt: skip
+            "mean": self.initial_mean,
+            "covariance": self.initial_covariance,
+            "applied": self.control_before,
+            "memory": learner.memory,
+            **screens,
+            **watching,
+        }
         scratch = {name: np.zeros(shape) for name, shape in sizes.items()}
         return Definition(kernel, state=state, parameters=parameters, scratch=scratch, records=RECORDS)

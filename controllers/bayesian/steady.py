@@ -19,8 +19,17 @@ Packed = tuple[tuple[int, ...], bytes]
 """A matrix as a cache key: its shape and its elements."""
 
 
-_NAMES = ("A", "B", "C", "the goal's matrix", "the process covariance", "the sensors' covariance", "the goal's covariance",
-          "the control prior's precision", "the initial covariance")  # fmt: skip
+_NAMES = (
+    "A",
+    "B",
+    "C",
+    "the goal's matrix",
+    "the process covariance",
+    "the sensors' covariance",
+    "the goal's covariance",
+    "the control prior's precision",
+    "the initial covariance",
+)
 
 
 class Gains(NamedTuple):
@@ -46,9 +55,18 @@ class Gains(NamedTuple):
 
 
 def steady_gains(
-    A: Floats, B: Floats, C: Floats, G: Floats, Q: Floats, R: Floats, goal_covariance: Floats, prior: Floats,
-    start: Floats, *, joint: bool,
-) -> Gains:  # fmt: skip
+    A: Floats,
+    B: Floats,
+    C: Floats,
+    G: Floats,
+    Q: Floats,
+    R: Floats,
+    goal_covariance: Floats,
+    prior: Floats,
+    start: Floats,
+    *,
+    joint: bool,
+) -> Gains:
     """Return the gains of filter and control in steady state.
 
     Parameters

@@ -101,9 +101,13 @@ def _likely(judge: Judge) -> list[int]:
     free = np.ones(steps, dtype=bool)
     found: list[int] = []
     while len(found) < LIKELY and free.any():
-        moments = np.sum([
-            np.fft.irfft(shifts * np.fft.rfft(e, 2 * steps, axis=0), axis=1)[:, :steps].sum(axis=2) for _, shifts, e in sets
-        ], axis=0)  # fmt: skip
+        moments = np.sum(
+            [
+                np.fft.irfft(shifts * np.fft.rfft(e, 2 * steps, axis=0), axis=1)[:, :steps].sum(axis=2)
+                for _, shifts, e in sets
+            ],
+            axis=0,
+        )
         evidence = np.where(free, moments**2 / squares, 0.0)
         j, at = np.unravel_index(int(np.argmax(evidence)), evidence.shape)
         if not evidence[j, at] > 0.0:  # nothing left, or NaN, of a plant that is lost
@@ -245,10 +249,12 @@ class _Pushes:
         finite = np.isfinite(whole).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
         ends, products, moments = ends[finite], products[:, finite], moments[:, finite]
         sizes = -_solved(whole[finite], right[finite])
-        squares = np.array([
-            (c + 2.0 * np.einsum("ka,ka->k", sizes, moment) + np.einsum("ka,kab,kb->k", sizes, product, sizes)) / n
-            for product, moment, (_, _, c, n) in zip(products, moments, self.sets, strict=True)
-        ])  # fmt: skip
+        squares = np.array(
+            [
+                (c + 2.0 * np.einsum("ka,ka->k", sizes, moment) + np.einsum("ka,kab,kb->k", sizes, product, sizes)) / n
+                for product, moment, (_, _, c, n) in zip(products, moments, self.sets, strict=True)
+            ]
+        )
         possible = (squares > 0.0).all(axis=0)
         if not possible.any():
             return None

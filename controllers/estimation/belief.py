@@ -174,10 +174,25 @@ def estimation(
     doubts, screen_parameters = screening(block, model)
     watching, constants = consistency(model, block.initial_mean)
     scratch = {
-        "expected": (m,), "samples": (m,), "e": (m,), "present": (m,), "used": (m,), "spread": (m, m), "CP": (m, n),
-        "reach": (1,), "chol": (m, m), "D": (m, n), "whitened": (m,), "v": (n,), "gain": (n,), "J": (n, n), "JP": (n, n),
-        "effective": (p,), "seer_error": (m,), "work": (learner.work, m, m),
-    }  # fmt: skip
+        "expected": (m,),
+        "samples": (m,),
+        "e": (m,),
+        "present": (m,),
+        "used": (m,),
+        "spread": (m, m),
+        "CP": (m, n),
+        "reach": (1,),
+        "chol": (m, m),
+        "D": (m, n),
+        "whitened": (m,),
+        "v": (n,),
+        "gain": (n,),
+        "J": (n, n),
+        "JP": (n, n),
+        "effective": (p,),
+        "seer_error": (m,),
+        "work": (learner.work, m, m),
+    }
     state = {
         "mean": block.initial_mean,
         "covariance": block.initial_covariance,

@@ -196,9 +196,17 @@ def identify(
     doubts = _doubts(v, z, (u[split:] - u_mean) / u_size, len(A), past, names_in)
     doubts += quantities.deviations(y[:split], weights, noise)
     identification = _validated(
-        model, u[split:], y[split:], split, 2 * past, yardstick,
-        inputs=tuple(names_in), outputs=tuple(names_out), correlations=correlations, doubts=doubts,
-    )  # fmt: skip
+        model,
+        u[split:],
+        y[split:],
+        split,
+        2 * past,
+        yardstick,
+        inputs=tuple(names_in),
+        outputs=tuple(names_out),
+        correlations=correlations,
+        doubts=doubts,
+    )
     model = model.with_delays(input_delays, sensor_delays)
     return replace(identification, model=model, quantities=quantities.named)
 

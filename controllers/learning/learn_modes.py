@@ -272,8 +272,10 @@ def _expect(
 def _passes(compiled: bool) -> tuple[Any, Any, Any]:
     """Return the backward passes through a recording, compiled or not."""
     passes: list[tuple[Any, str]] = [
-        (kernels.smooth, kernels.SMOOTH), (kernels.measure_offsets, kernels.OFFSETS), (kernels.measure_scatter, kernels.SCATTER),
-    ]  # fmt: skip
+        (kernels.smooth, kernels.SMOOTH),
+        (kernels.measure_offsets, kernels.OFFSETS),
+        (kernels.measure_scatter, kernels.SCATTER),
+    ]
     if not compiled:
         return tuple(function for function, _ in passes)  # type: ignore[return-value]
     from bayesftc.cosim.stepping.compiler import compile_function

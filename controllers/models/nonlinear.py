@@ -287,9 +287,18 @@ class NonlinearModel(Printed, NamedArguments):
         if noise is not None and process_covariance is not None:
             raise ModelError("Both noise and process_covariance are given; leave one of them out.")
         arguments = model_of_fmu(
-            fmu, measured=measured, actuated=actuated, states=states, dt=dt, at=at, substeps=substeps, noise=noise,
-            disturbance=disturbance, sensors=sensors, sensor_std=sensor_std,
-        )  # fmt: skip
+            fmu,
+            measured=measured,
+            actuated=actuated,
+            states=states,
+            dt=dt,
+            at=at,
+            substeps=substeps,
+            noise=noise,
+            disturbance=disturbance,
+            sensors=sensors,
+            sensor_std=sensor_std,
+        )
         if process_covariance is not None:
             n, q = arguments["states"], arguments["disturbances"]
             whole = np.array(arguments["process_covariance"])

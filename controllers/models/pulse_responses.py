@@ -210,9 +210,14 @@ def _emit(told: _Told) -> None:
 
 @lru_cache(maxsize=32)  # a campaign designs the controller of each point anew; hundreds of experiments take seconds
 def _realised(
-    fmu: FMU, _digest: str, step: Fraction, held: tuple[float, ...], scale: tuple[tuple[int, float], ...],
-    rows: tuple[int, ...], order: int | None,
-) -> tuple[Realisation, _Told]:  # fmt: skip
+    fmu: FMU,
+    _digest: str,
+    step: Fraction,
+    held: tuple[float, ...],
+    scale: tuple[tuple[int, float], ...],
+    rows: tuple[int, ...],
+    order: int | None,
+) -> tuple[Realisation, _Told]:
     """Return the model of an FMU with this content, and the warnings about it."""
     failure: BayesFTCError | None = None
     with warnings.catch_warnings(record=True) as caught:

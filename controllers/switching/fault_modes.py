@@ -539,6 +539,20 @@ FAULT_MODES: tuple[type[FaultMode], ...] = (Frozen, Offset, Drifting, Ramping, U
 """To add a fault mode, write it by the rules above and list it here."""
 
 __all__ = [
-    "ENTERED", "FACTOR", "FAULT_MODES", "OWN", "SIZE", "TRUST", "Burst", "Drifting", "DroppedOut", "FaultMode", "Frozen",
-    "Noisier", "Offset", "Ramping", "Unmodelled", "log_density",
-]  # fmt: skip
+    "ENTERED",
+    "FACTOR",
+    "FAULT_MODES",
+    "OWN",
+    "SIZE",
+    "TRUST",
+    "Burst",
+    "Drifting",
+    "DroppedOut",
+    "FaultMode",
+    "Frozen",
+    "Noisier",
+    "Offset",
+    "Ramping",
+    "Unmodelled",
+    "log_density",
+]

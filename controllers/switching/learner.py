@@ -335,9 +335,14 @@ class SwitchingPrecision(PrecisionLearner):
         if process_modes:
             settings += [self.start_doubt, *model.state_at_samples.ravel().tolist(), *model.unread.tolist()]
         return Learner(
-            learn, kept, np.array(settings), 1, tuple(ports), report,
+            learn,
+            kept,
+            np.array(settings),
+            1,
+            tuple(ports),
+            report,
             infer=self._infer(layout, evidence),
-        )  # fmt: skip
+        )
 
     def chances(self, model: LinearModel) -> Floats:
         """Return the probabilities per sample that each mode begins, lasts and ends (3 x modes); else another fault begins.
@@ -484,13 +489,29 @@ class SwitchingPrecision(PrecisionLearner):
             tuple((k in of) * _kept(mode) for k, mode in enumerate(self.modes)) for of in self._parts(model.sensors)
         ]
         return Layout(
-            n=model.states, m=model.sensors, p=model.controls, plant=model.states - model.disturbances, kinds=kinds,
-            becomes=becomes, slow=slow, lost=self._lost, quantity=model.quantity, groups=groups, common=common, kick=kick,
-            fades=tuple(int(mode.fading > 1) for mode in process_modes), alone=spans[0], other=spans[1],
-            faults=self._faults, actuator_modes=len(actuator_modes), process_modes=len(process_modes),
-            width=width, width_of_settings=settings, outages=outages,
+            n=model.states,
+            m=model.sensors,
+            p=model.controls,
+            plant=model.states - model.disturbances,
+            kinds=kinds,
+            becomes=becomes,
+            slow=slow,
+            lost=self._lost,
+            quantity=model.quantity,
+            groups=groups,
+            common=common,
+            kick=kick,
+            fades=tuple(int(mode.fading > 1) for mode in process_modes),
+            alone=spans[0],
+            other=spans[1],
+            faults=self._faults,
+            actuator_modes=len(actuator_modes),
+            process_modes=len(process_modes),
+            width=width,
+            width_of_settings=settings,
+            outages=outages,
             drops=tuple(k for k, mode in enumerate(self.modes) if type(mode).evidence is mode_kernels.drops),
-        )  # fmt: skip
+        )
 
     def _jumps_alike(self, kick: NoisierProcess, step: float) -> float:
         """Return the probability per sample that all sensors of a quantity jump alike: that of a kick times the odds."""

@@ -156,8 +156,16 @@ def regresses(e, present, variance, nominal, change, healthy, memory, at, settin
     """Follow an unmodelled course, which is learned (``course.py``). Own numbers: the course's, and scratch space."""
     deviation, start = sqrt(nominal), at + OWN
     logp = follow(
-        e / deviation, change / deviation, present, memory[at + ENTERED], memory, start, start + COURSE, settings, first,
+        e / deviation,
+        change / deviation,
+        present,
+        memory[at + ENTERED],
+        memory,
+        start,
+        start + COURSE,
+        settings,
+        first,
         0.0,
-    )  # fmt: skip
+    )
     memory[at + SIZE] = misfit(memory, start)
     return select(change == change, logp - log(deviation), healthy)

@@ -134,16 +134,16 @@ def sensor_functions(
     def of_modes(text: str, of: Iterable[int] = chosen) -> list[str]:
         return [
             text.format(
-                k=k, block=kernels.FIRST + k * width, settings=kernels.FIRST_SETTINGS + k * settings,
-                tells=_TELLS.format(k=k, healthy="logp" if evidence[k] in waiting else "sound")
-                if k in telling
-                else "",
+                k=k,
+                block=kernels.FIRST + k * width,
+                settings=kernels.FIRST_SETTINGS + k * settings,
+                tells=_TELLS.format(k=k, healthy="logp" if evidence[k] in waiting else "sound") if k in telling else "",
                 share=f"share_of(logp{k}, most)" if k in telling else "share",
                 times=" * repeats" if evidence[k] is mode_kernels.freezes else "",
                 missing=missing.format("settings[place + MODE_MISSING]"),
             )
             for k in of
-        ]  # fmt: skip
+        ]
 
     def lines(text: str) -> str:
         return "\n".join(of_modes(text))
@@ -165,9 +165,14 @@ def sensor_functions(
 
 @cache
 def learner_functions(
-    evidence: Evidence, chosen: tuple[int, ...], faults: tuple[int, ...], width: int, settings: int,
-    layout: Layout | None, outages: bool,
-) -> tuple[Callable[..., None], Callable[..., None]]:  # fmt: skip
+    evidence: Evidence,
+    chosen: tuple[int, ...],
+    faults: tuple[int, ...],
+    width: int,
+    settings: int,
+    layout: Layout | None,
+    outages: bool,
+) -> tuple[Callable[..., None], Callable[..., None]]:
     """Return the learning and the reporting step function of the per-sensor form for these modes.
 
     Parameters
@@ -182,9 +187,14 @@ def learner_functions(
     modes = len(evidence)
     pass_time, weigh = sensor_functions(evidence, chosen, width, settings, outages)
     names = _names(evidence) | {
-        "MODES": modes, "FAULTS": faults, "WIDTH": width, "pass_time": pass_time, "weigh": weigh,
-        "LENGTH": kernels.FIRST + modes * width, "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
-    }  # fmt: skip
+        "MODES": modes,
+        "FAULTS": faults,
+        "WIDTH": width,
+        "pass_time": pass_time,
+        "weigh": weigh,
+        "LENGTH": kernels.FIRST + modes * width,
+        "SETTINGS": kernels.FIRST_SETTINGS + modes * settings,
+    }
     if outages:
         drops = tuple(k for k in chosen if evidence[k] is mode_kernels.drops)
         names |= {"is_outage": make_outage(names["LENGTH"], names["SETTINGS"], width, drops), "prolonged": prolonged}

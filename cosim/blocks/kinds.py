@@ -29,11 +29,33 @@ SOURCES: tuple[type[Block], ...] = (Constant, Step, Ramp, Sine, Table, Gaussian,
 
 BLOCKS: tuple[type[Block], ...] = (
     *SOURCES,
-    Gain, Saturation, DeadZone, Abs, Sign, Quantizer, Polynomial, LookupTable, LookupTable2D,
-    Sum, Product, Minimum, Maximum, Switch, Logic, Compare,
-    UnitDelay, VariableDelay, Integrator, TransferFunction, ExponentialFilter, MovingAverage, RateLimiter, Hysteresis,
-    SampleAndHold, Counter,
-)  # fmt: skip
+    Gain,
+    Saturation,
+    DeadZone,
+    Abs,
+    Sign,
+    Quantizer,
+    Polynomial,
+    LookupTable,
+    LookupTable2D,
+    Sum,
+    Product,
+    Minimum,
+    Maximum,
+    Switch,
+    Logic,
+    Compare,
+    UnitDelay,
+    VariableDelay,
+    Integrator,
+    TransferFunction,
+    ExponentialFilter,
+    MovingAverage,
+    RateLimiter,
+    Hysteresis,
+    SampleAndHold,
+    Counter,
+)
 """All kinds whose settings are numbers and texts, except for faults and sensors."""
 
 __all__ = ["BLOCKS", "SOURCES"]

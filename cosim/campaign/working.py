@@ -32,9 +32,14 @@ HINT = "To see how many are done, give progress=print, or any function of (done,
 
 
 def work(
-    job: Job, pieces: list[Piece], executor: Executor, keep: Callable[[Outcome], None], done: int, failed: int,
+    job: Job,
+    pieces: list[Piece],
+    executor: Executor,
+    keep: Callable[[Outcome], None],
+    done: int,
+    failed: int,
     progress: Progress | None,
-) -> None:  # fmt: skip
+) -> None:
     """Run pieces and keep their outcomes.
 
     Parameters
@@ -73,9 +78,15 @@ def in_memory(job: Job, labels: Labels, executor: Executor, progress: Progress |
 
 
 def in_store(
-    job: Job, labels: Labels, path: Path, description: Mapping[str, Any], choose: Callable[[], Executor],
-    progress: Progress | None, *, retry_failed: bool,
-) -> CampaignResult:  # fmt: skip
+    job: Job,
+    labels: Labels,
+    path: Path,
+    description: Mapping[str, Any],
+    choose: Callable[[], Executor],
+    progress: Progress | None,
+    *,
+    retry_failed: bool,
+) -> CampaignResult:
     """Make the runs that a store lacks; with `retry_failed` also those that have failed there.
 
     Raises

@@ -50,8 +50,10 @@ def plot_comparison(
     finish(axes, all_runs[0].time if all_runs else np.zeros(0))
     figure.suptitle(
         f"Median of {max(map(len, runs.values()), default=0)} runs and band of 90 % of them; shaded: a fault is present",
-        fontsize=10, x=0.01, ha="left",
-    )  # fmt: skip
+        fontsize=10,
+        x=0.01,
+        ha="left",
+    )
     return figure
 
 
@@ -79,9 +81,16 @@ def _shade(axis: Axes, runs: Sequence[LoopSignals]) -> None:
         time, limits = runs[0].time, axis.get_ylim()
         end = 2.0 * float(time[-1]) - float(time[-2])  # a row lasts until the next one
         axis.imshow(
-            share[None, :], cmap="Greys", vmin=0.0, vmax=5.0, aspect="auto", interpolation="nearest", zorder=0,
-            extent=(float(time[0]), end, 0.0, 1.0), transform=axis.get_xaxis_transform(),
-        )  # fmt: skip
+            share[None, :],
+            cmap="Greys",
+            vmin=0.0,
+            vmax=5.0,
+            aspect="auto",
+            interpolation="nearest",
+            zorder=0,
+            extent=(float(time[0]), end, 0.0, 1.0),
+            transform=axis.get_xaxis_transform(),
+        )
         axis.set_ylim(limits)
 
 

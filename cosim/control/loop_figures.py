@@ -125,9 +125,16 @@ def _shift_phase(gain: Any, axis: Any, margins: Margins | None) -> None:
     for limit in limits if len(limits) <= MOST_LIMITS else [-180.0]:
         axis.axhline(limit, color="0.5", lw=0.8)
         axis.annotate(
-            f"{limit:.0f}\ndegrees", (1.0, limit), xycoords=("axes fraction", "data"), xytext=(4, 0),
-            textcoords="offset points", ha="left", va="center", fontsize=8, color="0.3",
-        )  # fmt: skip
+            f"{limit:.0f}\ndegrees",
+            (1.0, limit),
+            xycoords=("axes fraction", "data"),
+            xytext=(4, 0),
+            textcoords="offset points",
+            ha="left",
+            va="center",
+            fontsize=8,
+            color="0.3",
+        )
 
 
 def _at_180(step: float, low: float, high: float) -> list[float]:
@@ -186,9 +193,11 @@ def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figu
         axes[0].plot(x, y, color="0.3", lw=0.9, zorder=6)
     reached = "" if limit is None else f", reached at gain {limit:.3g}"
     texts = {
-        f"limit of stability{reached}": circle, "poles at the designed gain (1.0)": now, "poles at gain 0": first,
+        f"limit of stability{reached}": circle,
+        "poles at the designed gain (1.0)": now,
+        "poles at gain 0": first,
         "zeros: ends for a large gain": last,
-    }  # fmt: skip
+    }
     figure.legend(
         [*texts.values()], [*texts], loc="outside lower left", ncols=len(boxes) * 2, fontsize=8, frameon=False
     )

@@ -138,6 +138,13 @@ def tunables_of(schedule: Schedule, alone: bool, units: Units) -> Iterator[Tunab
             size = np.size(definition.parameters[name])
             is_whole = setting.places == tuple(((name, e),) for e in range(size))
             yield Tunable(
-                label, setting.shape, setting.start, i, name if is_whole else None, setting.description, setting.name,
-                setting.places, unit_of_setting(setting.unit, node.name, units),
-            )  # fmt: skip
+                label,
+                setting.shape,
+                setting.start,
+                i,
+                name if is_whole else None,
+                setting.description,
+                setting.name,
+                setting.places,
+                unit_of_setting(setting.unit, node.name, units),
+            )

@@ -97,10 +97,14 @@ class _Numbers:
 
     def __init__(self, block: Block, definition: Definition):
         self.kept = (
-            definition.output, definition.update, definition.compiled, block.inputs, block.outputs,
+            definition.output,
+            definition.update,
+            definition.compiled,
+            block.inputs,
+            block.outputs,
             {name: _bits(value) for name, value in definition.state.items()},
             {name: np.shape(value) for name, value in {**definition.parameters, **definition.scratch}.items()},
-        )  # fmt: skip
+        )
         arrays = {name: np.asarray(value, dtype=np.float64).ravel() for name, value in definition.parameters.items()}
         self.places: list[Element] = [(name, i) for name, array in arrays.items() for i in range(array.size)]
         self.values: Floats = np.concatenate([np.zeros(0), *arrays.values()])

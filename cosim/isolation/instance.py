@@ -111,11 +111,16 @@ class Isolated(ByAddress):
         self._attend = ENTRY(lambda a, b, c, answered, t, k: _attend(weak_self, answered))
         self.table = np.array(
             [
-                *protocol.system_functions(), self._process.steps.fileno(), shared.words.ctypes.data, inputs, outputs,
-                ctypes.cast(self._attend, ctypes.c_void_p).value, int(np.float64(float(step)).view(np.int64)),
+                *protocol.system_functions(),
+                self._process.steps.fileno(),
+                shared.words.ctypes.data,
+                inputs,
+                outputs,
+                ctypes.cast(self._attend, ctypes.c_void_p).value,
+                int(np.float64(float(step)).view(np.int64)),
             ],
             dtype=np.int64,
-        )  # fmt: skip
+        )
         try:
             if spare is None:
                 self._reply(STARTING)

@@ -26,11 +26,20 @@ SEND, RECEIVE, WHERE, SOCKET, SHARED, INPUT_COUNT, OUTPUT_COUNT, ATTEND, STEP_SI
 UPDATE, OUTPUT, TABLE, READS_AHEAD, NUMERATOR, DENOMINATOR, STEP_WORD, HOME = range(6, 14)
 
 COMMAND, TIME, SIZE, COUNT, PROCESSOR, ASKED = (
-    protocol.COMMAND, protocol.TIME, protocol.SIZE, protocol.COUNT, protocol.PROCESSOR, protocol.ASKED
-)  # fmt: skip
+    protocol.COMMAND,
+    protocol.TIME,
+    protocol.SIZE,
+    protocol.COUNT,
+    protocol.PROCESSOR,
+    protocol.ASKED,
+)
 STATUS, READ_STATUS, AHEAD, PHASE, DONE = (
-    protocol.STATUS, protocol.READ_STATUS, protocol.AHEAD, protocol.PHASE, protocol.DONE
-)  # fmt: skip
+    protocol.STATUS,
+    protocol.READ_STATUS,
+    protocol.AHEAD,
+    protocol.PHASE,
+    protocol.DONE,
+)
 HOST, WORKER, SLEPT, LOOKS = protocol.HOST, protocol.WORKER, protocol.SLEPT, protocol.LOOKS
 LOGGED, RESULT, ANSWER = protocol.LOGGED, protocol.RESULT, protocol.ANSWER
 ASLEEP, AWAKE, WOKEN = protocol.ASLEEP, protocol.AWAKE, protocol.WOKEN

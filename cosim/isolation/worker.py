@@ -260,10 +260,19 @@ class _CompiledLoop:
         from bayesftc.cosim.isolation.compiled import address
 
         words = [
-            *protocol.system_functions(), steps.fileno(), shared.words.ctypes.data, shared.inputs.size,
-            instance.update_address, instance.output_address, instance.table.ctypes.data, reads_ahead,
-            step.numerator, step.denominator, getattr(instance, "step_word", 0), protocol.ANYWHERE,
-        ]  # fmt: skip
+            *protocol.system_functions(),
+            steps.fileno(),
+            shared.words.ctypes.data,
+            shared.inputs.size,
+            instance.update_address,
+            instance.output_address,
+            instance.table.ctypes.data,
+            reads_ahead,
+            step.numerator,
+            step.denominator,
+            getattr(instance, "step_word", 0),
+            protocol.ANYWHERE,
+        ]
         self._table = np.array(words, dtype=np.int64)
         self._entry = ENTRY(address("serve"))
         self._shared, self._steps = shared, steps

@@ -174,9 +174,16 @@ class _Scene:
     """
 
     def __init__(
-        self, axis: Axes, result: Result, plant: str, picture: Picture, lengths: dict[str, float], signals: LoopSignals,
-        variables: list[str | None], rows: Any,
-    ):  # fmt: skip
+        self,
+        axis: Axes,
+        result: Result,
+        plant: str,
+        picture: Picture,
+        lengths: dict[str, float],
+        signals: LoopSignals,
+        variables: list[str | None],
+        rows: Any,
+    ):
         self.axis, self.picture, self.signals = axis, picture, signals
         truth = {name: result[f"{plant}.{name}"] for name in picture.variables}
         size = max([float(np.nanmax(np.abs(truth[name]))) for name in picture.sized], default=0.0) or 0.1
@@ -275,9 +282,15 @@ class _Scales:
                 self._mark(n, f"sensor {sensor.index}", sensor, sensor.samples, y, mark)
         handles = {each.label: each.line for each in sorted(self.marks, key=lambda each: each.sensor is not None)}
         self.axis.legend(
-            list(handles.values()), list(handles), loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=3,
-            frameon=False, fontsize=8, markerscale=0.7,
-        )  # fmt: skip
+            list(handles.values()),
+            list(handles),
+            loc="upper center",
+            bbox_to_anchor=(0.5, 0.02),
+            ncols=3,
+            frameon=False,
+            fontsize=8,
+            markerscale=0.7,
+        )
         self.note = axis.text(1.0, len(self.quantities) - 0.7, "", fontsize=8, ha="right", va="bottom")
         self.moving = [*(each.line for each in self.marks), *(text for pair in self.beyond for text in pair), self.note]
 

@@ -134,16 +134,28 @@ def numbers_of(signals: LoopSignals) -> dict[str, Any]:
     units = {q.name: q.unit for q in signals.quantities}
     step = float(signals.time[1] - signals.time[0]) if len(signals.time) > 1 else None
     return {
-        "law": signals.lag, "units": units, "step": step, **figures(signals).to_dict(), "findings": plain_findings(signals)
-    }  # fmt: skip
+        "law": signals.lag,
+        "units": units,
+        "step": step,
+        **figures(signals).to_dict(),
+        "findings": plain_findings(signals),
+    }
 
 
 def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:
     """Return findings as a table of pandas."""
     import pandas as pd
 
-    columns = {"where": "where", "kind": "kind", "onset": "onset", "start": "from", "end": "until", "size": "size",
-               "unit": "unit", "probability": "probability"}  # fmt: skip
+    columns = {
+        "where": "where",
+        "kind": "kind",
+        "onset": "onset",
+        "start": "from",
+        "end": "until",
+        "size": "size",
+        "unit": "unit",
+        "probability": "probability",
+    }
     frame = pd.DataFrame([asdict(each) for each in found], columns=list(columns)).rename(columns=columns)
     return frame.astype(dict.fromkeys(("onset", "from", "until", "size", "probability"), float))
 
@@ -513,8 +525,28 @@ def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str
 
 
 __all__ = [
-    "AGREE", "HOLD", "HOLD_SAMPLES", "LOOK_AT_MODEL", "MANY_FALSE_ALARMS", "MOST_HOLD_SAMPLES", "Finding", "Part",
-    "alarms", "alarms_of_all", "blamed_together", "findings", "findings_frame", "last_of_kind", "never_began",
-    "numbers_of", "often_blamed", "onset_of_alarm", "parts", "parts_of_alarms", "parts_of_device", "plain_findings",
-    "sections", "usual_hold",
-]  # fmt: skip
+    "AGREE",
+    "HOLD",
+    "HOLD_SAMPLES",
+    "LOOK_AT_MODEL",
+    "MANY_FALSE_ALARMS",
+    "MOST_HOLD_SAMPLES",
+    "Finding",
+    "Part",
+    "alarms",
+    "alarms_of_all",
+    "blamed_together",
+    "findings",
+    "findings_frame",
+    "last_of_kind",
+    "never_began",
+    "numbers_of",
+    "often_blamed",
+    "onset_of_alarm",
+    "parts",
+    "parts_of_alarms",
+    "parts_of_device",
+    "plain_findings",
+    "sections",
+    "usual_hold",
+]

@@ -83,10 +83,15 @@ def mark_cut(axis: Axes, time: Floats, cut: Sequence[Floats], limits: tuple[floa
         axis.plot(begins, np.full(len(begins), height), ls="none", marker=marker, ms=4, **style)
         side = "bottom" if height == 0.0 else "top"
         axis.annotate(
-            f"{what} cut off: {'down' if height == 0.0 else 'up'} to {furthest:.3g}".lstrip(), (begins[0], height),
-            xycoords=axis.get_xaxis_transform(), xytext=(6, 3 if side == "bottom" else -3), textcoords="offset points",
-            fontsize=7, color="0.3", va=side,
-        )  # fmt: skip
+            f"{what} cut off: {'down' if height == 0.0 else 'up'} to {furthest:.3g}".lstrip(),
+            (begins[0], height),
+            xycoords=axis.get_xaxis_transform(),
+            xytext=(6, 3 if side == "bottom" else -3),
+            textcoords="offset points",
+            fontsize=7,
+            color="0.3",
+            va=side,
+        )
 
 
 def limits_with_samples(lines: Sequence[Floats], samples: Sequence[Floats]) -> tuple[float, float]:

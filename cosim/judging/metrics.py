@@ -323,9 +323,17 @@ def actuator_faults(signals: ActuatorSignals, time: Floats) -> ActuatorFaults:
         kind = signals.kinds[number - 1]
         size = _mean(signals.size, alarm & (signals.kind == number))
     return ActuatorFaults(
-        signals.name, signals.unit, float(p.mean()) if len(p) else NAN, _share(alarm), detected.missed, detected.delay,
-        detected.false_alarm_rate, detected.auc, kind, size,
-    )  # fmt: skip
+        signals.name,
+        signals.unit,
+        float(p.mean()) if len(p) else NAN,
+        _share(alarm),
+        detected.missed,
+        detected.delay,
+        detected.false_alarm_rate,
+        detected.auc,
+        kind,
+        size,
+    )
 
 
 def figures(signals: LoopSignals) -> Figures:
@@ -413,6 +421,14 @@ def without_nan(value: Any) -> Any:
 
 
 __all__ = [
-    *(cls.__name__ for cls in (ActuatorFaults, Detection, Errors, Figures, InputFaults)), "actuator_faults", "auc",
-    "detection", "errors_by_phase", "figures", "input_faults", "periods", "rmse", "without_nan",
-]  # fmt: skip
+    *(cls.__name__ for cls in (ActuatorFaults, Detection, Errors, Figures, InputFaults)),
+    "actuator_faults",
+    "auc",
+    "detection",
+    "errors_by_phase",
+    "figures",
+    "input_faults",
+    "periods",
+    "rmse",
+    "without_nan",
+]

@@ -31,9 +31,16 @@ OPAQUE = 255
 ALTERNATIVE = "Animation: the plant, what each sensor reads, and the signals up to the shown instant."
 SLIDER = "Shown instant"
 SIGNS = {
-    "minus": "−", "fast-backward": "|◀◀", "step-backward": "|◀", "play fa-flip-horizontal": "◀", "pause": "❚❚", "play": "▶",
-    "step-forward": "▶|", "fast-forward": "▶▶|", "plus": "+",
-}  # fmt: skip
+    "minus": "−",
+    "fast-backward": "|◀◀",
+    "step-backward": "|◀",
+    "play fa-flip-horizontal": "◀",
+    "pause": "❚❚",
+    "play": "▶",
+    "step-forward": "▶|",
+    "fast-forward": "▶▶|",
+    "plus": "+",
+}
 """Signs on the buttons of a player, by the names of the icons that matplotlib takes from another address."""
 
 

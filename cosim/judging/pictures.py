@@ -116,8 +116,13 @@ def _masses(v: Mapping[str, float]) -> list[Line]:
 def _pendulum(v: Mapping[str, float]) -> list[Line]:
     x, rod = v["position"], 2.0 * v["l"]
     end = x + rod * np.sin(v["angle"]), 0.16 + rod * np.cos(v["angle"])
-    return [_box(x, 0.11, 0.3, 0.1), _circle(x - 0.09, 0.03, 0.03), _circle(x + 0.09, 0.03, 0.03), _line((x, 0.16), end),
-            _circle(*end, 0.04)]  # fmt: skip
+    return [
+        _box(x, 0.11, 0.3, 0.1),
+        _circle(x - 0.09, 0.03, 0.03),
+        _circle(x + 0.09, 0.03, 0.03),
+        _line((x, 0.16), end),
+        _circle(*end, 0.04),
+    ]
 
 
 def _turbine(v: Mapping[str, float]) -> list[Line]:
@@ -170,7 +175,9 @@ PICTURES: dict[str, Picture] = {
         variables=("gate", "flow"),
         moving=_turbine,
         fixed=lambda v: [
-            _line((-1.0, 3.0), (-1.0, 1.6), (0.0, 1.6), (2.2, 0.2), (3.0, 0.2)),  # a reservoir, and the penstock below it
+            _line(
+                (-1.0, 3.0), (-1.0, 1.6), (0.0, 1.6), (2.2, 0.2), (3.0, 0.2)
+            ),  # a reservoir, and the penstock below it
             _line((0.0, 3.0), (0.0, 2.1), (2.3, 0.6), (3.0, 0.6)),
             _line((-1.0, 2.8), (0.0, 2.8)),
             _circle(4.0, 0.1, 0.45),
@@ -179,7 +186,7 @@ PICTURES: dict[str, Picture] = {
         compared=False,
         turning="flow",
     ),
-}  # fmt: skip
+}
 """The picture of each shipped plant, by the name of its model."""
 
 __all__ = ["PICTURES", "Line", "Picture"]

@@ -278,6 +278,13 @@ class LoopSignals:
 
 
 __all__ = [
-    "ALARM", "SCORES", "ActuatorSignals", "ControlSignals", "Flags", "InputSignals", "LoopSignals", "QuantitySignals",
+    "ALARM",
+    "SCORES",
+    "ActuatorSignals",
+    "ControlSignals",
+    "Flags",
+    "InputSignals",
+    "LoopSignals",
+    "QuantitySignals",
     "SensorSignals",
-]  # fmt: skip
+]

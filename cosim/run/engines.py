@@ -164,18 +164,35 @@ class CompiledEngine:
             else:
                 address = 0 if call.kind == "inputs" else address_of(run, call.node, call.kind)
             rows.append(
-                [address, schedule.every(call), start["state"], table, start["inputs"], begin,
-                 len(gathers), len(gathers) + len(call.gathers), *(outputs if checked else (0, 0))]
-            )  # fmt: skip
+                [
+                    address,
+                    schedule.every(call),
+                    start["state"],
+                    table,
+                    start["inputs"],
+                    begin,
+                    len(gathers),
+                    len(gathers) + len(call.gathers),
+                    *(outputs if checked else (0, 0)),
+                ]
+            )
             gathers += call.gathers
         self._calls = np.array(rows, dtype=np.int64).reshape(len(rows), COLUMNS)
         self._gathers = np.array(gathers, dtype=np.int64).reshape(len(gathers), 2)
         self._clock = schedule.step.numerator, schedule.step.denominator
         self._drawn = run.drawn()
         self._program = Program(
-            self._calls, len(schedule.evaluate), self._gathers, self._drawn, run.recorded, run.decimation, self._clock,
-            run.memory, run.streams(), run.guard.inside,
-        )  # fmt: skip
+            self._calls,
+            len(schedule.evaluate),
+            self._gathers,
+            self._drawn,
+            run.recorded,
+            run.decimation,
+            self._clock,
+            run.memory,
+            run.streams(),
+            run.guard.inside,
+        )
 
     def prepare(self, steps: float) -> None:
         """See `Engine.prepare`: one function for the whole loop."""

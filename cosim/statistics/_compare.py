@@ -26,9 +26,22 @@ if TYPE_CHECKING:
 
 NAN = float("nan")
 COLUMNS = (
-    "first", "second", "n_first", "n_second", "left_out", "mean_first", "mean_second", "difference", "low", "high",
-    "effect", "statistic", "freedom", "p", "p_corrected",
-)  # fmt: skip
+    "first",
+    "second",
+    "n_first",
+    "n_second",
+    "left_out",
+    "mean_first",
+    "mean_second",
+    "difference",
+    "low",
+    "high",
+    "effect",
+    "statistic",
+    "freedom",
+    "p",
+    "p_corrected",
+)
 
 
 def compare(

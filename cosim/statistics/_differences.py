@@ -252,6 +252,15 @@ def corrected(p: ArrayLike, correction: Correction | None) -> Floats:
 
 
 __all__ = [
-    "CORRECTIONS", "Correction", "Difference", "RankTest", "corrected", "decided", "outcomes", "paired", "rank_sum",
-    "signed_ranks", "welch",
-]  # fmt: skip
+    "CORRECTIONS",
+    "Correction",
+    "Difference",
+    "RankTest",
+    "corrected",
+    "decided",
+    "outcomes",
+    "paired",
+    "rank_sum",
+    "signed_ranks",
+    "welch",
+]

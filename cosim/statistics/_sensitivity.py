@@ -17,9 +17,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 COLUMNS = (
-    "factor", "other", "first", "first_low", "first_high", "total", "total_low", "total_high", "second", "second_low",
-    "second_high", "n", "left_out",
-)  # fmt: skip
+    "factor",
+    "other",
+    "first",
+    "first_low",
+    "first_high",
+    "total",
+    "total_low",
+    "total_high",
+    "second",
+    "second_low",
+    "second_high",
+    "n",
+    "left_out",
+)
 
 
 def sensitivity(
@@ -146,10 +157,13 @@ def _indices(
         seed=np.random.default_rng(seed),
     )
     rows = [
-        {"factor": name, **_bounds("first", indices["S1"][i], indices["S1_conf"][i]),
-         **_bounds("total", indices["ST"][i], indices["ST_conf"][i])}
+        {
+            "factor": name,
+            **_bounds("first", indices["S1"][i], indices["S1_conf"][i]),
+            **_bounds("total", indices["ST"][i], indices["ST_conf"][i]),
+        }
         for i, name in enumerate(names)
-    ]  # fmt: skip
+    ]
     if design.second_order:
         rows += [
             {"factor": names[i], "other": names[j], **_bounds("second", indices["S2"][i, j], indices["S2_conf"][i, j])}

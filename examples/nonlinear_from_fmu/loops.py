@@ -72,18 +72,27 @@ def arm_loop(controller: Controller, amplitude: float, faults: Sequence[cosim.Fa
     if controller.goals == 4:
         reference += [cosim.Sine(amplitude * w, PERIOD), cosim.Sine(2 * amplitude * w, PERIOD / 2, phase=np.pi / 2)]
     return cosim.closed_loop(
-        cosim.FMU(fmus.path("TwoLinkArm")), controller, control=["torque1", "torque2"], measured=["q1", "q2"],
-        sensors=cosim.Sensors(4, 0.01), faults=list(faults), reference=reference,
-    )  # fmt: skip
+        cosim.FMU(fmus.path("TwoLinkArm")),
+        controller,
+        control=["torque1", "torque2"],
+        measured=["q1", "q2"],
+        sensors=cosim.Sensors(4, 0.01),
+        faults=list(faults),
+        reference=reference,
+    )
 
 
 def cart_loop(controller: Controller, angle: float) -> Any:
     """Return the loop: from an angle, the pendulum is to stand still at the position 0."""
     return cosim.closed_loop(
-        cosim.FMU(fmus.path("CartPendulum"), parameters={"angle_0": angle}), controller, control="force",
-        measured=["position", "angle"], sensors=cosim.Sensors(4, 0.005), noise={"torque": cosim.Gaussian(std=0.02)},
+        cosim.FMU(fmus.path("CartPendulum"), parameters={"angle_0": angle}),
+        controller,
+        control="force",
+        measured=["position", "angle"],
+        sensors=cosim.Sensors(4, 0.005),
+        noise={"torque": cosim.Gaussian(std=0.02)},
         reference=[0.0] * controller.goals,
-    )  # fmt: skip
+    )
 
 
 def arm_errors(result: cosim.Result, amplitude: float) -> Floats:
@@ -119,8 +128,10 @@ def _with_goals(
     weight = WEAK / float(np.trace(P @ (covariance + np.asarray(linear.process_covariance))))
     limits: dict[str, Any] = {name: cost[name] for name in ("u_min", "u_max") if name in cost}
     settings: dict[str, Any] = {
-        "goal_covariance": np.linalg.inv(P) / weight, "control_covariance": cost["acceptable_control"] ** 2 / weight, **limits,
-    }  # fmt: skip
+        "goal_covariance": np.linalg.inv(P) / weight,
+        "control_covariance": cost["acceptable_control"] ** 2 / weight,
+        **limits,
+    }
     if way == FMU:
         return controllers.NonlinearBayesianController(
             model, initial_mean=tuple(start.tolist()), initial_covariance=covariance, iterations=8, **settings

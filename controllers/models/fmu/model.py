@@ -81,11 +81,20 @@ def model_of_fmu(
     f, f_jacobian = moving(prediction)
     g, g_jacobian = reading(prediction, [known[i] for i in order])
     return {
-        "f": f, "g": g, "states": n + loads, "controls": p, "sensors": len(order), "process_covariance": Q,
-        "sensor_covariance": variances, "dt": step, "f_jacobian": f_jacobian, "g_jacobian": g_jacobian, "disturbances": loads,
+        "f": f,
+        "g": g,
+        "states": n + loads,
+        "controls": p,
+        "sensors": len(order),
+        "process_covariance": Q,
+        "sensor_covariance": variances,
+        "dt": step,
+        "f_jacobian": f_jacobian,
+        "g_jacobian": g_jacobian,
+        "disturbances": loads,
         "names": SignalNames(inputs[:p], tuple(of.outputs[i] for i in order), of.names),
         "start": (*course.states[0].tolist(), *[0.0] * loads),
-    }  # fmt: skip
+    }
 
 
 def moving(prediction: Prediction) -> tuple[Kernel, Kernel]:

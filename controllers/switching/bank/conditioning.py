@@ -22,7 +22,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     NOISE_SHAPE,
     TRUSTED,
     held,
-)  # fmt: skip
+)
 from bayesftc.cosim.ops import independent, log, minimum, select
 
 ABSURD = 1e12
@@ -173,8 +173,12 @@ def make_learn(layout: Layout, offset: int) -> Callable[..., None]:
     """Return the step function that corrects a hypothesis by a reading, and estimates the square of the sensor's noise."""
     n, m, sensor, squares, judged = layout.n, layout.m, layout.sensor, layout.squares, layout.judged
     none, stride, kept, readings, reading = (
-        layout.first, layout.length, layout.kept, layout.readings, layout.reading,
-    )  # fmt: skip
+        layout.first,
+        layout.length,
+        layout.kept,
+        layout.readings,
+        layout.reading,
+    )
 
     def learn(h, i, sample, C, memory):
         at, here, by = none + h * stride, readings + h * reading, judged[h * m + i]

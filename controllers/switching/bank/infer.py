@@ -39,9 +39,11 @@ from bayesftc.controllers.switching.sensor_kernels import failed, use_trust
 @cache
 def make_infer(
     layout: Layout,
-    pass_alone: Callable[..., None], weigh_alone: Callable[..., float],
-    pass_other: Callable[..., None], weigh_other: Callable[..., float],
-) -> Callable[..., None]:  # fmt: skip
+    pass_alone: Callable[..., None],
+    weigh_alone: Callable[..., float],
+    pass_other: Callable[..., None],
+    weigh_other: Callable[..., float],
+) -> Callable[..., None]:
     """Return the step function that infers state and faults together.
 
     Parameters

@@ -73,9 +73,18 @@ def make_become(layout: Layout) -> Callable[..., None]:
         c, cc, incoming = source + STATE + n, source + STATE + N + n * N + n, memory[source]
         part = incoming / (memory[at] + incoming)
         receive(
-            memory, at, incoming, source, i, memory[source + OFFSET_AGE], memory[c], memory[c + 1],
-            memory[cc], memory[cc + 1], memory[cc + N + 1],
-        )  # fmt: skip
+            memory,
+            at,
+            incoming,
+            source,
+            i,
+            memory[source + OFFSET_AGE],
+            memory[c],
+            memory[c + 1],
+            memory[cc],
+            memory[cc + 1],
+            memory[cc + N + 1],
+        )
         blend_between(memory, at, part, source, n)
         memory[source] = LEAST + 0.0 * incoming
 
@@ -89,8 +98,13 @@ def make_describe(layout: Layout) -> Callable[..., None]:
     The hypothesis itself does not use the modes of this sensor.
     """
     n, N, kept, sensor, width, other = (
-        layout.n, layout.n + 2, layout.kept, layout.sensor, layout.width, layout.other,
-    )  # fmt: skip
+        layout.n,
+        layout.n + 2,
+        layout.kept,
+        layout.sensor,
+        layout.width,
+        layout.other,
+    )
 
     def describe(memory, at, i, k):
         of_sensor, c, cc = at + kept + i * sensor, at + STATE + n, at + STATE + N + n * N + n
@@ -119,8 +133,13 @@ def make_gather(layout: Layout) -> Callable[..., float]:
     offset counts little, because it may be what the new fault explains.
     """
     n, m, none, stride, kept, sensor = (
-        layout.n, layout.m, layout.first, layout.length, layout.kept, layout.sensor,
-    )  # fmt: skip
+        layout.n,
+        layout.m,
+        layout.first,
+        layout.length,
+        layout.kept,
+        layout.sensor,
+    )
     kinds, joined, before = layout.kinds or (0,), layout.joined or (False,), layout.before
     row_length, width_of_settings = layout.row, layout.width_of_settings
     K, blend_sensor = len(layout.kinds), make_blend_sensor(layout.width, layout.other)
@@ -156,8 +175,12 @@ def make_receive_new(layout: Layout) -> Callable[..., None]:
     Offsets of sensors that were there before do not begin with it.
     """
     m, K, kinds, joined, before = (
-        layout.m, len(layout.kinds), layout.kinds or (0,), layout.joined or (False,), layout.before,
-    )  # fmt: skip
+        layout.m,
+        len(layout.kinds),
+        layout.kinds or (0,),
+        layout.joined or (False,),
+        layout.before,
+    )
     kept, sensor, width, source = layout.kept, layout.sensor, layout.width, before if any(joined) else layout.first
     receive = make_receive(layout)
 

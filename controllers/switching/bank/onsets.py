@@ -18,7 +18,7 @@ from bayesftc.controllers.switching.bank.layout import (
     STARTS,
     VARIANCE,
     Layout,
-)  # fmt: skip
+)
 from bayesftc.controllers.switching.bank.merges import make_gather, make_receive, make_receive_new, make_witnessed
 from bayesftc.controllers.switching.mode_kernels import AGE, OWN, SIZE, WEIGHT, expected_jump
 from bayesftc.controllers.switching.sensor_kernels import (
@@ -29,7 +29,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     LEAST,
     OWN_SETTINGS,
     held,
-)  # fmt: skip
+)
 from bayesftc.cosim.ops import maximum, select
 
 

@@ -22,7 +22,7 @@ from bayesftc.controllers.switching.bank.layout import (
     TAKES,
     WORKS,
     Layout,
-)  # fmt: skip
+)
 from bayesftc.controllers.switching.course import follow, misfit, repeats_share
 from bayesftc.controllers.switching.mode_kernels import AGE, FURTHEST, SIZE, TRUST, WEIGHT
 from bayesftc.controllers.switching.sensor_kernels import (
@@ -43,7 +43,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     learn_repeats,
     repetition,
     share_of,
-)  # fmt: skip
+)
 from bayesftc.cosim.ops import absolute, both, independent, log, maximum, minimum, select, sqrt
 
 LEAST_EFFECT, MOST_EFFECT = 0.1, 2.0
@@ -96,9 +96,17 @@ def make_weigh(
                 deviation, begun, noise = sqrt(variance), courses + (i * U + u) * course, memory[i * sensor + NOISE]
                 change = sample.y[i] - memory[i * sensor + LAST]
                 density = follow(
-                    error / deviation, change / deviation, sample.present[i], memory[begun], memory, begun + 1, scratch,
-                    settings, place + OWN_SETTINGS, select(noise > LOUD, noise, 0.0),
-                ) - log(deviation)  # fmt: skip
+                    error / deviation,
+                    change / deviation,
+                    sample.present[i],
+                    memory[begun],
+                    memory,
+                    begun + 1,
+                    scratch,
+                    settings,
+                    place + OWN_SETTINGS,
+                    select(noise > LOUD, noise, 0.0),
+                ) - log(deviation)
                 density = credit(density, error * error, spread + variance * noise, i, sample.present[i], memory)
                 width = settings[i * row_length + WIDTH]
                 equal = select(absolute(change) <= 0.5 * width, 1.0, 0.0)
@@ -238,11 +246,19 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
     sensor, modes, width = layout.sensor, layout.modes, layout.width
     none, stride, kept, N = layout.first, layout.length, layout.kept, layout.n + 2
     first_lost, U, lost, courses, course = (
-        layout.first_lost, len(layout.lost), layout.lost or (0,), layout.courses, layout.course,
-    )  # fmt: skip
+        layout.first_lost,
+        len(layout.lost),
+        layout.lost or (0,),
+        layout.courses,
+        layout.course,
+    )
     K, groups, first_common, alone, other = (
-        len(layout.kinds), len(layout.groups), layout.first_common, layout.alone, layout.other,
-    )  # fmt: skip
+        len(layout.kinds),
+        len(layout.groups),
+        layout.first_common,
+        layout.alone,
+        layout.other,
+    )
     actuators, actuator, of_actuators = layout.actuators, layout.actuator, layout.actuator_settings
     first_actuator = layout.first_actuator
 

@@ -35,7 +35,7 @@ from bayesftc.controllers.switching.bank.layout import (
     WALK,
     WORKS,
     Layout,
-)  # fmt: skip
+)
 from bayesftc.controllers.switching.bank.merges import (
     make_become,
     make_collect,

@@ -172,5 +172,13 @@ def seconds_of(moment: datetime, origin: datetime) -> float:
 
 
 __all__ = [
-    "ISO", "are_dates", "as_seconds", "date_at", "epoch_seconds", "other_date", "seconds_of", "span_text", "time_text",
-]  # fmt: skip
+    "ISO",
+    "are_dates",
+    "as_seconds",
+    "date_at",
+    "epoch_seconds",
+    "other_date",
+    "seconds_of",
+    "span_text",
+    "time_text",
+]

@@ -599,9 +599,22 @@ class RandomFaults(Fault):
 
 
 FAULTS: tuple[type[Fault], ...] = (
-    Freeze, Stuck, Injection, Bias, Drift, GainFault, Dropout, Spikes, NoiseIncrease, NoiseGrowth, Clipping, Rounding, Lag,
-    Delay, RandomFaults,
-)  # fmt: skip
+    Freeze,
+    Stuck,
+    Injection,
+    Bias,
+    Drift,
+    GainFault,
+    Dropout,
+    Spikes,
+    NoiseIncrease,
+    NoiseGrowth,
+    Clipping,
+    Rounding,
+    Lag,
+    Delay,
+    RandomFaults,
+)
 """All kinds; the last one mixes the others."""
 
 __all__ = ["FAULTS", "Fault", *(fault.__name__ for fault in FAULTS)]

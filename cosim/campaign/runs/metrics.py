@@ -567,5 +567,11 @@ def as_metrics(given: object) -> tuple[Metric, ...]:
 
 
 __all__ = [
-    *(cls.__name__ for cls in METRICS), "METRICS", "Metric", "OfResult", "Runs", "as_metrics", "is_number",
-]  # fmt: skip
+    *(cls.__name__ for cls in METRICS),
+    "METRICS",
+    "Metric",
+    "OfResult",
+    "Runs",
+    "as_metrics",
+    "is_number",
+]

@@ -163,10 +163,20 @@ class Group:
         """Return the group in the layout of the compiled functions."""
         low, limit = (int(np.float64(x).view(np.int64)) for x in (self.kind.low, self.kind.limit))
         return [
-            self.function, self.kind.code, self.references.ctypes.data, len(self.references), self.begin, self.size,
-            self.buffer.ctypes.data, low, limit, int(self.discrete), self.read,
-            int(self.kind.negated), self.rounding.ctypes.data,
-        ]  # fmt: skip
+            self.function,
+            self.kind.code,
+            self.references.ctypes.data,
+            len(self.references),
+            self.begin,
+            self.size,
+            self.buffer.ctypes.data,
+            low,
+            limit,
+            int(self.discrete),
+            self.read,
+            int(self.kind.negated),
+            self.rounding.ctypes.data,
+        ]
 
     @property
     def discrete(self) -> bool:

@@ -334,10 +334,20 @@ class Library3(Library):
         resources = os.path.join(self._slave.unzipDirectory, "resources") + os.path.sep
         token = self.description.token.encode()
         component = self.call(
-            "fmi3InstantiateCoSimulation", name.encode(), token, resources.encode(),
-            False, True, self._events, self._events or self._may_return_early, (ctypes.c_uint * 0)(), 0, messages.key,
-            callback, fmi3IntermediateUpdateCallback(),
-        )  # fmt: skip
+            "fmi3InstantiateCoSimulation",
+            name.encode(),
+            token,
+            resources.encode(),
+            False,
+            True,
+            self._events,
+            self._events or self._may_return_early,
+            (ctypes.c_uint * 0)(),
+            0,
+            messages.key,
+            callback,
+            fmi3IntermediateUpdateCallback(),
+        )
         if component:
             self._narrow_log("fmi3SetDebugLogging", component)
         return component or 0, callback

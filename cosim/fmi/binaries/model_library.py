@@ -81,9 +81,14 @@ class ModelLibrary2(Bound, Library2):
         """Compute a directional derivative into the NumPy array `result`; return the status."""
         kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, _PLACE, _COUNT, _PLACE, _COUNT, _PLACE, _PLACE)
         status: int = kind(self.address("directional"))(
-            component, unknowns.ctypes.data, len(unknowns), knowns.ctypes.data, len(knowns), seed.ctypes.data,
+            component,
+            unknowns.ctypes.data,
+            len(unknowns),
+            knowns.ctypes.data,
+            len(knowns),
+            seed.ctypes.data,
             result.ctypes.data,
-        )  # fmt: skip
+        )
         return status
 
 
@@ -109,9 +114,15 @@ class ModelLibrary3(Bound, Library3):
         callback = callback3()
         resources = os.path.join(self._slave.unzipDirectory, "resources") + os.path.sep
         component = self.call(
-            "fmi3InstantiateModelExchange", name.encode(), self.description.token.encode(), resources.encode(),
-            False, True, messages.key, callback,
-        )  # fmt: skip
+            "fmi3InstantiateModelExchange",
+            name.encode(),
+            self.description.token.encode(),
+            resources.encode(),
+            False,
+            True,
+            messages.key,
+            callback,
+        )
         if component:
             self._narrow_log("fmi3SetDebugLogging", component)
         return component or 0, callback
@@ -145,9 +156,16 @@ class ModelLibrary3(Bound, Library3):
         """See `ModelLibrary2.directional`."""
         kind = ctypes.CFUNCTYPE(_STATUS, _PLACE, *[_PLACE, _COUNT] * 4)
         status: int = kind(self.address("directional"))(
-            component, unknowns.ctypes.data, len(unknowns), knowns.ctypes.data, len(knowns), seed.ctypes.data,
-            len(seed), result.ctypes.data, len(result),
-        )  # fmt: skip
+            component,
+            unknowns.ctypes.data,
+            len(unknowns),
+            knowns.ctypes.data,
+            len(knowns),
+            seed.ctypes.data,
+            len(seed),
+            result.ctypes.data,
+            len(result),
+        )
         return status
 
 

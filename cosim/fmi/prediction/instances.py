@@ -59,15 +59,23 @@ class _Tabled:
         self.table = np.zeros(words.WORDS, dtype=np.int64)
         self._kept: list[Any] = []
         numbers = {
-            words.PLANT_STATES: n, words.DRIVEN: p, words.LOADS: loads, words.INPUTS: len(layout.held),
-            words.OUTPUTS: outputs, words.PARTS: layout.parts,
-        }  # fmt: skip
+            words.PLANT_STATES: n,
+            words.DRIVEN: p,
+            words.LOADS: loads,
+            words.INPUTS: len(layout.held),
+            words.OUTPUTS: outputs,
+            words.PARTS: layout.parts,
+        }
         arrays = {
-            words.HELD: layout.held.copy(), words.VALUES: layout.held.copy(), words.SHOWN: np.zeros(n + outputs),
-            words.SCALES: layout.scales.copy(), words.ORDER: np.array(layout.order, dtype=np.int64),
-            words.WORK: np.zeros(work_size(n, c, outputs)), words.SLOPES: np.zeros((n + outputs) * c),
+            words.HELD: layout.held.copy(),
+            words.VALUES: layout.held.copy(),
+            words.SHOWN: np.zeros(n + outputs),
+            words.SCALES: layout.scales.copy(),
+            words.ORDER: np.array(layout.order, dtype=np.int64),
+            words.WORK: np.zeros(work_size(n, c, outputs)),
+            words.SLOPES: np.zeros((n + outputs) * c),
             words.MOVED: np.zeros(3 * (n + loads) + p + 2 * sensors),
-        }  # fmt: skip
+        }
         for place, number in numbers.items():
             self.table[place] = number
         for place, array in arrays.items():

@@ -115,9 +115,14 @@ class Prediction:
         archive, description = self.fmu._read()
         beginning, outputs = self.fmu._variables()
         layout = Layout(
-            self.controls, self.loads, self.order, self.step, self.parts,
-            np.array(self.held, dtype=np.float64), np.array(self.scales, dtype=np.float64),
-        )  # fmt: skip
+            self.controls,
+            self.loads,
+            self.order,
+            self.step,
+            self.parts,
+            np.array(self.held, dtype=np.float64),
+            np.array(self.scales, dtype=np.float64),
+        )
         name = f"{self.fmu.default_name} as model"
         if self.fmu.kind == "model exchange":
             from bayesftc.cosim.fmi.binaries.model_library import load_model

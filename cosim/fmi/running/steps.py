@@ -82,12 +82,29 @@ class StepFunctions(ByAddress):
         size, parts = np.array([float(step), grid]).view(np.int64)
         self.table = np.array(
             [
-                component, outs[0], ins[0], a.do_step, ins[1], ins[2], outs[1], outs[2], size, self._scratch.ctypes.data,
-                ins[3], outs[3], a.real_status, a.boolean_status, a.enter_event_mode, a.update_discrete, a.enter_step_mode,
-                *counts, parts, 0,
+                component,
+                outs[0],
+                ins[0],
+                a.do_step,
+                ins[1],
+                ins[2],
+                outs[1],
+                outs[2],
+                size,
+                self._scratch.ctypes.data,
+                ins[3],
+                outs[3],
+                a.real_status,
+                a.boolean_status,
+                a.enter_event_mode,
+                a.update_discrete,
+                a.enter_step_mode,
+                *counts,
+                parts,
+                0,
             ],
             dtype=np.int64,
-        )  # fmt: skip
+        )
 
     def expect_return(self) -> None:
         """Stop promising at each step that no earlier state will be restored (noSetFMUStatePriorToCurrentPoint)."""

@@ -244,10 +244,17 @@ class CompiledGroup(GroupRun):
             outputs = part.outputs, part.outputs + schedule.depended_on(part.node)
             checked = part.node in schedule.finite and part.kind != "update"
             rows.append(
-                [address_of(run, part.node, part.kind), node.every if group.every == 1 else 1,
-                 *(start[s] for s in ("state", "parameters", "inputs")), part.outputs, len(gathers),
-                 len(gathers) + len(part.gathers), *(outputs if checked else (0, 0)), int(part.kind == "ahead")]
-            )  # fmt: skip
+                [
+                    address_of(run, part.node, part.kind),
+                    node.every if group.every == 1 else 1,
+                    *(start[s] for s in ("state", "parameters", "inputs")),
+                    part.outputs,
+                    len(gathers),
+                    len(gathers) + len(part.gathers),
+                    *(outputs if checked else (0, 0)),
+                    int(part.kind == "ahead"),
+                ]
+            )
             gathers += part.gathers
         fmus = [
             (group.words + WORDS * j, schedule.slots[i].start["parameters"] + step_word(run.instances[i]))
@@ -262,11 +269,31 @@ class CompiledGroup(GroupRun):
         ]
         parts, copies, places, states, kept = (array.ctypes.data for array in self._tables)
         words = [
-            memory.ctypes.data, len(memory), parts, len(rows), copies, len(gathers), places, len(fmus), states,
-            len(group.states), kept, self._tables[4].shape[1], self.torn.ctypes.data, len(self.torn),
-            self.guesses.ctypes.data, self.doubling.ctypes.data, len(self.doubling), group.size, self.work.ctypes.data,
-            self.numbers.ctypes.data, len(self.numbers), self.record.ctypes.data, self.limit, self.method,
-        ]  # fmt: skip
+            memory.ctypes.data,
+            len(memory),
+            parts,
+            len(rows),
+            copies,
+            len(gathers),
+            places,
+            len(fmus),
+            states,
+            len(group.states),
+            kept,
+            self._tables[4].shape[1],
+            self.torn.ctypes.data,
+            len(self.torn),
+            self.guesses.ctypes.data,
+            self.doubling.ctypes.data,
+            len(self.doubling),
+            group.size,
+            self.work.ctypes.data,
+            self.numbers.ctypes.data,
+            len(self.numbers),
+            self.record.ctypes.data,
+            self.limit,
+            self.method,
+        ]
         numbers = [self.tolerance, self.error, self.divisor, self.growth, self.length]
         self._words = np.array([*words, *np.array(numbers).view(np.int64)], dtype=np.int64)
 

@@ -30,10 +30,36 @@ COLUMNS = LOOP_COLUMNS + 1
 
 # Words of the table at the address of the function's parameters.
 (
-    BASE, MEMORY, PARTS, PART_COUNT, GATHERS, GATHER_COUNT, FMUS, FMU_COUNT, STATES, STATE_COUNT, KEPT, KEPT_SIZE, TORN,
-    TORN_COUNT, GUESSES, DOUBLING, DOUBLING_COUNT, SIZE_AT, WORK, NUMBERS, NUMBER_COUNT, RECORD, LIMIT, METHOD, TOLERANCE, ERROR,
-    DIVISOR, GROWTH, LENGTH,
-) = range(29)  # fmt: skip
+    BASE,
+    MEMORY,
+    PARTS,
+    PART_COUNT,
+    GATHERS,
+    GATHER_COUNT,
+    FMUS,
+    FMU_COUNT,
+    STATES,
+    STATE_COUNT,
+    KEPT,
+    KEPT_SIZE,
+    TORN,
+    TORN_COUNT,
+    GUESSES,
+    DOUBLING,
+    DOUBLING_COUNT,
+    SIZE_AT,
+    WORK,
+    NUMBERS,
+    NUMBER_COUNT,
+    RECORD,
+    LIMIT,
+    METHOD,
+    TOLERANCE,
+    ERROR,
+    DIVISOR,
+    GROWTH,
+    LENGTH,
+) = range(29)
 
 # Words of memory for each FMU that is restored.
 COMPONENT, SAVE, RESTORE, FREE, SAVED = range(5)
@@ -52,9 +78,14 @@ def _sweep(machine, memory, t, h, k, record):
                 value = 0.5 * (memory[gathers[g, 2]] + value)
             memory[gathers[g, 0]] = value
         status = call_block(
-            parts[c, FUNCTION], base + 8 * parts[c, STATE], base + 8 * parts[c, PARAMETERS], base + 8 * parts[c, INPUTS],
-            base + 8 * parts[c, OUTPUTS], t + h if parts[c, LATE] != 0 else t, k // every,
-        )  # fmt: skip
+            parts[c, FUNCTION],
+            base + 8 * parts[c, STATE],
+            base + 8 * parts[c, PARAMETERS],
+            base + 8 * parts[c, INPUTS],
+            base + 8 * parts[c, OUTPUTS],
+            t + h if parts[c, LATE] != 0 else t,
+            k // every,
+        )
         if status != 0:
             record[PART], record[STATUS] = c, status
             return 1

@@ -37,13 +37,29 @@ class SideBySide:
         self._seeds, self._recordings = seeds, recordings  # keeps their memory
         self._words = np.array(
             [
-                self._program.address, recordings.ctypes.data, recordings.strides[0], seeds.ctypes.data, len(seeds),
-                self._initial.ctypes.data, self._states.ctypes.data, self._states.shape[1], 0, end, 0, 0,
-                self._loop, self._calls.ctypes.data, self._buffers.ctypes.data, self._own.ctypes.data, self._wide.ctypes.data,
-                len(self._own), piece, UNBEGUN,
+                self._program.address,
+                recordings.ctypes.data,
+                recordings.strides[0],
+                seeds.ctypes.data,
+                len(seeds),
+                self._initial.ctypes.data,
+                self._states.ctypes.data,
+                self._states.shape[1],
+                0,
+                end,
+                0,
+                0,
+                self._loop,
+                self._calls.ctypes.data,
+                self._buffers.ctypes.data,
+                self._own.ctypes.data,
+                self._wide.ctypes.data,
+                len(self._own),
+                piece,
+                UNBEGUN,
             ],
             dtype=np.int64,
-        )  # fmt: skip
+        )
 
     def go_on(self) -> bool:
         """Make runs to the next pause; return whether there is more to do.

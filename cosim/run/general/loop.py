@@ -88,9 +88,14 @@ def _calls(calls, begin, end, gathers, memory, base, t, k, words):
         if calls[c, FUNCTION] == 0:  # this call only copies inputs
             continue
         status = call_block(
-            calls[c, FUNCTION], base + 8 * calls[c, STATE], base + 8 * calls[c, PARAMETERS],
-            base + 8 * calls[c, INPUTS], base + 8 * calls[c, OUTPUTS], t, count,
-        )  # fmt: skip
+            calls[c, FUNCTION],
+            base + 8 * calls[c, STATE],
+            base + 8 * calls[c, PARAMETERS],
+            base + 8 * calls[c, INPUTS],
+            base + 8 * calls[c, OUTPUTS],
+            t,
+            count,
+        )
         if status != 0:
             words[FAILED], words[STATUS] = c, status
             return False
@@ -154,9 +159,17 @@ def _advance_fused(address, words):
         if words[DRAWN] > 0:
             fill(seed, streams, chunk * CHUNK, buffer)
         k = call_loop(
-            words[FUSED], words[MEMORY], address + 8 * TABLES, words[BUFFER], words[RECORDING], address + 8 * FAILED,
-            words[BEFORE], evaluate, k, min(end, chunk * CHUNK + CHUNK - 1),
-        )  # fmt: skip
+            words[FUSED],
+            words[MEMORY],
+            address + 8 * TABLES,
+            words[BUFFER],
+            words[RECORDING],
+            address + 8 * FAILED,
+            words[BEFORE],
+            evaluate,
+            k,
+            min(end, chunk * CHUNK + CHUNK - 1),
+        )
         if words[FAILED] >= 0:
             return k
         evaluate = 0
@@ -270,9 +283,17 @@ def run_lanes(state, parameters, inputs, outputs, t, k):
             for lane in range(lanes):
                 fill(np.uint64(seeds[i + lane]), streams, chunk * CHUNK, buffers[lane])
             step = call_loop(
-                many[LOOP], many[WIDE], many[ALL_CALLS], many[BUFFERS], many[RECORDINGS] + i * many[STRIDE],
-                many[OWN], many[STRIDE] // 8, evaluate, step, min(many[LENGTH], chunk * CHUNK + CHUNK - 1),
-            )  # fmt: skip
+                many[LOOP],
+                many[WIDE],
+                many[ALL_CALLS],
+                many[BUFFERS],
+                many[RECORDINGS] + i * many[STRIDE],
+                many[OWN],
+                many[STRIDE] // 8,
+                evaluate,
+                step,
+                min(many[LENGTH], chunk * CHUNK + CHUNK - 1),
+            )
             if step < 0:
                 return 0
             evaluate, made = 0, made + CHUNK

@@ -25,9 +25,31 @@ COLUMNS = 10
 
 # Words of a program; its tables of integers follow, one after the other.
 (
-    CALLS, EVALUATIONS, GATHERS, FUSED, DRAWN, RECORDED, DECIMATION, NUMERATOR, DENOMINATOR, MEMORY, SIZE, STREAMS, BUFFER,
-    SURROUNDINGS, FAILED, STATUS, LAST, RECORDING, SEED, BEFORE, FIRST, BEGIN, END, TABLES,
-) = range(24)  # fmt: skip
+    CALLS,
+    EVALUATIONS,
+    GATHERS,
+    FUSED,
+    DRAWN,
+    RECORDED,
+    DECIMATION,
+    NUMERATOR,
+    DENOMINATOR,
+    MEMORY,
+    SIZE,
+    STREAMS,
+    BUFFER,
+    SURROUNDINGS,
+    FAILED,
+    STATUS,
+    LAST,
+    RECORDING,
+    SEED,
+    BEFORE,
+    FIRST,
+    BEGIN,
+    END,
+    TABLES,
+) = range(24)
 
 # Words for many runs, after the program's address: one by one, and in lock step.
 PROGRAM, RECORDINGS, STRIDE, SEEDS, RUNS, INITIAL, STATES, STATE_COUNT, FRESH, LENGTH, REACHED, DONE = range(12)
@@ -124,10 +146,22 @@ class Program:
         """Make runs; see `bayesftc.cosim.run.engines.CompiledEngine.advance_many`. Return how many are complete."""
         places = [array.ctypes.data for array in (seeds, initial, states, reached)]
         many = np.array(
-            [self.address, recordings.ctypes.data, recordings.strides[0], places[0], len(seeds), places[1], places[2],
-             len(states), int(fresh), end, places[3], 0],
+            [
+                self.address,
+                recordings.ctypes.data,
+                recordings.strides[0],
+                places[0],
+                len(seeds),
+                places[1],
+                places[2],
+                len(states),
+                int(fresh),
+                end,
+                places[3],
+                0,
+            ],
             dtype=np.int64,
-        )  # fmt: skip
+        )
         function("run_many")(many.ctypes.data, 0, 0, 0, 0.0, 0)
         return int(many[DONE])
 

@@ -38,12 +38,25 @@ COMPILER = ("machine", "source", "translate")
 MACHINES = ("x86_64", "AMD64")
 
 SOURCES = (
-    "drawing.py", "elementary.py", "ops.py", "random.py", "diagram/schedule.py", "fmi/binaries/codes.py",
-    "fmi/binaries/surroundings.py", "fmi/binaries/surroundings_kernels.py", "fmi/running/kernels.py",
-    "fmi/running/typed_kernels.py", "isolation/kernels.py", "isolation/protocol.py",
-    "run/general/loop.py", "run/general/program.py", "stepping/by_address.py", "stepping/numba_called.py",
-    "stepping/numba_callee.py", "stepping/numba_ops.py",
-)  # fmt: skip
+    "drawing.py",
+    "elementary.py",
+    "ops.py",
+    "random.py",
+    "diagram/schedule.py",
+    "fmi/binaries/codes.py",
+    "fmi/binaries/surroundings.py",
+    "fmi/binaries/surroundings_kernels.py",
+    "fmi/running/kernels.py",
+    "fmi/running/typed_kernels.py",
+    "isolation/kernels.py",
+    "isolation/protocol.py",
+    "run/general/loop.py",
+    "run/general/program.py",
+    "stepping/by_address.py",
+    "stepping/numba_called.py",
+    "stepping/numba_callee.py",
+    "stepping/numba_ops.py",
+)
 """The files on which the text depends."""
 
 

@@ -30,9 +30,18 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.result import Result
 
 SECTIONS = (
-    "simulation", "plant", "noise", "sensors", "faults", "input_faults", "reference", "model", "controller", "blocks",
+    "simulation",
+    "plant",
+    "noise",
+    "sensors",
+    "faults",
+    "input_faults",
+    "reference",
+    "model",
+    "controller",
+    "blocks",
     "connections",
-)  # fmt: skip
+)
 REQUIRED = ("simulation", "plant", "reference", "controller")
 
 

@@ -30,7 +30,7 @@ from bayesftc.cosim.fmi.exchange.words import (
     WHEN,
     WORK,
     X,
-)  # fmt: skip
+)
 from bayesftc.cosim.fmi.running.kernels import number, put_number, put_word, word
 from bayesftc.cosim.stepping.numba_called import callee, inlined
 

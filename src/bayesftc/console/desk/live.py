@@ -174,10 +174,16 @@ class LiveRun:
     def wires(self) -> list[dict[str, Any]]:
         """Return the state of each wire, and its numbers when it is open."""
         return [
-            {"name": name, "signals": ", ".join(wire.names), "is_input": wire.is_input,
-             "connected": wire.bridge.connected, "problem": wire.bridge.problem, **self._numbers(name)}
+            {
+                "name": name,
+                "signals": ", ".join(wire.names),
+                "is_input": wire.is_input,
+                "connected": wire.bridge.connected,
+                "problem": wire.bridge.problem,
+                **self._numbers(name),
+            }
             for name, wire in self._wires.items()
-        ]  # fmt: skip
+        ]
 
     def _numbers(self, name: str) -> dict[str, Any]:
         wire = self._opened.get(name)

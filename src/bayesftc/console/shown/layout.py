@@ -46,23 +46,38 @@ def layout(desk: Desk) -> dict[str, Any]:
         "strips": strips(lane),
         "devices": devices(lane),
         "goals": _goals(lane),
-        "inputs": [{"name": n, "value": v[0], "parameter": v[1]} for n, v in sorted(free_inputs(desk.scenario).items())],
+        "inputs": [
+            {"name": n, "value": v[0], "parameter": v[1]} for n, v in sorted(free_inputs(desk.scenario).items())
+        ],
         "kinds": [_form(fault) for fault in MADE],
         "branches": [
-            {"name": b.name, "parent": b.parent, "since": time_of(b.since, step), "furthest": time_of(b.furthest, step),
-             "actions": len(b.actions), "active": b is branch, "compared": b is desk.compared}
+            {
+                "name": b.name,
+                "parent": b.parent,
+                "since": time_of(b.since, step),
+                "furthest": time_of(b.furthest, step),
+                "actions": len(b.actions),
+                "active": b is branch,
+                "compared": b is desk.compared,
+            }
             for b in desk.branches.values()
         ],
         "furthest": branch.furthest,
         "faults": [
-            {"target": target, "name": name, "kind": str(table.get("kind")), "sensor": table.get("sensor", 0),
-             "words": _window(table), "stop": _stop(table)}
+            {
+                "target": target,
+                "name": name,
+                "kind": str(table.get("kind")),
+                "sensor": table.get("sensor", 0),
+                "words": _window(table),
+                "stop": _stop(table),
+            }
             for target, name, table in desk.faults()
         ],
         "actions": [
             {"t": time_of(a.k, step), "words": words_of(a), "later": a not in desk.actions} for a in branch.actions
         ],
-    }  # fmt: skip
+    }
 
 
 def _compared(desk: Desk) -> dict[str, Any]:
@@ -135,9 +150,18 @@ def devices(lane: Lane) -> list[dict[str, Any]]:
         quantity = next((q.name for q in roles.quantities if i in q.sensors), "")
         scale = 5.0 * float(deviations[i]) or 1.0
         found.append(
-            {"id": f"sensor:{i}", "name": lane.sensors[i], "of": quantity, "unit": sensor.unit or "", "target": SENSORS,
-             "channel": i, "scale": scale, "column": label_of(lane, sensor.samples), "kinds": [k.__name__ for k in MADE]}
-        )  # fmt: skip
+            {
+                "id": f"sensor:{i}",
+                "name": lane.sensors[i],
+                "of": quantity,
+                "unit": sensor.unit or "",
+                "target": SENSORS,
+                "channel": i,
+                "scale": scale,
+                "column": label_of(lane, sensor.samples),
+                "kinds": [k.__name__ for k in MADE],
+            }
+        )
     control = lane.scenario.wiring.control
     sizes = {port.name: port.size for port in lane.scenario.plant.inputs}
     number = 0
@@ -148,11 +172,18 @@ def devices(lane: Lane) -> list[dict[str, Any]]:
             role = roles.controls[number]
             limits = [abs(v) for v in (role.low, role.high) if v is not None and isfinite(v)]
             found.append(
-                {"id": f"actuator:{number}", "name": f"actuator {role.name}", "of": "", "unit": role.unit or "",
-                 "target": name, "channel": channel, "scale": max(limits, default=0.0) or None,
-                 "column": label_of(lane, (f"{roles.controller}.u", number)),
-                 "kinds": [k.__name__ for k in MADE if k is not Dropout]}
-            )  # fmt: skip
+                {
+                    "id": f"actuator:{number}",
+                    "name": f"actuator {role.name}",
+                    "of": "",
+                    "unit": role.unit or "",
+                    "target": name,
+                    "channel": channel,
+                    "scale": max(limits, default=0.0) or None,
+                    "column": label_of(lane, (f"{roles.controller}.u", number)),
+                    "kinds": [k.__name__ for k in MADE if k is not Dropout],
+                }
+            )
             number += 1
     return found
 

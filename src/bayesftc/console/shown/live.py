@@ -21,26 +21,52 @@ def view_of_live(run: LiveRun) -> View:
 def _layout(run: LiveRun) -> dict[str, Any]:
     lane = run.lane
     return {
-        "type": "layout", "epoch": 1, "only_shown": True, "scenario": run.name, "step": float(lane.step),
-        "lanes": [{"name": lane.name, "columns": lane.columns, "branch": "live"}], "units": units_of(lane),
-        "strips": strips(lane), "devices": _devices(run), "goals": _goals(run), "inputs": [], "kinds": [],
-        "branches": [], "furthest": 0, "faults": [], "actions": [], "recorded": run.recording is not None,
-        "drops": not run.only_shows, "has_loop": bool(lane.roles.controls and _goals(run)),
-    }  # fmt: skip
+        "type": "layout",
+        "epoch": 1,
+        "only_shown": True,
+        "scenario": run.name,
+        "step": float(lane.step),
+        "lanes": [{"name": lane.name, "columns": lane.columns, "branch": "live"}],
+        "units": units_of(lane),
+        "strips": strips(lane),
+        "devices": _devices(run),
+        "goals": _goals(run),
+        "inputs": [],
+        "kinds": [],
+        "branches": [],
+        "furthest": 0,
+        "faults": [],
+        "actions": [],
+        "recorded": run.recording is not None,
+        "drops": not run.only_shows,
+        "has_loop": bool(lane.roles.controls and _goals(run)),
+    }
 
 
 def _devices(run: LiveRun) -> list[dict[str, Any]]:
     lane, roles = run.lane, run.lane.roles
     sensors = [
-        {"id": f"sensor:{i}", "name": lane.sensors[i], "of": "", "unit": role.unit or "", "channel": i,
-         "column": label_of(lane, role.samples)}
+        {
+            "id": f"sensor:{i}",
+            "name": lane.sensors[i],
+            "of": "",
+            "unit": role.unit or "",
+            "channel": i,
+            "column": label_of(lane, role.samples),
+        }
         for i, role in enumerate(roles.sensors)
-    ]  # fmt: skip
+    ]
     return sensors + [
-        {"id": f"actuator:{j}", "name": f"actuator {role.name}", "of": "", "unit": role.unit or "", "channel": 0,
-         "column": label_of(lane, (f"{roles.controller}.u", j))}
+        {
+            "id": f"actuator:{j}",
+            "name": f"actuator {role.name}",
+            "of": "",
+            "unit": role.unit or "",
+            "channel": 0,
+            "column": label_of(lane, (f"{roles.controller}.u", j)),
+        }
         for j, role in enumerate(roles.controls)
-    ]  # fmt: skip
+    ]
 
 
 def _goals(run: LiveRun) -> list[dict[str, Any]]:

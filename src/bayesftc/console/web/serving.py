@@ -223,9 +223,10 @@ def _listening(host: str, port: int) -> Iterator[socket.socket]:
         why = error.strerror or str(error)
         is_elsewhere = error.errno == EADDRNOTAVAIL
         advice = (
-            "Choose an address of this machine with --host." if is_elsewhere
+            "Choose an address of this machine with --host."
+            if is_elsewhere
             else "Choose another with --port, or --port 0 for a free one."
-        )  # fmt: skip
+        )
         raise BayesFTCError(f"The address {host}:{port} cannot be used ({why}). {advice}") from None
     with listener:
         yield listener

@@ -39,33 +39,86 @@ class Plant:
 
 PLANTS: Mapping[str, Plant] = {
     CAR: Plant(
-        "CruiseControl", ("v",), (cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),), ("v",), ("force",), (1.0,),
-        {"disturbance": sqrt(0.001)}, 20.0, (6.0, 14.0),
+        "CruiseControl",
+        goals=("v",),
+        references=(cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),),
+        measured=("v",),
+        actuated=("force",),
+        std=(1.0,),
+        noise={"disturbance": sqrt(0.001)},
+        duration=20.0,
+        window=(6.0, 14.0),
     ),
     "servo": Plant(
-        "PositionServo", ("angle",), (cosim.Sine(amplitude=0.5, period=4.0),), ("angle",), ("voltage",), (0.01,),
-        {"load": 0.02}, 10.0, (3.0, 7.0), (0.1, 5.0), (-12.0, 12.0),
+        "PositionServo",
+        goals=("angle",),
+        references=(cosim.Sine(amplitude=0.5, period=4.0),),
+        measured=("angle",),
+        actuated=("voltage",),
+        std=(0.01,),
+        noise={"load": 0.02},
+        duration=10.0,
+        window=(3.0, 7.0),
+        accept=(0.1, 5.0),
+        limits=(-12.0, 12.0),
     ),
     "masses": Plant(
-        "TwoMasses", ("x2",), (cosim.Step(time=2.0, after=0.5),), ("x1", "x2"), ("force1",), (0.01, 0.01),
-        {"force2": 0.5}, 12.0, (4.0, 9.0), (0.05, 2.0), (-10.0, 10.0), settled=4.0,
+        "TwoMasses",
+        goals=("x2",),
+        references=(cosim.Step(time=2.0, after=0.5),),
+        measured=("x1", "x2"),
+        actuated=("force1",),
+        std=(0.01, 0.01),
+        noise={"force2": 0.5},
+        duration=12.0,
+        window=(4.0, 9.0),
+        accept=(0.05, 2.0),
+        limits=(-10.0, 10.0),
+        settled=4.0,
     ),
     "pendulum": Plant(
-        "CartPendulum", ("position",), (cosim.Step(time=2.0, after=0.3),), ("position", "angle"), ("force",),
-        (0.005, 0.005), {"torque": 0.02}, 12.0, (5.0, 9.0), (0.1, 5.0), (-15.0, 15.0),
+        "CartPendulum",
+        goals=("position",),
+        references=(cosim.Step(time=2.0, after=0.3),),
+        measured=("position", "angle"),
+        actuated=("force",),
+        std=(0.005, 0.005),
+        noise={"torque": 0.02},
+        duration=12.0,
+        window=(5.0, 9.0),
+        accept=(0.1, 5.0),
+        limits=(-15.0, 15.0),
         settled=5.0,
     ),
     "turbine": Plant(
-        "HydroTurbine", ("power",), (cosim.Step(time=5.0, before=0.6, after=0.7),), ("power",), ("command",), (0.01,),
-        {"head": 0.01}, 40.0, (10.0, 30.0), (0.05, 0.1), (0.2, 1.0), {"head": 1.0},
+        "HydroTurbine",
+        goals=("power",),
+        references=(cosim.Step(time=5.0, before=0.6, after=0.7),),
+        measured=("power",),
+        actuated=("command",),
+        std=(0.01,),
+        noise={"head": 0.01},
+        duration=40.0,
+        window=(10.0, 30.0),
+        accept=(0.05, 0.1),
+        limits=(0.2, 1.0),
+        means={"head": 1.0},
         settled=10.0,
     ),
     "arm": Plant(
-        "TwoLinkArm", ("q1", "q2"), (cosim.Sine(amplitude=0.3, period=4.0, offset=-pi / 2), cosim.Constant(0.0)),
-        ("q1", "q2"), ("torque1", "torque2"), (0.01, 0.01), {"torque1": 0.5, "torque2": 0.5}, 8.0, (3.0, 6.0),
-        (0.01, 500.0), dt=0.01,
+        "TwoLinkArm",
+        goals=("q1", "q2"),
+        references=(cosim.Sine(amplitude=0.3, period=4.0, offset=-pi / 2), cosim.Constant(0.0)),
+        measured=("q1", "q2"),
+        actuated=("torque1", "torque2"),
+        std=(0.01, 0.01),
+        noise={"torque1": 0.5, "torque2": 0.5},
+        duration=8.0,
+        window=(3.0, 6.0),
+        accept=(0.01, 500.0),
+        dt=0.01,
     ),
-}  # fmt: skip
+}
 """The plants by name, which is the prefix of their cases; all but car and arm as in ``examples/design_from_fmu``."""
 
 
@@ -165,71 +218,71 @@ def _car() -> Iterator[Case]:
         )
 
     yield Case("healthy")
-    yield Case("freeze", (cosim.Freeze(**when()),))
+    yield Case("freeze", faults=(cosim.Freeze(**when()),))
     for size in (0.1, 0.2, 0.3, 0.5):
-        yield Case(f"freeze with dither of {size:g} sd", dithered(size))
+        yield Case(f"freeze with dither of {size:g} sd", faults=dithered(size))
     for size in (1.0, 2.0, 3.0, 5.0, 7.0, 10.0):
-        yield Case(f"injection of {size:g} sd", (offset(size),))
+        yield Case(f"injection of {size:g} sd", faults=(offset(size),))
     for slope in (0.5, 1.0, 2.0, 5.0, 8.0):
-        yield Case(f"drift of {slope:g} sd per second", (cosim.Drift(slope=slope, **when()),))
+        yield Case(f"drift of {slope:g} sd per second", faults=(cosim.Drift(slope=slope, **when()),))
     for factor in (0.5, 0.7, 0.9, 1.3):
-        yield Case(f"gain of {factor:g}", (cosim.GainFault(factor=factor, **when()),))
+        yield Case(f"gain of {factor:g}", faults=(cosim.GainFault(factor=factor, **when()),))
     for period, size in ((0.2, 5.0), (0.5, 5.0), (1.0, 5.0), (3.0, 4.0), (8.0, 4.0)):
         swing = cosim.Injection(amplitude=size, period=period, **when())
-        yield Case(f"oscillation of {size:g} sd, period {period:g} s", (swing,))
+        yield Case(f"oscillation of {size:g} sd, period {period:g} s", faults=(swing,))
     for times in (2.0, 5.0):
-        yield Case(f"noise {times:g} times", (cosim.NoiseIncrease(std=added_noise(times), **when()),))
-    yield Case("spikes of 10 sd in 5 % of samples", (cosim.Spikes(magnitude=10.0, probability=0.05, **when()),))
+        yield Case(f"noise {times:g} times", faults=(cosim.NoiseIncrease(std=added_noise(times), **when()),))
+    yield Case("spikes of 10 sd in 5 % of samples", faults=(cosim.Spikes(magnitude=10.0, probability=0.05, **when()),))
     for seconds in (0.1, 0.5, 2.0):
-        yield Case(f"low-pass of {seconds:g} s", (cosim.Lag(time_constant=seconds, **when()),))
+        yield Case(f"low-pass of {seconds:g} s", faults=(cosim.Lag(time_constant=seconds, **when()),))
     for seconds in (0.1, 0.5):
-        yield Case(f"delay of {seconds:g} s", (cosim.Delay(delay=seconds, **when()),))
-    yield Case("clips above the mean speed", (cosim.Clipping(high=20.0, **when()),))
-    yield Case("clips above the mean speed plus 4 sd", (cosim.Clipping(high=24.0, **when()),))
+        yield Case(f"delay of {seconds:g} s", faults=(cosim.Delay(delay=seconds, **when()),))
+    yield Case("clips above the mean speed", faults=(cosim.Clipping(high=20.0, **when()),))
+    yield Case("clips above the mean speed plus 4 sd", faults=(cosim.Clipping(high=24.0, **when()),))
     for size in (0.5, 1.0, 2.0):
-        yield Case(f"rounds to {size:g} sd", (cosim.Rounding(resolution=size, **when()),))
-    yield Case("dropout", (cosim.Dropout(**when()),))
-    yield Case("bias of 3 sd from the first step", (cosim.Bias(magnitude=3.0, sensor=0),))
-    yield Case("stuck at 0", (cosim.Stuck(at=0.0, **when()),))
-    yield Case("reads the negated speed", (cosim.GainFault(factor=-1.0, **when()),))
-    yield Case("freeze on and off every second", on_and_off(cosim.Freeze(**when())))
-    yield Case("injection of 5 sd on and off every second", on_and_off(offset(5.0)))
-    yield Case("freeze from the first step", (cosim.Freeze(**when(start=0.0)),))
-    yield Case("injection of 5 sd from the first step", (offset(5.0, start=0.0),))
-    yield Case("both sensors: injections of +5 sd", (offset(5.0), offset(5.0, sensor=1)))
-    yield Case("both sensors: injections of +5 and -5 sd", (offset(5.0), offset(-5.0, sensor=1)))
-    yield Case("both sensors: freeze", (cosim.Freeze(**when()), cosim.Freeze(**when(1))))
+        yield Case(f"rounds to {size:g} sd", faults=(cosim.Rounding(resolution=size, **when()),))
+    yield Case("dropout", faults=(cosim.Dropout(**when()),))
+    yield Case("bias of 3 sd from the first step", faults=(cosim.Bias(magnitude=3.0, sensor=0),))
+    yield Case("stuck at 0", faults=(cosim.Stuck(at=0.0, **when()),))
+    yield Case("reads the negated speed", faults=(cosim.GainFault(factor=-1.0, **when()),))
+    yield Case("freeze on and off every second", faults=on_and_off(cosim.Freeze(**when())))
+    yield Case("injection of 5 sd on and off every second", faults=on_and_off(offset(5.0)))
+    yield Case("freeze from the first step", faults=(cosim.Freeze(**when(start=0.0)),))
+    yield Case("injection of 5 sd from the first step", faults=(offset(5.0, start=0.0),))
+    yield Case("both sensors: injections of +5 sd", faults=(offset(5.0), offset(5.0, sensor=1)))
+    yield Case("both sensors: injections of +5 and -5 sd", faults=(offset(5.0), offset(-5.0, sensor=1)))
+    yield Case("both sensors: freeze", faults=(cosim.Freeze(**when()), cosim.Freeze(**when(1))))
     for sensors in (3, 5):
         of = f", {sensors} sensors"
         yield Case(f"healthy{of}", sensors=sensors)
-        yield Case(f"freeze{of}", (cosim.Freeze(**when()),), sensors=sensors)
-        yield Case(f"freeze with dither of 0.3 sd{of}", dithered(0.3), sensors=sensors)
-        yield Case(f"injection of 3 sd{of}", (offset(3.0),), sensors=sensors)
-        yield Case(f"drift of 2 sd per second{of}", (cosim.Drift(slope=2.0, **when()),), sensors=sensors)
-        yield Case(f"gain of 0.7{of}", (cosim.GainFault(factor=0.7, **when()),), sensors=sensors)
+        yield Case(f"freeze{of}", faults=(cosim.Freeze(**when()),), sensors=sensors)
+        yield Case(f"freeze with dither of 0.3 sd{of}", faults=dithered(0.3), sensors=sensors)
+        yield Case(f"injection of 3 sd{of}", faults=(offset(3.0),), sensors=sensors)
+        yield Case(f"drift of 2 sd per second{of}", faults=(cosim.Drift(slope=2.0, **when()),), sensors=sensors)
+        yield Case(f"gain of 0.7{of}", faults=(cosim.GainFault(factor=0.7, **when()),), sensors=sensors)
         for other, name in ((6.0, "+6 and +6 sd"), (-8.0, "+6 and -8 sd")):
             pair = offset(6.0), offset(other, sensor=1)
-            yield Case(f"two at once: injections of {name}{of}", pair, sensors=sensors)
+            yield Case(f"two at once: injections of {name}{of}", faults=pair, sensors=sensors)
         pair = cosim.Freeze(**when()), cosim.Freeze(**when(1))
-        yield Case(f"two at once: freeze{of}", pair, sensors=sensors)
+        yield Case(f"two at once: freeze{of}", faults=pair, sensors=sensors)
     yield Case("car 40 % heavier than believed, healthy", parameters={"m": 140.0})
     yield Case("car 40 % lighter than believed, healthy", parameters={"m": 60.0})
     unequal = (1.0, 0.3)
     yield Case("unequal noise, healthy", std=unequal)
-    yield Case("unequal noise, injection of 1 sd on the worse", (offset(1.0),), std=unequal)
-    yield Case("unequal noise, injection of 3 sd on the worse", (offset(3.0),), std=unequal)
-    yield Case("unequal noise, injection of 3 sd on the better", (offset(0.9, sensor=1),), std=unequal)
-    yield Case("unequal noise, freeze of the better", (cosim.Freeze(**when(1)),), std=unequal)
+    yield Case("unequal noise, injection of 1 sd on the worse", faults=(offset(1.0),), std=unequal)
+    yield Case("unequal noise, injection of 3 sd on the worse", faults=(offset(3.0),), std=unequal)
+    yield Case("unequal noise, injection of 3 sd on the better", faults=(offset(0.9, sensor=1),), std=unequal)
+    yield Case("unequal noise, freeze of the better", faults=(cosim.Freeze(**when(1)),), std=unequal)
     for times, word in ((2.0, "noisier than"), (0.5, "less noisy than")):
         of = f"sensors 2 times {word} believed"
         yield Case(f"{of}, healthy", std=(times,), believed=(1.0,))
-        yield Case(f"{of}, injection of 3 sd", (offset(3.0 * times),), std=(times,), believed=(1.0,))
-        yield Case(f"{of}, freeze", (cosim.Freeze(**when()),), std=(times,), believed=(1.0,))
+        yield Case(f"{of}, injection of 3 sd", faults=(offset(3.0 * times),), std=(times,), believed=(1.0,))
+        yield Case(f"{of}, freeze", faults=(cosim.Freeze(**when()),), std=(times,), believed=(1.0,))
         drift = cosim.Drift(slope=8.0, **when())
-        yield Case(f"{of}, drift of {8.0 / times:g} sd per second", (drift,), std=(times,), believed=(1.0,))
+        yield Case(f"{of}, drift of {8.0 / times:g} sd per second", faults=(drift,), std=(times,), believed=(1.0,))
     yield Case("resolution of 1 sd untold, healthy", resolution=1.0)
-    yield Case("resolution of 1 sd untold, injection of 3 sd", (offset(3.0),), resolution=1.0)
-    yield Case("resolution of 1 sd untold, freeze", (cosim.Freeze(**when()),), resolution=1.0)
+    yield Case("resolution of 1 sd untold, injection of 3 sd", faults=(offset(3.0),), resolution=1.0)
+    yield Case("resolution of 1 sd untold, freeze", faults=(cosim.Freeze(**when()),), resolution=1.0)
 
 
 def added_noise(times: float) -> float:
@@ -244,7 +297,7 @@ def _of_plant(name: str, sensor: int, lag: float) -> Iterator[Case]:
     when: dict[str, Any] = dict(zip(("sensor", "start", "stop"), (sensor, *plant.window), strict=True))
 
     def case(words: str, *faults: cosim.Fault, **of: Any) -> Case:
-        return Case(f"{name}: {words}", faults, plant=name, **of)
+        return Case(f"{name}: {words}", faults=faults, plant=name, **of)
 
     freeze = cosim.Freeze(**when)
     yield case("healthy")
