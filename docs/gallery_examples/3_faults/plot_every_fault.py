@@ -36,8 +36,8 @@ for fault in faults:
     diagram.connect(sensor["y"], block["u"])
 result = diagram.simulate(12.0, seed=3)
 
-figure, axes = plt.subplots(5, 3, figsize=(9, 9), sharex=True, sharey=True, layout="constrained")
-for axis, fault in zip(axes.flat, faults):
+figure, axes = plt.subplots(-(-len(faults) // 3), 3, figsize=(9, 9), sharex=True, sharey=True, layout="constrained")
+for axis, fault in zip(axes.flat[: len(faults)], faults, strict=True):
     name = type(fault).__name__
     axis.axvspan(4.0, 8.0, color="0.93")
     axis.plot(result.time, result["sensor.y"], color="0.7", lw=0.8, label="healthy sensor")

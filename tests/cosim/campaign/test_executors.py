@@ -23,8 +23,10 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
 DISTRIBUTED = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="needs the package distributed"
 )
-EXECUTORS = [Threads(2), Processes(2), DaskCluster(workers=2)]
-"""Each way to make the runs; a new one is tested by being added here."""
+IN_OTHER_PROCESSES = [Processes(2), DaskCluster(workers=2)]
+"""Those that outlive the death of a run."""
+EXECUTORS = [Threads(2), *IN_OTHER_PROCESSES]
+"""Each way to make the runs; a new one is tested by being added here, or to those above."""
 
 
 def case(executor, *more, slow=False):
@@ -121,7 +123,7 @@ def crashing(car, lying, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("executor", [case(e, slow=True) for e in EXECUTORS[1:]])
+@pytest.mark.parametrize("executor", [case(e, slow=True) for e in IN_OTHER_PROCESSES])
 def test_a_run_that_ends_its_process_fails_alone(executor, car, lying, living, same_bits):
     before, crashes = living(), lying("2.0")[1]["SEGFAULT"]
     result = crashing(car, lying).run(executor=executor)
@@ -176,7 +178,7 @@ def test_a_worker_out_of_memory_stops_the_campaign_which_goes_on_later(executor,
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("executor", [case(e, slow=True) for e in EXECUTORS[1:]])
+@pytest.mark.parametrize("executor", [case(e, slow=True) for e in IN_OTHER_PROCESSES])
 def test_a_worker_that_the_system_kills_for_its_memory_fails_alone(executor, living):
     """The system sends SIGKILL; of a cluster it hits the process of the runs, which is the largest one."""
 
@@ -243,7 +245,7 @@ except KeyboardInterrupt:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
-@pytest.mark.parametrize("executor", [case(e) for e in EXECUTORS[1:]])
+@pytest.mark.parametrize("executor", [case(e) for e in IN_OTHER_PROCESSES])
 def test_what_ends_the_client_ends_all(executor, name, living):
     before = living()
     shown = subprocess.Popen(
