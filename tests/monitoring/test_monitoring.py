@@ -23,6 +23,7 @@ from bayesftc.monitoring import (
     Input,
     Integrator,
     Matrices,
+    Monitor,
     RandomWalk,
     Recording,
     Sensor,
@@ -32,6 +33,7 @@ from bayesftc.monitoring import (
     log_likelihood,
     monitor as _monitor,
     monitor_recording,
+    recorded,
     redundant_signals,
 )
 from bayesftc.monitoring.alarms import sensor_events
@@ -656,6 +658,25 @@ def test_two_sensors_that_agree_outvote_a_more_precise_one_if_judged_together(jo
     monitor = load_monitor(tmp_path / "model.toml")
     found = monitor.run(monitor.read([tmp_path / "data.csv"]))
     assert ("a" in {event.sensor for event in found.events}) == joint
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_two_sensors_that_agree_outvote_one_that_lags(seed):
+    """Its course is no offset, drift or noise; the two healthy ones were blamed with it, and the estimate was metres off."""
+    rng, t = np.random.default_rng(seed), 0.1 * np.arange(4000)
+    depth = 10.0 + sum(0.3 * (-1) ** i * np.clip(t - 60.0 * i, 0.0, 20.0) for i in range(1, 6))
+    late = depth.copy()
+    for k in range(1000, len(t)):
+        late[k] = late[k - 1] + (depth[k] - late[k - 1]) / 80.0
+    y = np.column_stack([late, depth, depth]) + 0.02 * rng.standard_normal((len(t), 3))
+    recording = recorded({name: Signal(t, y[:, i]) for i, name in enumerate("abc")})
+    sensors = {name: Sensor(std=0.02) for name in "abc"}
+    monitor = Monitor(0.1, ConstantRate(0.2), sensors, joint=True, initial_mean=(10.0, 0.0), initial_std=(1.0, 1.0))
+    found = monitor.run(recording)
+    blamed = (np.nan_to_num(found.fault_probability) > 0.5).mean(axis=0)
+    assert blamed[0] > 0.3
+    assert max(blamed[1:]) < 0.01
+    assert np.abs(found.x_hat[:, 0] - depth).max() < 0.2
 
 
 def test_states_that_no_sensor_reads_need_a_beginning(tmp_path):

@@ -13,8 +13,15 @@ from bayesftc.controllers.switching.fault_modes import (
     Frozen,
     Noisier,
     Offset,
+    Unmodelled,
 )
 from bayesftc.controllers.switching.learner import SwitchingPrecision
+
+RARE = 3600.0
+"""Mean time in seconds to a fault of each kind."""
+
+UNKNOWN = 100.0
+"""How much rarer a fault is that is none of these kinds: where sensors share errors that a model lacks, it explains these."""
 
 
 def default_precision(
@@ -39,7 +46,8 @@ def default_precision(
     repeats : float or sequence of float
         Share of the samples that a healthy sensor repeats, for all or for each.
     joint : bool
-        Whether sensors are judged together: two that agree then outvote a third one that drifts slowly.
+        Whether sensors are judged together: two that agree then outvote a third one that drifts slowly. Only then is there the
+        mode `Unmodelled`, for a sensor that lags, say.
 
     Returns
     -------
@@ -53,11 +61,12 @@ def default_precision(
     >>> learner.joint, learner.modes[0].resolution, learner.modes[0].time_to_fault
     (False, (0.0, 0.5), 3600.0)
     """
-    rare = {"time_to_fault": DefaultTime(3600.0)}
+    rare = {"time_to_fault": DefaultTime(RARE)}
     modes = (
         Frozen(**rare, dither=0.001, resolution=tuple(resolution), healthy_repeats=repeats),
         Offset(**rare, jump=30.0, walk=0.02),
         Drifting(**rare, slope=0.1),
+        *([Unmodelled(time_to_fault=DefaultTime(UNKNOWN * RARE))] if joint else []),
         Noisier(**rare, scale=5.0),
         DroppedOut(**rare),
         Burst(scale=5.0),
