@@ -102,7 +102,8 @@ def design(
         Standard deviation of the sensors' noise, with that of their rounding: `Sensors.error_std`. One for all, for each output,
         or for each sensor in the order of `sensors`.
     noise : mapping of input to number or vector, optional
-        Inputs at which process noise acts, and its standard deviations.
+        Inputs at which process noise acts, and its standard deviations. It is white: a new value in each sample. A disturbance
+        that lasts, as a gust, is a state of the plant that such noise drives.
     disturbance : number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
         model would leave. If further outputs are measured, and the load acts elsewhere than the control, an error remains: make
