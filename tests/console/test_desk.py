@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from block_kinds import SIZES
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc.console.desk.actions import faults_of
@@ -20,24 +21,9 @@ from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario._written import toml
 
-NUMBERS = {
-    "Stuck": {"at": 21.0},
-    "Injection": {"magnitude": 2.0, "amplitude": 1.0, "period": 0.7},
-    "Bias": {"magnitude": -2.0},
-    "Drift": {"slope": 3.0},
-    "GainFault": {"factor": 0.7},
-    "Spikes": {"magnitude": 4.0, "probability": 0.3},
-    "NoiseIncrease": {"std": 2.0},
-    "NoiseGrowth": {"slope": 1.0},
-    "Clipping": {"low": 18.0, "high": 21.0},
-    "Rounding": {"resolution": 1.5},
-    "Lag": {"time_constant": 0.4},
-    "Delay": {"delay": 0.3},
-}
-
 
 def fault(kind, **more):
-    return {"kind": kind, **NUMBERS.get(kind, {}), **more}
+    return {"kind": kind, **SIZES.get(kind, {}), **more}
 
 
 def bits(values):
@@ -189,7 +175,7 @@ def test_what_was_done_later_stays_in_its_branch(desk, tmp_path):
 
 def test_events_are_noted_once(desk):
     desk.advance_to(100)
-    desk.act("fault", "sensors", fault("Stuck", sensor=1))
+    desk.act("fault", "sensors", fault("Stuck", sensor=1, at=21.0))
     desk.advance_to(200)
     desk.act("goal", "0", value=23.0)  # computes the alarm once more
     desk.go_back(50)

@@ -21,7 +21,7 @@ RARE = 3600.0
 """Mean time in seconds to a fault of each kind."""
 
 UNKNOWN = 100.0
-"""How much rarer a fault is that is none of these kinds: where sensors share errors that a model lacks, it explains these."""
+"""How much rarer an `Unmodelled` fault is: it also explains errors that sensors share and the model lacks."""
 
 
 def default_precision(

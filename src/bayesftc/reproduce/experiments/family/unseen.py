@@ -1,7 +1,7 @@
 """Random cases of the family: plant, sensors, faults, sizes and times depend on a seed.
 
-They serve for evaluation; no setting of a learner is tuned on them. A new kind of fault needs no place
-in `KINDS`: with it the cases of every seed change, and the published table has to be measured again.
+They serve for evaluation; no setting of a learner is tuned on them. A new kind of fault in `KINDS`
+changes the cases of every seed: measure the published table again, or name the kind among those left out, in the test.
 """
 
 from __future__ import annotations
