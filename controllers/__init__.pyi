@@ -51,7 +51,6 @@ from .precision.gamma import GammaPrecision as GammaPrecision
 from .precision.point_mass import PointMassPrecision as PointMassPrecision
 from .precision.rate import Calibration as Calibration, RateLearner as RateLearner
 from .precision.robust import StudentTUpdate as StudentTUpdate, WeightedLikelihood as WeightedLikelihood
-from .precision.threshold import ChebyshevThreshold as ChebyshevThreshold, FittedThreshold as FittedThreshold
 from .precision.variational import VariationalBayesKF as VariationalBayesKF
 from .precision.wishart import WishartPrecision as WishartPrecision
 from .registry import CONTROLLERS as CONTROLLERS, LAWS as LAWS, LEARNERS as LEARNERS
@@ -76,3 +75,4 @@ from .switching.fault_modes import (
 )
 from .switching.learner import SwitchingPrecision as SwitchingPrecision
 from .switching.process_modes import NoisierProcess as NoisierProcess
+from .thresholds.chebyshev import ChebyshevThreshold as ChebyshevThreshold, FittedThreshold as FittedThreshold

@@ -2,11 +2,6 @@
 
 from . import errors as errors, live as live, ops as ops, random as random, statistics as statistics
 from .block import Block as Block, Definition as Definition, ExternalBlock as ExternalBlock
-from .blocks.camera import (
-    arm_with_camera as arm_with_camera,
-    planar_arm as planar_arm,
-    radial_distortion as radial_distortion,
-)
 from .blocks.combining import (
     Compare as Compare,
     Logic as Logic,
@@ -57,7 +52,12 @@ from .blocks.memory import (
     VariableDelay as VariableDelay,
 )
 from .blocks.preview import Preview as Preview
-from .blocks.sensors import Sensors as Sensors
+from .blocks.sensing.camera import (
+    arm_with_camera as arm_with_camera,
+    planar_arm as planar_arm,
+    radial_distortion as radial_distortion,
+)
+from .blocks.sensing.sensors import Sensors as Sensors
 from .blocks.sources import (
     Constant as Constant,
     Gaussian as Gaussian,

@@ -90,6 +90,7 @@ def test_what_the_page_on_extending_names_is_there():
     """Files by the end of their path; of names with dots each part must stand somewhere in the code."""
     folders = [ROOT / name for name in ("benchmarks", "controllers", "cosim", "docs", "fmus", "src", "tests", "tools")]
     files = [f for folder in folders for end in ("py", "pyi", "c", "h", "md") for f in folder.rglob(f"*.{end}")]
+    files.append(ROOT / "CHANGELOG.md")
     words = {word for f in files if f.suffix != ".md" for word in re.findall(r"\w+", f.read_text(encoding="utf-8"))}
     prose = re.sub(
         r"^```.*?^```", "", (ROOT / "docs" / "reference" / "extend.md").read_text(encoding="utf-8"), flags=re.S | re.M
@@ -274,10 +275,10 @@ def test_examples_folder_ships_with_the_package():
 
 def test_whatever_is_listed_is_public():
     """A fault, learner, source, law, controller or model that is forgotten in the stub cannot be reached by name."""
+    from bayesftc.cosim.campaign.executors.choice import EXECUTORS
     from bayesftc.cosim.campaign.runs.metrics import METRICS
 
-    listed = [(cosim, cls) for cls in (*cosim.FAULTS, *cosim.BLOCKS)]
-    listed += [(cosim, cls) for cls in METRICS]
+    listed = [(cosim, cls) for cls in (*cosim.FAULTS, *cosim.BLOCKS, *METRICS, *EXECUTORS)]
     for classes in (
         controllers.LEARNERS, controllers.LAWS, controllers.CONTROLLERS, controllers.FAULT_MODES, controllers.ACTUATOR_MODES,
     ):  # fmt: skip
@@ -294,6 +295,19 @@ def test_every_learner_has_a_row_in_the_page_of_learners():
         assert re.search(rf"^\| `{cls.__name__}\(", text, re.M), (
             f"docs/explanation/precision.md lacks a row for {cls.__name__}"
         )
+
+
+def test_pages_of_faults_plants_and_executors_have_each_of_them():
+    from bayesftc.cosim.campaign.executors.choice import EXECUTORS
+
+    for page, names in (
+        ("explanation/concepts.md", [cls.__name__ for cls in cosim.FAULTS]),
+        ("reference/plants.md", fmus.names()),
+        ("reference/campaigns.md", [f"{cls.__name__}(" for cls in EXECUTORS]),
+    ):
+        rows = "".join(re.findall(r"^\|.*", (ROOT / "docs" / page).read_text(encoding="utf-8"), re.M))
+        for name in names:
+            assert f"`{name}" in rows, f"docs/{page} lacks {name} in its table"
 
 
 def test_every_block_has_a_row_with_its_formula():

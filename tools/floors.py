@@ -33,7 +33,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.random", "cosim.drawing"),
     ("cosim.block",),
     ("cosim.blocks.faults",),
-    ("cosim.blocks",),
+    ("cosim.blocks", "cosim.blocks.sensing"),
     ("cosim.fmi.reading",),
     ("cosim.fmi.binaries",),
     ("cosim.fmi.running",),
@@ -62,6 +62,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("controllers.linalg",),
     ("controllers.signals", "controllers.models", "controllers.models.fmu"),
     ("controllers.identification",),
+    ("controllers.thresholds",),
     ("controllers.laws", "controllers.precision.base"),
     ("controllers.estimation",),
     ("controllers.precision",),
@@ -245,7 +246,7 @@ def draw(graph: dict[str, set[str]]) -> str:
                 f"{module} and the modules before it do not import each other any more. Correct WAY of tools/floors.py."
             )
     of: dict[str, dict[str, int]] = {}
-    files: dict[str, int] = {}
+    present: set[str] = set()
     names = [name for level in FLOORS for name in level]
 
     def home(module: str) -> str:
@@ -253,27 +254,27 @@ def draw(graph: dict[str, set[str]]) -> str:
         return max(fits, key=len)
 
     for module, targets in graph.items():
-        files[home(module)] = files.get(home(module), 0) + (not module.endswith("__init__"))
+        present.add(home(module))
         for target in targets:
             if home(target) != home(module) and not target.endswith(".__init__") and not door(module, target):
                 counts = of.setdefault(home(module), {})
                 counts[home(target)] = counts.get(home(target), 0) + 1
     width, row = 1120, 26
-    rows = [name for level in reversed(FLOORS) for name in level if files.get(name)]
+    rows = [name for level in reversed(FLOORS) for name in level if name in present]
     height = row * (len(rows) + 1) + 150
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" font-family="sans-serif" font-size="13">',
         f'<rect width="{width}" height="{height}" fill="white"/>',
-        '<text x="10" y="18" font-weight="bold">folder (files)</text>',
-        '<text x="330" y="18" font-weight="bold">imports most from, all on lower floors (number of imports)</text>',
+        '<text x="10" y="18" font-weight="bold">folder</text>',
+        '<text x="330" y="18" font-weight="bold">imports most from, all on lower floors</text>',
     ]
     for k, name in enumerate(rows):
         y = row * (k + 1)
         colour = COLOURS.get(name.split(".")[0], "#eeeeee")
         most = sorted(of.get(name, {}).items(), key=lambda item: (-item[1], item[0]))[:4]
-        shown = ", ".join(f"{target} {count}" for target, count in most)
+        shown = ", ".join(sorted(target for target, _ in most))
         out.append(f'<rect x="5" y="{y}" width="310" height="{row - 3}" rx="4" fill="{colour}"/>')
-        out.append(f'<text x="12" y="{y + 16}">{escape(name)} ({files[name]})</text>')
+        out.append(f'<text x="12" y="{y + 16}">{escape(name)}</text>')
         out.append(f'<text x="330" y="{y + 16}" fill="#444444">{escape(shown)}</text>')
     top, step = row * (len(rows) + 1) + 40, (width - 20) // len(WAY)
     out.append(f'<text x="10" y="{top - 10}" font-weight="bold">the way of a run</text>')

@@ -14,8 +14,8 @@ from bayesftc.controllers.linalg.dense import cholesky
 from bayesftc.controllers.models.checks import as_number, check_number
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
 from bayesftc.controllers.precision.gamma import GammaPrecision
-from bayesftc.controllers.precision.threshold import ChebyshevThreshold, FittedThreshold
 from bayesftc.controllers.signals import port
+from bayesftc.controllers.thresholds.chebyshev import ChebyshevThreshold, FittedThreshold
 from bayesftc.cosim.base.timebase import whole_steps
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import both, maximum, minimum, select, sqrt, square

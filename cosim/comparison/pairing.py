@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Fault
-from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Source
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node

@@ -25,7 +25,7 @@ from bayesftc.cosim.blocks.faults.without_effect import (
 )
 from bayesftc.cosim.blocks.linear_system import is_system
 from bayesftc.cosim.blocks.preview import Preview
-from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram

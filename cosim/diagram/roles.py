@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesftc.cosim.base.units import Unit, difference
 from bayesftc.cosim.blocks.preview import Preview
-from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef, label

@@ -14,7 +14,7 @@ from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
 from bayesftc.cosim.blocks.preview import Preview
-from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram

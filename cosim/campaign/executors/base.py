@@ -6,7 +6,8 @@ To write an executor you must:
    as outcomes are taken, so that waiting outcomes do not fill the memory;
 2. run every piece by ``job.run(piece)``, in this process or in another one to which the job was pickled: the bits are the
    same everywhere;
-3. stop at once, and leave nothing behind, when the iterator is closed or on Ctrl-C.
+3. stop at once, and leave nothing behind, when the iterator is closed or on Ctrl-C;
+4. add it to `EXECUTORS` in ``choice.py``, to ``cosim/__init__.pyi`` and to the table of ``docs/reference/campaigns.md``.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class Executor(Protocol):
 
 @dataclass(frozen=True)
 class Threads:
-    """Runs on threads of this process. The compiled loop releases the interpreter's lock, so they use all cores.
+    """Runs in a pool of threads of this process. The compiled loop releases the interpreter's lock, so they use all cores.
 
     Parameters
     ----------

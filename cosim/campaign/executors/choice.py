@@ -7,12 +7,16 @@ from pathlib import Path
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.campaign.executors.base import Executor, Threads, cores
+from bayesftc.cosim.campaign.executors.dask import DaskCluster
 from bayesftc.cosim.campaign.executors.processes import Processes
 from bayesftc.cosim.campaign.runs.job import Job
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.fmi.reading.archive import open_archive
+
+EXECUTORS: tuple[type[Executor], ...] = (Threads, Processes, DaskCluster)
+"""All executors of this package."""
 
 
 def choose_executor(job: Job) -> tuple[Executor, str]:
@@ -69,4 +73,4 @@ def _blocks(job: Job) -> Iterator[tuple[str, Block]]:
                 yield name, value
 
 
-__all__ = ["against_threads", "choose_executor"]
+__all__ = ["EXECUTORS", "against_threads", "choose_executor"]

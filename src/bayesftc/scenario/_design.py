@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesftc.controllers import NonlinearModel, design
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import build

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Fault
-from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.diagram.closed_loop import base_step, check_parts, closed_loop, with_invalid
 from bayesftc.cosim.diagram.feedthrough import DELAYED
 from bayesftc.cosim.diagram.wiring import for_rates

@@ -16,7 +16,7 @@ from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults import kinds as faults
 from bayesftc.cosim.blocks.kinds import SOURCES
-from bayesftc.cosim.blocks.sensors import Sensors
+from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.closed_loop import check_count, with_arrays
 from bayesftc.cosim.diagram.subsystem import Subsystem

@@ -25,7 +25,7 @@ DISTRIBUTED = pytest.mark.skipif(
 )
 IN_OTHER_PROCESSES = [Processes(2), DaskCluster(workers=2)]
 """Those that outlive the death of a run."""
-EXECUTORS = [Threads(2), *IN_OTHER_PROCESSES]
+EXAMPLES = [Threads(2), *IN_OTHER_PROCESSES]
 """Each way to make the runs; a new one is tested by being added here, or to those above."""
 
 
@@ -82,7 +82,7 @@ def alone(campaign):
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
-    ("executor", "kind"), [case(e, kind, slow=kind != "in process") for e in EXECUTORS for kind in KINDS]
+    ("executor", "kind"), [case(e, kind, slow=kind != "in process") for e in EXAMPLES for kind in KINDS]
 )
 def test_the_same_bits_everywhere(executor, kind, alone, campaign, living, same_bits):
     told, before = [], living()

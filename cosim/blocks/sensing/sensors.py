@@ -13,7 +13,7 @@ import numpy as np
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
 from bayesftc.cosim.base.numbers import counted, reals
 from bayesftc.cosim.block import Block, Definition
-from bayesftc.cosim.blocks import sensor_kernels as kernels
+from bayesftc.cosim.blocks.sensing import kernels
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats, Kernel

@@ -17,7 +17,7 @@ from bayesftc.controllers.models.checks import (
     check_number,
     refuse_missing,
 )
-from bayesftc.controllers.precision.healthy import why_unhealthy
+from bayesftc.controllers.thresholds.healthy import why_unhealthy
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:

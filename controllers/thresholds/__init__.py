@@ -1,0 +1,1 @@
+"""Thresholds for residuals, learned from healthy data."""
