@@ -133,7 +133,8 @@ def design(
         itself contains: see `LinearModel.with_delays`.
     initial_mean : number or vector, optional
         Mean of the model's states (``controller.model.names.states``) before the first sample, as in `LQGController`. By default
-        the plant's start, as in ``StateSpace(initial=...)``; 0 for a `LinearModel` and for an FMU without accessible states.
+        the plant's start, as in ``StateSpace(initial=...)``; the operating point of a `LinearModel` (`LinearModel.about`), else 0
+        for one, and 0 for an FMU without accessible states.
     initial_spread : number
         Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Larger, such as 1e4,
         where the plant may start elsewhere than at its start values and the learner is not the default one, which expects that
@@ -185,7 +186,9 @@ def design(
         for name, value in determined.items():
             if value is not None:
                 raise ModelError(f"A LinearModel already determines {name}; leave {name}= out.")
-        model, H, mean = plant, _goal_rows(plant, goal), np.zeros(plant.states - plant.disturbances)
+        model, H = plant, _goal_rows(plant, goal)
+        at_rest = plant.operating_state
+        mean = np.zeros(plant.states - plant.disturbances) if at_rest is None else np.asarray(at_rest, float)
         if disturbance is not None and disturbance is not False:
             model = plant.with_disturbance(disturbance)
             H = np.insert(H, [len(mean)] * (model.states - plant.states), 0.0, axis=1)

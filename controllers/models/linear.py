@@ -85,8 +85,8 @@ class LinearModel(Printed, NamedArguments):
         uncertainty.
     names : SignalNames, optional
         Names of controls, sensors and the plant's states, for `to_control` and for messages.
-    operating_control : sequence of float, optional
-        Control at the operating point, a result of `about`; leave it out.
+    operating_control, operating_state : sequence of float, optional
+        Control, and state of the plant without disturbances, at the operating point: results of `about`; leave them out.
     held_inputs : sequence of (str, float)
         Inputs that are not controls, with the values at which the plant was linearised (``at=``); leave it out.
     delays : Delays, optional
@@ -108,6 +108,7 @@ class LinearModel(Printed, NamedArguments):
     constant: bool = False
     names: SignalNames | None = field(default=None, kw_only=True)
     operating_control: Sequence[float] | None = field(default=None, kw_only=True, metadata={"derived": True})
+    operating_state: Sequence[float] | None = field(default=None, kw_only=True, metadata={"derived": True})
     held_inputs: Sequence[tuple[str, float]] = field(default=(), kw_only=True, metadata={"derived": True})
     delays: Delays | None = field(default=None, kw_only=True, metadata={"derived": True})
 
@@ -712,6 +713,7 @@ class LinearModel(Printed, NamedArguments):
             disturbances=self.disturbances + 1,
             constant=True,
             operating_control=tuple(u.tolist()),
+            operating_state=tuple(x.tolist()),
         )
 
 

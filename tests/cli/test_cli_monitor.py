@@ -697,3 +697,18 @@ def test_a_gain_error_is_named(tmp_path):
     notes = json.loads(RUNNER.invoke(app, [*command, "--overwrite"]).stdout)["notes"]
     assert any("but not in both halves of the recording" in note for note in notes)
     assert load_monitor(tmp_path / "model.toml").sensors["b"].gain == 1.0
+
+
+def test_a_log_of_changes_is_named(tmp_path, caplog):
+    """The columns are named once, though the fit and the monitor read them."""
+    rng = np.random.default_rng(0)
+    level = 20.0 + np.cumsum(0.05 * rng.standard_normal(2000))
+    values = np.round((level[:, None] + 0.2 * rng.standard_normal((2000, 3))) / 0.1) * 0.1
+    table = pd.DataFrame({"t": np.arange(2000.0), **{name: values[:, i] for i, name in enumerate("abc")}})
+    for name in "ab":
+        table[name] = table[name].where(table[name].diff() != 0.0)
+    table.to_csv(tmp_path / "log.csv", index=False)
+    words = "The columns 'a', 'b' seem to have a value only where it has changed"
+    done = RUNNER.invoke(app, ["monitor", str(tmp_path / "log.csv"), "--fit", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert caplog.text.count(words) == 1

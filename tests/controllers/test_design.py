@@ -573,3 +573,11 @@ def test_a_wrong_argument_gets_similar_names_and_warnings_the_line_of_the_user()
         diagram.simulate(1.0, seeds=3)
     with pytest.raises(TypeError, match=r"simulate lacks the argument 'duration'; write simulate\(duration=...\)"):
         diagram.simulate()
+
+
+def test_the_belief_about_a_model_of_values_begins_at_its_operating_point():
+    about = LinearModel([[0.95]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1).about([350.0], [175.0], [350.0, 350.0])
+    for model, settings in ((about, {}), (about, {"disturbance": True}), (about.with_disturbance(True), {})):
+        assert controllers.design(model, **settings).initial_mean[0] == 350.0
+    assert controllers.design(about, input_delays=1).initial_mean[:2].tolist() == [350.0, 175.0]
+    assert controllers.design(about, initial_mean=340.0).initial_mean[0] == 340.0

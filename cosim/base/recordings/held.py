@@ -1,4 +1,4 @@
-"""Sensors that are slower than their log, which repeats their last value in each row: recognise them, leave repetitions out."""
+"""Logs that repeat the last value of a slow sensor, or leave out a value that has not changed: recognise them."""
 
 from __future__ import annotations
 
@@ -26,6 +26,19 @@ COARSE = 1.5
 LARGER = 0.1
 """Least share of changes by more than one unit: noise that is as large as the resolution has .4."""
 
+EMPTY = 0.05
+"""Least share of empty cells of a sensor that is logged only where it has changed."""
+
+MANY = 200
+"""Least number of its values."""
+
+EDGE, AT_EDGE = 1.6, 0.05
+"""Multiple of the least change up to which changes are near it, and their least share.
+
+Of changes that are logged whatever their size, the least one is nearly 0, and the others are many times as large: of 200, a
+twentieth is so near to the least one with a chance of 1 in 20,000.
+"""
+
 
 def is_held(time: Floats, values: Floats, resolution: float) -> bool:
     """Return whether the values change in nearly equal intervals of several rows, and repeat in between.
@@ -42,6 +55,26 @@ def is_held(time: Floats, values: Floats, resolution: float) -> bool:
         return False
     rows = np.arange(float(len(time)))
     return any(_regular(np.diff(at[changes]), float(np.median(np.diff(at)))) for at in (time, rows))
+
+
+def least_change(cells: Floats) -> float | None:
+    """Return the least change of values that are logged only where they have changed; None if they are logged otherwise.
+
+    Of samples that are lost at random, some equal the one before, or are as close to it as one likes.
+
+    Parameters
+    ----------
+    cells : ndarray
+        The values, NaN in an empty cell.
+    """
+    there = np.flatnonzero(np.isfinite(cells))
+    if len(there) < MANY or 1.0 - len(there) / (there[-1] - there[0] + 1) < EMPTY:
+        return None
+    if _regular(np.diff(there).astype(float), 1.0):  # a slow sensor
+        return None
+    changes = np.abs(np.diff(cells[there]))
+    least = float(changes.min())
+    return least if least > 0 and np.mean(changes <= EDGE * least) >= AT_EDGE else None
 
 
 def _regular(intervals: Floats, row: float) -> bool:
@@ -85,4 +118,4 @@ class HeldValues:
         return np.asarray(again)
 
 
-__all__ = ["HeldValues", "is_held", "without_held"]
+__all__ = ["HeldValues", "is_held", "least_change", "without_held"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from itertools import islice
 from os import PathLike, fspath
@@ -21,6 +21,7 @@ from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.base.recordings.csv_form import ENCODING, CsvForm, cells_of, form_of
 from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_seconds, other_date
 from bayesftc.cosim.base.recordings.day_first import iso_of, with_iso_dates
+from bayesftc.cosim.base.recordings.held import least_change
 from bayesftc.cosim.base.recordings.split_times import joined_times
 from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds, since_1970
 from bayesftc.cosim.errors import RecordingError, did_you_mean
@@ -227,6 +228,25 @@ class Tables:
                     table[i] = written
             self._read[file] = header, table
         return self._read[file]
+
+
+def warn_of_changes(columns: Mapping[str, Floats]) -> None:
+    """Inform the user of sensors that seem to be logged only where they have changed: empty cells are no missing samples.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray
+        The cells of each column, NaN where one is empty.
+    """
+    found = [name for name, cells in columns.items() if least_change(cells) is not None]
+    if found:
+        share = np.mean([np.isnan(columns[name]).mean() for name in found])
+        who = f"The columns {', '.join(map(repr, found))}" if len(found) > 1 else f"The column {found[0]!r}"
+        inform(
+            f"{who} seem{'s' if len(found) == 1 else ''} to have a value only where it has changed: {share:.0%} of the cells are "
+            "empty. An empty cell is read as a missing sample, so that this looks like dropouts. If it stands for the value "
+            "before, fill it in first, such as with pandas: table.ffill()."
+        )
 
 
 def _check(file: Path, form: CsvForm) -> tuple[list[str], int]:

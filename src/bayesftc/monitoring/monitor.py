@@ -26,7 +26,7 @@ from bayesftc.cosim.errors import ModelError, RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
-from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.csv import Tables, warn_of_changes
 from bayesftc.monitoring.fit.units import in_unit
 from bayesftc.monitoring.models import PlantModel
 from bayesftc.monitoring.precision import default_precision
@@ -159,13 +159,15 @@ class Monitor:
         RecordingError
             If a file or column is missing, or contains anything but increasing times and numbers.
         """
-        tables = Tables(paths)
+        tables, cells = Tables(paths), dict[str, Floats]()
 
         def signal(name: str, given: Column, what: str, **more: Any) -> Signal:
             file = tables.find(given.file, f"The {what} {name!r}")
             time = tables.times(file, given.time or self.time, f" of the {what} {name!r}")
             column = given.column or name
             logged = tables.column(file, column, f"the {what} {name!r}", (*self.invalid, *given.invalid))
+            if what == "sensor":
+                cells[name] = logged
             values = in_unit(logged, column, more["unit"])
             try:
                 return Signal(
@@ -174,24 +176,23 @@ class Monitor:
             except RecordingError as error:
                 raise RecordingError(f"{file}, the {what} {name!r}: {error}") from None
 
-        return (
-            {
-                name: signal(
-                    name,
-                    s,
-                    "sensor",
-                    resolution=s.resolution,
-                    period=s.period,
-                    held=s.held,
-                    unit=s.unit or column_unit(s.column or name),
-                )
-                for name, s in self.sensors.items()
-            },
-            {
-                name: signal(name, i, "input", smooth=i.smooth, resolution=0.0, unit=i.unit)
-                for name, i in self.inputs.items()
-            },
-        )
+        sensors = {
+            name: signal(
+                name,
+                s,
+                "sensor",
+                resolution=s.resolution,
+                period=s.period,
+                held=s.held,
+                unit=s.unit or column_unit(s.column or name),
+            )
+            for name, s in self.sensors.items()
+        }
+        warn_of_changes(cells)
+        return sensors, {
+            name: signal(name, i, "input", smooth=i.smooth, resolution=0.0, unit=i.unit)
+            for name, i in self.inputs.items()
+        }
 
     def compare(self, recording: Recording) -> ModelFinding | None:
         """Compare the sensors' samples with the predictions of the model, driven by the recorded inputs.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.cosim.base.recordings.held import HeldValues, is_held, without_held
+from bayesftc.cosim.base.recordings.held import HeldValues, is_held, least_change, without_held
 from bayesftc.monitoring import Signal
 
 ROWS = 3000
@@ -69,3 +69,37 @@ def test_repeated_values_are_left_out_of_a_recording_and_row_by_row_alike():
     assert (time.tolist(), fresh.tolist()) == ([0.0, 2.0, 5.0], [1.0, 2.0, 1.0])
     signal = Signal(np.arange(7.0), values, held=True)
     assert [each.tolist() for each in signal.corrected] == [[0.0, 2.0, 5.0], [1.0, 2.0, 1.0]]
+
+
+def only_changes(values, deadband):
+    """Return the values where they differ from the last one kept by more than a deadband, else NaN."""
+    kept, last = np.full(len(values), np.nan), np.nan
+    for k, value in enumerate(values):
+        if not abs(value - last) <= deadband:
+            kept[k] = last = value
+    return kept
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("resolution", "deadband"), [(0.1, 0.0), (0.1, 0.05), (0.1, 0.25), (0.0, 0.2), (0.001, 0.1)])
+def test_a_log_of_changes_is_recognised(seed, resolution, deadband):
+    _, values = held(1, seed, resolution)
+    found = least_change(np.round(only_changes(values, deadband), 9))
+    assert 0.999 * deadband <= found <= 2.0 * max(deadband, resolution)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("resolution", [0.0, 0.001, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("lost", [0.0, 0.1, 0.6])
+def test_samples_lost_at_random_are_no_log_of_changes(seed, resolution, lost):
+    _, values = held(1, seed, resolution)
+    gone = np.random.default_rng(seed).uniform(size=ROWS) < lost
+    assert least_change(np.where(gone, np.nan, values)) is None
+
+
+@pytest.mark.parametrize("ratio", [2, 5, 10])
+def test_a_slow_sensor_with_empty_cells_is_no_log_of_changes(ratio):
+    for resolution in (0.0, 0.1):
+        _, values = held(1, 0, resolution)
+        assert least_change(np.where(np.arange(ROWS) % ratio, np.nan, values)) is None
+    assert least_change(np.where(np.arange(ROWS) % ratio, np.nan, np.arange(ROWS) * 0.1)) is None  # a clean ramp

@@ -19,7 +19,7 @@ from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.csv import Tables, warn_of_changes
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.fit.units import check_one_unit, in_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
@@ -111,6 +111,7 @@ def signals_of(
     """Return the signals of tables that are read already; see `redundant_signals`."""
     places: dict[str, Place] = {}
     signals: dict[str, Signal] = {}
+    cells: dict[str, Floats] = {}
     headers = {file: tables.numeric(file) for file in tables.files()}
     times_of = {file: _time_column(tables, file, header) for file, header in headers.items()}
     columns = [name for file, header in headers.items() for name in header if name != times_of[file]]
@@ -126,6 +127,7 @@ def signals_of(
             name = column if column not in places else f"{file.stem}_{column}"
             places[name] = Place(file.name, column, time, (*values.get("", ()), *values.get(column, ())))
             times, logged = tables.times(file, time), tables.column(file, column, "a sensor", places[name].invalid)
+            cells[name] = logged
             samples = in_unit(logged, column, unit)
             try:
                 signal = Signal(times, samples, unit=column_unit(column) and unit, origin=tables.origin)
@@ -133,6 +135,7 @@ def signals_of(
                 raise RecordingError(f"{file}, the column {column!r}: {error}") from None
             held = is_held(*signal.corrected, signal.resolution or 0.0)
             places[name], signals[name] = replace(places[name], held=held), replace(signal, held=held)
+    warn_of_changes(cells)
     if not signals:
         raise RecordingError("There is no column besides the times. Give a file with two or more sensors.")
     if period := find_period(np.asarray(signal.values) for signal in signals.values()):
