@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 LASTING = 1e-9
 """A mode whose pole is nearer to the unit circle than this counts as undamped: its noise accumulates."""
 
+DAMPINGS, SAME = (1e-6, 1e-7), 0.01
+"""Two dampings of undamped modes, and the relative difference up to which a standard deviation does not depend on them."""
+
 
 def _of_sensors(controller: BayesianController, std: Floats) -> str:
     """Return a number for each sensor; of several quantities with its own behind it, because they may alternate."""
@@ -126,33 +129,44 @@ def gain_lines(controller: BayesianController) -> list[str]:
 
 def accuracy_lines(controller: BayesianController) -> list[str]:
     """Return lines about the expected standard deviations of tracking and belief without faults."""
-    accuracy = expected_accuracy(controller)
-    if accuracy is None:
+    tracking, belief = expected_accuracy(controller)
+    if np.isinf(tracking).any():
         return ["Expected accuracy: none. A mode of the loop is not damped, so its variance grows without bound."]
-    tracking, belief = accuracy
     return [
         f"Expected standard deviation, at a constant goal and without faults, of the tracked quantities: {_numbers(tracking)}; "
         f"of the belief about them: {_numbers(belief)}."
     ]
 
 
-def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats] | None:
-    """Return the steady standard deviations of what has a goal, and of the belief about it; None if they are infinite.
+def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats]:
+    """Return the steady standard deviations of what has a goal, and of the belief about it; infinity where they grow for ever.
 
-    The plant is assumed to equal the model, with disturbances of 0.
+    The plant is assumed to equal the model, with disturbances of 0. A mode that is not damped, such as a position that has no
+    goal, gets two small dampings: what has the same variance with both does not depend on it.
     """
+    slowest = np.abs(controller.closed_loop_poles()).max()
+    if slowest < 1.0 - LASTING:
+        return _accuracy(controller, 1.0)
+    if slowest > 1.0 + LASTING:
+        endless = np.full(controller.goals, np.inf)
+        return endless, endless
+    more, less = (np.array(_accuracy(controller, 1.0 - damping)) for damping in DAMPINGS)
+    tracking, belief = np.where(np.abs(less - more) > SAME * more, np.inf, less)
+    return tracking, belief
+
+
+def _accuracy(controller: BayesianController, factor: float) -> tuple[Floats, Floats]:
+    """Return these standard deviations of a loop whose transition matrix is multiplied by a factor."""
     model = controller.model.moving
     plant, m = model.states - model.disturbances, model.sensors
     B, C = model.matrix("B")[:plant], model.matrix("C")[:, :plant]
     Q, R = model.matrix("process_covariance")[:plant, :plant], model.matrix("sensor_covariance")
     whole = controller.closed_loop_matrix()
-    if np.abs(controller.closed_loop_poles()).max() >= 1.0 - LASTING:
-        return None
     _, given, _, direct = controller.feedback()
     noise = np.vstack([B @ direct[:, :m], given[:, :m]])
     spread = noise @ R @ noise.T
     spread[:plant, :plant] += Q
-    covariance = stationary_covariance(whole, spread)
+    covariance = stationary_covariance(factor * whole, spread)
     K = controller.steady_gains().K[:plant]
     of_plant = np.eye(plant, model.states)
     error = np.hstack([np.eye(plant) - K @ C, -(of_plant - K @ model.matrix("C"))])
@@ -197,7 +211,9 @@ def _rows(matrix: Floats) -> str:
 
 
 def _limits(controller: BayesianController) -> str:
-    low, high = np.atleast_1d(controller.u_min), np.atleast_1d(controller.u_max)
-    if np.isinf(low).all() and np.isinf(high).all():
-        return "none"
-    return ", ".join(f"{a:g} to {b:g}" for a, b in zip(low, high, strict=True))
+    low, high, rate = (np.atleast_1d(limit) for limit in (controller.u_min, controller.u_max, controller.u_rate))
+    between = ", ".join(f"{a:g} to {b:g}" for a, b in zip(low, high, strict=True))
+    limits = [] if np.isinf([low, high]).all() else [between]
+    if not np.isinf(rate).all():
+        limits.append(f"a rate of at most {', '.join(f'{r:g}' for r in rate)} per second")
+    return ", ".join(limits) or "none"

@@ -72,7 +72,7 @@ class Comparison:
         - ``loop``, ``signal``, ``unit``, ``runs`` and ``failed``;
         - ``error``: mean over the runs of the root-mean-square difference between signal and reference, and
           ``error_in_faults``: the same while a fault is present;
-        - ``false_alarms``: blamed while healthy, the mean over all sensors of the share of fault-free samples with an alarm, also
+        - ``false_alarm_rate``: blamed while healthy, the mean over all sensors of the share of fault-free samples with an alarm, also
           where the alarm began during a fault;
         - ``difference``: difference of the error to that of the first loop in the same runs, with its paired interval ``low``,
           ``high``;
@@ -141,7 +141,7 @@ class Comparison:
                 row["failed"] = int((of_loop["status"] != "ok").sum())
                 for phase, ending in PHASES.items():
                     row[f"error{ending}"] = of_loop[f"tracking.{signal}.{phase}"].mean()
-                row["false_alarms"] = of_loop[alarms].mean(axis=None) if alarms else np.nan
+                row["false_alarm_rate"] = of_loop[alarms].mean(axis=None) if alarms else np.nan
                 for phase, ending in PHASES.items():
                     row |= {f"{key}{ending}": value for key, value in differences[phase].get(name, _NOTHING).items()}
                 rows.append(row)

@@ -21,8 +21,14 @@ FINDINGS = "Faults that the controller infers"
 PAUSES = "Alarms of one kind with a short pause between them (usually 1 s, but at least 10 and at most 200 samples) are one row."
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
-    f"kind. {PAUSES} Size: at its end."
+    f"kind. {PAUSES} Size: at its end. {DASH}: not estimated."
 )
+UNIT_REMARKS = {
+    "x noise": " x noise: times the standard deviation of the sensor's noise.",
+    "x noise from the belief": " x noise from the belief: how far the samples are from the belief; about 1 without a fault.",
+}
+"""What units of sizes mean that are not those of the sensor, in the order of the sentences."""
+
 PROCESS_REMARK = (
     " Process: for that time the plant moved more than its model expects, as after a kick or a sudden load. It is no fault of a "
     "sensor."
@@ -176,7 +182,8 @@ def findings_table(inferred: Sequence[Mapping[str, Any]]) -> FiguresTable:
     left_out = len(inferred) - len(rows)
     only = f" The table has the {len(rows)} longest of {len(inferred)} rows." if left_out else ""
     process = PROCESS_REMARK if any(where == "process" for where, *_ in rows) else ""
-    return FiguresTable("findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK + process + only)
+    units = "".join(words for unit, words in UNIT_REMARKS.items() if any(each["unit"] == unit for each in longest))
+    return FiguresTable("findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK + units + process + only)
 
 
 def _timed(rows: Sequence[Row], step: float | None) -> Iterator[Row]:

@@ -113,9 +113,12 @@ def test_a_bayesian_controller_says_its_poles_and_why_it_has_no_probability():
     assert "There is no fault probability: GammaPrecision has no calibration" in text
 
 
-def test_a_loop_in_which_noise_adds_up_for_ever_has_no_accuracy():
-    model = controllers.LinearModel([[1, 0.1], [0, 0.9]], [[0.0], [0.1]], [[0, 1.0], [1.0, 0]], 1e-3, 1e-2, dt=0.1)
-    assert "Expected accuracy: none" in lqg(model, goal_on=[[0.0, 1.0]]).describe()
+def test_an_unstable_loop_has_no_accuracy():
+    """A costly control that leaves an unstable mode as it is."""
+    model = controllers.LinearModel([[1.1]], [[1.0]], [[1.0]], 1e-3, 1e-2, dt=0.1)
+    controller = controllers.BayesianController(model, FixedPrecision(), goal_covariance=1e9, control_covariance=1e-9)
+    assert np.abs(controller.closed_loop_poles()).max() > 1.0
+    assert "Expected accuracy: none" in controller.describe()
 
 
 def test_the_control_at_the_operating_point_is_named():
@@ -130,3 +133,14 @@ def test_the_control_at_the_operating_point_is_named():
     ).describe()
     assert "Expected process noise in each step, as standard deviations: 0.3 on the control.\n" in text
     assert "every 0.1 s, about an operating point at which the control is 2.\n" in text
+
+
+def test_a_mode_that_is_not_damped_and_has_no_goal_leaves_the_accuracy_of_the_others():
+    """A position without a goal beside a controlled speed: the speed is as accurate as in a model without the position."""
+    alone = lqg(controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 1e-3, 0.04, dt=0.1))
+    beside = controllers.LinearModel(
+        [[0.9, 0.0], [0.1, 1.0]], [[0.1], [0.0]], np.eye(2), np.diag([1e-3, 1e-12]), np.diag([0.04, 1e6]), dt=0.1
+    )
+    speed = lqg(beside, goal_on=[[1.0, 0.0]])
+    np.testing.assert_allclose(expected_accuracy(speed), expected_accuracy(alone), rtol=1e-3)
+    assert speed.describe().splitlines()[-1].startswith("Expected standard deviation")

@@ -59,7 +59,7 @@ def test_the_table_is_that_of_runs_made_one_by_one(compared):
     for row, name in ((fixed, "fixed"), (ser, "SER")):
         assert (row["runs"], row["failed"]) == (5, 0)
         assert [row["error"], row["error_in_faults"]] == pytest.approx(errors[name].mean(axis=0))
-        assert row["false_alarms"] == pytest.approx(alarms[name], nan_ok=True)
+        assert row["false_alarm_rate"] == pytest.approx(alarms[name], nan_ok=True)
     for k, ending in enumerate(("", "_in_faults")):
         t = stats.ttest_rel(errors["SER"][:, k], errors["fixed"][:, k])
         interval = t.confidence_interval(0.95)

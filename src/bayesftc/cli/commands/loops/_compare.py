@@ -132,5 +132,5 @@ def _cells(row: dict[str, Any], ending: str) -> list[str]:
     if row[f"low{ending}"] is not None:
         interval = f"{shown(f'low{ending}')} to {shown(f'high{ending}')}"
     wins = output.DASH if row[f"pairs{ending}"] is None else f"{row[f'wins{ending}']} of {row[f'pairs{ending}']}"
-    alarms = shown("false_alarms", "{:.2%}")
+    alarms = shown("false_alarm_rate", "{:.2%}")
     return [shown(f"error{ending}"), shown(f"difference{ending}"), interval, wins, alarms, str(row["failed"])]
