@@ -22,7 +22,7 @@ from bayesftc.controllers.diagnosis.explanations import (
 )
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, RELEVANT, Explanation, Judge
 from bayesftc.controllers.diagnosis.offsets import offsets
-from bayesftc.controllers.estimation.innovation import steady_covariance
+from bayesftc.controllers.estimation.innovation import steady_prediction
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.disturbances import has_loads, with_loads
 from bayesftc.cosim.errors import ModelError
@@ -55,6 +55,9 @@ QUIETER = (1.0, 0.3, 0.1, 0.01, 1e-4)
 
 LEVELS = tuple(np.linspace(0.1, 0.97, 24))
 """Quantiles of the control's size to try as limits in the coarse search."""
+
+ROUNDING = 1e-18
+"""Largest variance, relative to that of another state, of a state that is known exactly: no unit makes states so different."""
 
 EQUAL = 0.1
 """Difference of two log-likelihood ratios, below the best one, that tells nothing: a tenth in probability."""
@@ -140,10 +143,14 @@ def noisier(judge: Judge, constant: Explanation | None = None) -> list[Explanati
     nonlinear plant or like other dynamics. `constant` is the best constant load.
     """
     model = judge.model
-    try:
-        belief = np.diag(steady_covariance(model.moving))
+    moving = model.moving
+    A, C, R = (moving.matrix(name) for name in ("A", "C", "sensor_covariance"))
+    try:  # with the process noise of the observers, which is some also where the model has none
+        prediction = steady_prediction(A, C, judge.bank.noise[0][: len(A), : len(A)], R)
     except (ModelError, np.linalg.LinAlgError):
         return []
+    belief = np.diag(prediction)
+    belief = np.where(belief > ROUNDING * belief.max(), belief, 0.0)
     found = _with_noise(judge, belief)
     if not has_loads(model):
         found += _wandering(judge, belief, constant)
@@ -188,18 +195,27 @@ def _wandering(judge: Judge, belief: Floats, constant: Explanation | None) -> li
         ]
         return _by_models(judge, "noise", possible, recording)
 
-    scales = {j: _share(model.effects[:, j], belief) for j in range(model.controls) if model.effects[:, j].any()}
-    coarse = tried([(j, times * scale) for j, scale in scales.items() for times in NOISES])
+    n, A = len(belief), model.moving.matrix("A")
+    scales = {j: _share(A, model.effects[:n, j], belief) for j in range(model.controls)}
+    coarse = tried([(j, times * scale) for j, scale in scales.items() if scale for times in NOISES])
     if not coarse:
         return []
     state, std, _ = max(coarse, key=lambda x: x.total).values
     return coarse + tried([(int(state) - first, std**2 * times) for times in (10.0**-0.5, 10.0**0.5)])
 
 
-def _share(effect: Floats, belief: Floats) -> float:
-    """Return the variance of a control whose effect has, in one state, the variance of the belief, and less in all others."""
-    moved = np.flatnonzero(effect)
-    return float(np.min(belief[moved] / effect[moved] ** 2))
+def _share(A: Floats, effect: Floats, belief: Floats) -> float:
+    """Return the variance of a control whose effect has, in one state, the variance of the belief, and less in all others.
+
+    If all states that it moves are known exactly, as the position of an actuator without noise, its effect is that on the states
+    which these move; 0 without any.
+    """
+    for _ in belief:
+        moved = np.flatnonzero((effect != 0.0) & (belief > 0.0))
+        if len(moved):
+            return float(np.min(belief[moved] / effect[moved] ** 2))
+        effect = A @ effect
+    return 0.0
 
 
 def _size(noise: Floats) -> tuple[tuple[float, ...], int]:
@@ -253,8 +269,8 @@ def _pushed(judge: Judge) -> list[Explanation]:
         for last in (first - plant, others.shape[1]):
             results += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
     results.append(judge.fitted("dynamics", responses[:, :first]))
-    for i in range(first, responses.shape[1], each):
-        results.append(judge.fitted("nonlinear", responses[:, i : i + each]))
+    for i in range(each, responses.shape[1], each):  # a single column of A or B, or one nonlinear term
+        results.append(judge.fitted("dynamics" if i < first else "nonlinear", responses[:, i : i + each]))
     results.append(judge.fitted("nonlinear", responses[:, first:]))
     results.append(judge.fitted("nonlinear", responses))
     return results

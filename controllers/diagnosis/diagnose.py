@@ -24,7 +24,7 @@ from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
-from bayesftc.controllers.diagnosis.words import sentence
+from bayesftc.controllers.diagnosis.words import sentence, several_sensors
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
@@ -38,7 +38,7 @@ from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from bayesftc.controllers.estimation.observers import Observers
     from bayesftc.cosim.types import Floats
@@ -71,6 +71,9 @@ MUCH = 0.8
 
 A force that wanders, and to which the controls react, looks like other dynamics, which have more parameters than the noise."""
 
+OFTEN = 0.1
+"""Least share of the samples with several blamed sensors in which one of them is blamed."""
+
 LEAST_SAMPLES = 8
 """Least number of samples for a diagnosis."""
 
@@ -92,6 +95,7 @@ class ModelFinding:
         (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only where another kind would count without
         it, or `model_suspect` was raised),
+        ``"sensors"`` (several of them failed: without the samples for which the controller blames them, the model is right),
         ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
@@ -209,15 +213,39 @@ def diagnose(
     inferred = _inferred(signals, controller, name)
     roles = getattr(signals, "roles", None)
     units = ([x.unit for x in roles.sensors], [x.unit for x in roles.controls]) if roles is not None else ((), ())
-    result = _finding(
-        model, samples, signals[f"{name}.u"], controller.initial_mean, alone=raised, inferred=inferred, units=units
-    )
+
+    def found(samples: Floats) -> ModelFinding | None:
+        u, mean = signals[f"{name}.u"], controller.initial_mean
+        return _finding(model, samples, u, mean, alone=raised, inferred=inferred, units=units)
+
+    result = found(samples)
     if result is None and raised:
         result = ModelFinding("unknown", sentence("unknown", (), model))
+    if result is not None and (blamed := _blamed_together(signals, samples, name)) is not None:
+        together = blamed[blamed.sum(axis=1) > 1].mean(axis=0) > OFTEN
+        if found(np.where(blamed, np.nan, samples)) is None:
+            words = several_sensors(np.flatnonzero(together).tolist())
+            if result.kind == "unknown":
+                result = ModelFinding("sensors", f"{words[0].upper()}{words[1:]}")
+            else:
+                result = replace(result, sentence=f"{result.sentence} Or {words}", others=(*result.others, "sensors"))
     if result is None or result.kind == "nonlinear" or roles is None or roles.controller != name:
         return result
     far = far_goal(model, signals_of(roles, signals, drawn=False))  # type: ignore[arg-type]
     return replace(result, sentence=f"{far}{result.sentence}")
+
+
+def _blamed_together(signals: Mapping[str, Any], samples: Floats, name: str) -> NDArray[np.bool_] | None:
+    """Return which samples the controller blames, if it ever blames several sensors at once, but not all; else None.
+
+    One faulty sensor is no evidence against the model, because the others agree with it.
+    """
+    probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
+    blamed = probability.reshape(len(probability), -1) >= ALARM
+    if blamed.shape != np.shape(samples):
+        return None
+    together = blamed.sum(axis=1)
+    return blamed if np.any((together > 1) & (together < blamed.shape[1])) else None
 
 
 def _inferred(signals: Mapping[str, Any], controller: Any, name: str) -> list[float] | None:

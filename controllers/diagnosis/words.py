@@ -96,6 +96,16 @@ def _actuators(
     )
 
 
+def several_sensors(blamed: Sequence[int]) -> str:
+    """Return the sentence about sensors that the controller blames at once: without their samples, the model is right."""
+    *most, last = map(str, blamed)
+    who = f"{', '.join(most)} and {last}" if most else f"{last} and others"
+    return (
+        f"sensors {who} are faulty at the same time. Without the samples for which the controller blames them, nothing speaks "
+        "against the model."
+    )
+
+
 def _alone(model: LinearModel) -> str:
     """Return a sentence if a fault of a sensor looks the same, because its quantity has no second one; else nothing."""
     single = [group[0] for group in model.alike if len(group) == 1]

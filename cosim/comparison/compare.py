@@ -72,8 +72,8 @@ class Comparison:
         - ``loop``, ``signal``, ``unit``, ``runs`` and ``failed``;
         - ``error``: mean over the runs of the root-mean-square difference between signal and reference, and
           ``error_in_faults``: the same while a fault is present;
-        - ``false_alarm_rate``: blamed while healthy, the mean over all sensors of the share of fault-free samples with an alarm, also
-          where the alarm began during a fault;
+        - ``false_alarm_rate``: blamed while healthy, the mean over all sensors of the share of fault-free samples with an alarm,
+          also where the alarm began during a fault;
         - ``difference``: difference of the error to that of the first loop in the same runs, with its paired interval ``low``,
           ``high``;
         - ``wins``: number of runs with a smaller error than the first loop, and ``pairs``: number of all pairs;

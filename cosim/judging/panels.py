@@ -33,6 +33,9 @@ WIDTH, PANEL = 8.0, 2.1
 Span = tuple[float, float, str, str]
 """Begin and end of something in a figure, its name and its colour."""
 
+LONG, VERY_LONG = 3 * 3600.0, 5 * 86400.0
+"""Seconds from which a time axis is in hours, and in days."""
+
 
 def shown_figure() -> Figure:
     """Return an empty figure of pyplot for a user: a notebook shows it below its cell, a script with ``pyplot.show()``."""
@@ -193,9 +196,14 @@ def as_dates(time: Floats, origin: datetime) -> Floats:
 def finish(axes: list[Axes], time: Floats, origin: datetime | None = None) -> None:
     """Label the time below the lowest panel, limit all panels to it, write their numbers, and align their labels.
 
-    With the `origin` of `as_dates`, the times are those dates.
+    With the `origin` of `as_dates`, the times are those dates. Long times without dates are in hours or days.
     """
     label = "time (s)"
+    span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
+    if origin is None and span > LONG:
+        unit, seconds = ("d", 86400.0) if span > VERY_LONG else ("h", 3600.0)
+        _tick_in(axes[-1], seconds)
+        label = f"time ({unit})"
     if origin is not None:
         from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 
@@ -209,6 +217,18 @@ def finish(axes: list[Axes], time: Floats, origin: datetime | None = None) -> No
     for axis in axes:
         _write_exponents(axis)
     axes[0].figure.align_ylabels(axes)  # type: ignore[union-attr]
+
+
+def _tick_in(axis: Axes, unit: float) -> None:
+    """Put ticks at round multiples of a unit of time, given in seconds, and write them in it."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+    class InUnit(MaxNLocator):
+        def tick_values(self, vmin: float, vmax: float) -> list[float]:
+            return [unit * tick for tick in super().tick_values(vmin / unit, vmax / unit)]
+
+    axis.xaxis.set_major_locator(InUnit(nbins="auto", steps=[1, 2, 2.5, 5, 10]))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda t, _: f"{t / unit:g}"))
 
 
 def _write_exponents(axis: Axes) -> None:

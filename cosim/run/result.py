@@ -262,7 +262,10 @@ class Result(Mapping[str, Floats]):
     def _explained(self, why: str = f" ({DIAGNOSE} says why)") -> list[str]:
         """Return the notes, with `why` after each that a diagnosis explains."""
         notes = ["stopped early"] if self.stopped else []
-        wrong = [f"model of {block} suspect from t = {self.time[k]:g} s" for block, k in self._suspect.items()]
+        wrong = [
+            f"model of {block} suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s"
+            for block, k in self._suspect.items()
+        ]
         model, start, often = (self._agreement[of] for of in ("model", "start", "often"))
         limited = [note for note, _ in self._limited]
         return [*notes, *(f"{text}{why}" for text in wrong or model), *start, *([] if wrong else often), *limited]
@@ -271,7 +274,7 @@ class Result(Mapping[str, Floats]):
         """Return the notes as sentences."""
         notes = ["The run stopped early."] if self.stopped else []
         wrong = [
-            f"The model of {block} is suspect from t = {self.time[k]:g} s{self._or_sensors(block, k)}."
+            f"The model of {block} is suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s."
             for block, k in self._suspect.items()
         ]
         model, start, often = (
@@ -303,7 +306,7 @@ class Result(Mapping[str, Floats]):
 
         probability = np.ravel(self.get(f"{block}.fault_probability", np.zeros((k + 1, 0)))[k])
         several = 1 < np.count_nonzero(probability >= ALARM) < len(probability)
-        return ", unless several sensors failed at about that time" if several else ""
+        return ", or several sensors are faulty," if several else ""
 
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:

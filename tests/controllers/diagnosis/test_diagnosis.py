@@ -794,3 +794,74 @@ def test_a_run_without_rows_is_no_evidence():
     rows = {"sensors.y": np.zeros((0, 2)), "controller.u": np.zeros((0, 1))}
     empty = {**rows, "controller.actuator_fault_probability": np.zeros((0, 1))}
     assert controllers.diagnose(empty, controller, y="sensors.y") is None
+
+
+def pitching(gust=1.0):
+    """An aircraft in gusts: an actuator without noise, and a pitch angle that a steady gust does not move."""
+    gusts = 1 / 2.0  # per second
+    A = [[-0.8, 1, 0, -0.05, -0.8], [-4, -1.2, 0, -6, -4], [0, 1, 0, 0, 0], [0, 0, 0, -20, 0], [0, 0, 0, 0, -gusts]]
+    B, C = [[0, 0], [0, 0], [0, 0], [20, 0], [0, 1]], [[1, 0, 0, 0, 1], [0, 1, 0, 0, 0], [0, 0, 1, 0, 0]]
+    inputs, outputs = ["elevator", "gust"], ["alpha", "q", "theta"]
+    plant = control.ss(A, B, C, 0, inputs=inputs, outputs=outputs)
+    stds, noise = [0.004] * 3 + [0.002] * 2 + [0.001] * 2, 0.047
+    controller = controllers.design(
+        plant, measured=outputs, sensors=[3, 2, 2], sensor_std=stds, actuated="elevator", goal="theta", dt=0.02,
+        noise={"gust": noise}, acceptable_error=0.02, acceptable_control=0.1, u_min=-0.3, u_max=0.3,
+    )  # fmt: skip
+    return cosim.closed_loop(
+        plant,
+        controller,
+        control="elevator",
+        measured=outputs,
+        sensors=cosim.Sensors([3, 2, 2], stds),
+        noise={"gust": cosim.Gaussian(noise * gust)},
+        reference=cosim.Sine(amplitude=0.05, period=20.0),
+    )
+
+
+@pytest.mark.parametrize("gust", [1.0, 6.0])
+def test_strong_gusts_are_noise_and_no_other_dynamics(gust):
+    """The filter of such a plant has no steady state without a little more noise, and the elevator no error at all."""
+    loop = pitching(gust)
+    result = loop.simulate(40.0, seed=1)
+    finding = controllers.diagnose(result, loop)
+    assert finding is None if gust == 1.0 else finding.kind == "noise"
+
+
+def test_one_wrong_element_of_A_is_other_dynamics():
+    """A tank that loses twice the heat: one column of A differs, and the plant is linear."""
+    A, B, C = (
+        np.array([[0.98, 0.01], [0.02, 0.97]]),
+        np.array([[0.0], [0.1]]),
+        np.array([[1.0, 0.0]] * 2 + [[0.0, 1.0]] * 2),
+    )
+    rng, x, y = np.random.default_rng(1000), np.zeros(2), []
+    u = np.repeat(rng.choice([-1.0, 1.0], (40, 1)), 25, axis=0) + 0.5
+    for k in range(len(u)):
+        y.append(C @ x + 0.05 * rng.standard_normal(4))
+        x = (A - [[0.02, 0.0], [0.0, 0.0]]) @ x + B @ u[k] + 0.003 * rng.standard_normal(2)
+    model = controllers.LinearModel(A, B, C, 9e-6, 0.0025, dt=0.1)
+    finding = controllers.diagnose_recording(model, np.array(y), u)
+    assert finding.kind == "dynamics"
+
+
+def test_sensors_that_fail_together_are_named_where_no_wrong_model_explains_the_run():
+    """Two of five sensors, each in its own way; a drift that others contradict is left out before."""
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]] * 4, 1e-3, 1.0, dt=0.02)
+    controller = controllers.BayesianController(model, initial_mean=20.0, u_min=-4000.0, u_max=4000.0)
+    faults = [
+        cosim.Bias(sensor=0, start=4.0, magnitude=8.0), cosim.Drift(sensor=1, start=4.0, slope=3.0),
+        cosim.Bias(sensor=2, start=8.0, stop=10.0, magnitude=8.0),
+    ]  # fmt: skip
+    loop = cosim.closed_loop(
+        cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}),
+        controller,
+        control="force",
+        measured="v",
+        sensors=cosim.Sensors(4, 1.0),
+        faults=faults,
+        reference=20.0,
+    )
+    finding = controllers.diagnose(loop.simulate(12.0, seed=1), loop)
+    assert "sensors" in {finding.kind, *finding.others}
+    assert "ensors 0, 1 and 2 are faulty at the same time." in finding.sentence

@@ -471,3 +471,18 @@ def integrator_loop(**parts):
         reference=1.0,
         **parts,
     )
+
+
+@pytest.mark.parametrize(
+    ("hours", "label", "last"), [(1.0, "time (s)", "3500"), (8.0, "time (h)", "8"), (240.0, "time (d)", "10")]
+)
+def test_long_times_are_in_hours_or_days(hours, label, last):
+    diagram = cosim.Diagram(dt=36.0)
+    diagram.add(cosim.Gaussian(std=1.0), "noise")
+    figure = diagram.simulate(hours * 3600.0, seed=1).plot_signals()
+    figure.canvas.draw()
+    axis = figure.axes[-1]
+    low, high = axis.get_xlim()
+    ticks = [text.get_text() for text in axis.get_xticklabels() if low <= text.get_position()[0] <= high]
+    assert axis.get_xlabel() == label
+    assert ticks[-1] == last
