@@ -22,8 +22,8 @@ To write a precision learner you must:
    table of a run;
 9. if it calls Python code that cannot be compiled, set ``compiled=False``; its controller then runs interpreted;
 10. add it to `LEARNERS` and to ``controllers/__init__.pyi``; to the table of ``docs/explanation/precision.md`` and to
-    ``docs/gallery_examples/4_learners/plot_every_learner.py``; to `EXAMPLES` of
-    ``tests/controllers/precision/test_precision.py``; and, with its numbers, to ``docs/explanation/which-learner.md``.
+    ``docs/gallery_examples/4_learners/plot_every_learner.py``. Tests take it with its default settings; further ones belong to
+    `EXAMPLES` of ``tests/controllers/precision/test_precision.py``.
 """
 
 from __future__ import annotations

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from block_kinds import SIZES
+
+from bayesftc import controllers, cosim
 
 LEARNERS = (
     'kind = "FixedPrecision"',
@@ -39,6 +42,14 @@ FAULTS = (
     'kind = "Delay"\nsensor = 1\ndelay = 0.06',
     'kind = "RandomFaults"\nsensor = 0\nmean_time_to_fault = 0.1\nmean_time_to_recovery = 0.04\n'
     'kinds = [{ kind = "Freeze" }, { kind = "Drift", slope = 5.0 }]\nweights = [1.0, 2.0]',
+)
+LEARNERS += tuple(
+    f'kind = "{cls.__name__}"' for cls in controllers.LEARNERS if f'"{cls.__name__}"' not in "".join(LEARNERS)
+)
+FAULTS += tuple(
+    "\n".join([f'kind = "{cls.__name__}"', "sensor = 0", *(f"{k} = {v}" for k, v in SIZES[cls.__name__].items())])
+    for cls in cosim.FAULTS
+    if f'"{cls.__name__}"' not in "".join(FAULTS)
 )
 SOURCES = (
     'kind = "Constant"\nvalue = 20.0',

@@ -5,6 +5,8 @@ Controllers are in `BLOCKS` of the exports' conftest.py, beside these.
 
 from __future__ import annotations
 
+import ast
+import doctest
 from dataclasses import MISSING, fields, replace
 
 import control
@@ -12,33 +14,35 @@ import numpy as np
 from hypothesis import strategies as st
 
 from bayesftc import cosim
+from bayesftc.cosim.blocks.faults.base import Fault
 
 DT = "1/10"
+WINDOWED = {f.name for f in fields(Fault)}
+"""Settings of every fault."""
 WINDOW = {"start": 3.0, "stop": 9.0, "channels": 2}
-SIZES = {
-    "Drift": {"slope": 2.0},
-    "Bias": {"magnitude": 1.0},
-    "Injection": {"magnitude": 1.0},
-    "GainFault": {"factor": 2.0},
-    "Stuck": {"at": 1.0},
-    "NoiseGrowth": {"slope": 1.0},
-    "NoiseIncrease": {"std": 1.0},
-    "Spikes": {"magnitude": 3.0},
-    "Clipping": {"low": -0.5, "high": 0.5},
-    "Rounding": {"resolution": 0.5},
-    "Lag": {"time_constant": 0.5},
-    "Delay": {"delay": 0.3},
-}
-"""What the kinds of fault need beside a window: a new kind with required settings needs a line here."""
+
+
+def _in_example(kind):
+    """Return the settings of a fault, but those of every fault, in the example of its docstring."""
+    own = {
+        f.name: f.default is MISSING and f.default_factory is MISSING for f in fields(kind) if f.name not in WINDOWED
+    }
+    for example in doctest.DocTestParser().get_examples(kind.__doc__):
+        for node in ast.walk(ast.parse(example.source)):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == kind.__name__:
+                given = {key.arg: key.value for key in node.keywords if key.arg in own}
+                if all(name in given for name, needed in own.items() if needed):
+                    return {} if "kinds" in given else {name: ast.literal_eval(value) for name, value in given.items()}
+    raise AssertionError(f"the example in the docstring of {kind.__name__} must have all settings that have no default")
+
+
+SIZES = {kind.__name__: _in_example(kind) for kind in cosim.FAULTS}
+"""Settings of each kind of fault beside a window: those of the example in its docstring, which a new kind has anyway."""
 
 
 def fault_of(kind, **settings):
     """Return a fault of this kind with its settings in `SIZES`, unless others are given."""
-    needed = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
-    settings = {**SIZES.get(kind.__name__, {}), **settings}
-    missing = [name for name in needed if name not in settings]
-    assert not missing, f"{kind.__name__} needs {', '.join(missing)}; add them to SIZES in tests/cosim/block_kinds.py"
-    return kind(**settings)
+    return kind(**{**SIZES[kind.__name__], **settings})
 
 
 def _subsystem():

@@ -18,9 +18,9 @@ To add a kind of fault you must:
    and give the function a seventh argument ``memory``. Override ``numbers`` if the function needs settings in steps;
 5. override ``check`` if settings must be more than finite numbers;
 6. put it into `FAULTS`, before `RandomFaults`, into ``cosim/__init__.pyi``, into
-   ``docs/gallery_examples/3_faults/plot_every_fault.py`` and into the table of ``docs/explanation/concepts.md``; with its
-   formula in NumPy into `KINDS` of ``tests/cosim/blocks/faults/test_faults.py``; its required settings into `SIZES` of
-   ``tests/cosim/block_kinds.py``; and an example into `FAULTS` of ``tests/attack/documents.py``.
+   ``docs/gallery_examples/3_faults/plot_every_fault.py`` and into the table of ``docs/explanation/concepts.md``; and with its
+   formula in NumPy into `KINDS` of ``tests/cosim/blocks/faults/test_faults.py``. All other tests take the settings of the
+   example in its docstring.
 
 It is then available in random, scheduled and mixed faults, both engines and scenario files.
 """
