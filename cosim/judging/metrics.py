@@ -24,7 +24,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from bayesftc.cosim.judging.signals import (
     ALARM,
@@ -34,6 +34,7 @@ from bayesftc.cosim.judging.signals import (
     Flags,
     InputSignals,
     LoopSignals,
+    QuantitySignals,
     SensorSignals,
 )
 from bayesftc.cosim.types import Floats
@@ -367,15 +368,32 @@ def limited(signals: LoopSignals) -> Iterator[tuple[str, str]]:
         per_second = f"{unit}/s" if unit else " per second"
         rate = f", and changes at its limit of {control.rate:g}{per_second} for {fast:.0%}" if fast >= LIMITED else ""
         if min(low, high) >= SWINGS and low + high >= LIMITED:
+            follows = _swings(control) <= max(map(_turns, signals.quantities), default=0) + 1
             yield (
                 f"{name} swings between its limits, {control.low:g}{unit} ({low:.0%} of the run) and {control.high:g}{unit} "
                 f"({high:.0%}){rate}",
-                AGGRESSIVE,
+                REACH if follows else AGGRESSIVE,
             )
         elif max(low, high) >= LIMITED:
             limit = control.low if low > high else control.high
             where = rate or ", where it cannot do more"
             yield f"{name} is at its limit of {limit:g}{unit} for {max(low, high):.0%} of the run{where}", REACH
+
+
+def _swings(control: ControlSignals) -> int:
+    """Return how often a control goes from one limit to the other."""
+    at = 1 * (control.sent >= control.high) - 1 * (control.sent <= control.low)  # type: ignore[operator]
+    return _changes(at)
+
+
+def _turns(quantity: QuantitySignals) -> int:
+    """Return how often a reference turns between up and down."""
+    return 0 if quantity.reference is None else _changes(np.sign(np.diff(quantity.reference)))
+
+
+def _changes(signs: NDArray[Any]) -> int:
+    """Return how often the sign changes, zeros and NaN left out."""
+    return int(np.count_nonzero(np.diff(signs[np.nan_to_num(signs) != 0.0])))
 
 
 def _at_rate(control: ControlSignals, time: Floats) -> float:

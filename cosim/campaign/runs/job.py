@@ -218,8 +218,9 @@ class Job:
             with self._lock, suppress(ValueError):
                 self._loops.remove(kept)
             kept.many.close()
-        loop = _Loop(self, point)
-        with self._lock:
+        with self._lock:  # the threads share a diagram, which takes longest; each has its own FMUs
+            built = next((other.diagram for other in self._loops if other.point == point), None)
+            loop = _Loop(self, point, built or self.diagram(point))
             self._loops.append(loop)
         self._local.loop = loop
         return loop
@@ -235,8 +236,8 @@ class Job:
 class _Loop:
     """The loop of one point, with the recorded signals: those to keep, and those of metrics, which need every step."""
 
-    def __init__(self, job: Job, point: int):
-        self.point, self.diagram = point, job.diagram(point)
+    def __init__(self, job: Job, point: int, diagram: Diagram):
+        self.point, self.diagram = point, diagram
         schedule = self.diagram.schedule
         kept = _selected(job, schedule)
         self.truth = SensorTruth.of(self.diagram, kept.columns) if job.truths else None

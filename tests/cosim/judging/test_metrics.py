@@ -377,3 +377,22 @@ def test_a_loop_that_swings_between_the_limits_of_its_control_says_so():
     (note,) = [note for note in result.notes if "control" in note]
     assert re.search(r"swings between its limits, -4 \(.*and changes at its limit of 1 per second", note)
     assert any("Give a larger goal_covariance" in sentence for sentence in result.summary().notes)
+
+
+@pytest.mark.parametrize(("amplitude", "advice"), [(10.0, "Is the goal within its reach?"), (0.0, "too aggressive")])
+def test_a_control_that_follows_a_goal_out_of_reach_is_not_called_aggressive(amplitude, advice):
+    plant = control.ss([[0.0, 1.0], [0.0, -0.5]], [[0.0], [1.0]], [[1.0, 0.0]], 0, inputs=["u"], outputs=["y"])
+    costs = {"acceptable_error": 1e-4, "acceptable_control": 1e4} if not amplitude else {}
+    controller = controllers.design(
+        plant, measured="y", actuated="u", sensors=2, sensor_std=0.05, dt=0.02, u_min=-1.0, u_max=1.0, **costs
+    )
+    loop = cosim.closed_loop(
+        plant,
+        controller,
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(2, 0.05),
+        reference=cosim.Sine(amplitude=amplitude, period=8.0),
+    )
+    (sentence,) = [note for note in loop.simulate(40.0, seed=1).summary().notes if "swings" in note]
+    assert advice in sentence

@@ -49,7 +49,7 @@ def measure(quick: bool = False) -> Section:
     """Measure everything in turns, after a first run that compiles."""
     from bayesftc.cosim.campaign.executors.base import cores
 
-    runs, few, rounds = (200, 4, 2) if quick else (8_000, 40, 7)
+    runs, few, rounds = (200, 4, 2) if quick else (32_000, 40, 7)
     campaign, diagram = speed_campaign(runs), full_diagram()
     on_cores = {"one": 1, "all": cores()}
     measured = {name: partial(_rate, campaign, n) for name, n in on_cores.items()}
