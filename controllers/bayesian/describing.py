@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 LASTING = 1e-9
 """A mode whose pole is nearer to the unit circle than this counts as undamped: its noise accumulates."""
 
+NOTHING = 1e-20
+"""Largest gain, relative to the largest one, that is printed as 0."""
+
 DAMPINGS, SAME = (1e-6, 1e-7), 0.01
 """Two dampings of undamped modes, and the relative difference up to which a standard deviation does not depend on them."""
 
@@ -207,7 +210,9 @@ def _numbers(values: Floats) -> str:
 
 
 def _rows(matrix: Floats) -> str:
-    return "; ".join(_numbers(row) for row in matrix)
+    """Return the rows of gains; what is only rounding beside the largest one is 0."""
+    exact = np.where(np.abs(matrix) > NOTHING * np.abs(matrix).max(initial=0.0), matrix, 0.0)
+    return "; ".join(_numbers(row) for row in exact)
 
 
 def _limits(controller: BayesianController) -> str:

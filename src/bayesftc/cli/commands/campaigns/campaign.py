@@ -167,9 +167,10 @@ def _print(numbers: Mapping[str, Any], before: int) -> None:
 
     console = output.terminal(None if sys.stdout.isatty() else 110)
     if numbers["points"] and numbers["points"][0]["metrics"]:
-        console.print(_table(numbers["points"]))
+        metrics = _shown_metrics(numbers["points"])
+        console.print(_table(numbers["points"], metrics))
         hidden = [f"{len(numbers['points']) - POINTS} more points"] if len(numbers["points"]) > POINTS else []
-        more = len(numbers["points"][0]["metrics"]) - METRICS
+        more = len(numbers["points"][0]["metrics"]) - len(metrics)
         hidden += [f"{more} more metrics"] if more > 0 else []
         if hidden:
             console.print(Text(f"{' and '.join(hidden)} are in the store."))
@@ -183,14 +184,24 @@ def _print(numbers: Mapping[str, Any], before: int) -> None:
     console.print(Text(f"bayesftc report {store} draws them; bayesftc replay {store} RUN repeats one."))
 
 
-def _table(points: list[dict[str, Any]]) -> Table:
+def _shown_metrics(points: list[dict[str, Any]]) -> list[str]:
+    """Return the first metrics that are defined at some point, such as the tracking error of a quantity with a goal."""
+
+    def defined(name: str) -> bool:
+        means = (point["metrics"].get(name, {}).get("mean", float("nan")) for point in points)
+        return any(mean == mean for mean in means)
+
+    names = list(points[0]["metrics"])
+    return [name for name in names if defined(name)][:METRICS] or names[:METRICS]
+
+
+def _table(points: list[dict[str, Any]], metrics: list[str]) -> Table:
     from rich.table import Table
 
     table = Table(title="Mean of each metric ± half of its 95 % confidence interval", title_justify="left")
     for name in points[0]["factors"]:
         table.add_column(name, overflow="fold")
     table.add_column("runs", justify="right")
-    metrics = list(points[0]["metrics"])[:METRICS]
     for name in metrics:
         table.add_column(name, justify="right", overflow="fold")
     for point in points[:POINTS]:
