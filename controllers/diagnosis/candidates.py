@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
     from bayesftc.cosim.types import Floats
 
-LATEST = 1.0
-"""Longest delay and lag to try, in seconds."""
+LATEST, LATEST_STEPS = 1.0, 40
+"""Longest delay and lag to try, in seconds, and at least in samples: slow plants have long ones."""
 
 COARSE = 40
 """Number of delays in the coarse search."""
@@ -322,7 +322,7 @@ def _early(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course
 
 def _most_steps(judge: Judge) -> int:
     """Return the longest delay to try, in samples."""
-    return max(1, min(round(LATEST / float(judge.model.step)), 2 * len(judge.recording.u) // 3))
+    return max(1, min(max(round(LATEST / float(judge.model.step)), LATEST_STEPS), 2 * len(judge.recording.u) // 3))
 
 
 def _coarse(most: int) -> list[int]:

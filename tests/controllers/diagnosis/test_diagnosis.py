@@ -865,3 +865,16 @@ def test_sensors_that_fail_together_are_named_where_no_wrong_model_explains_the_
     finding = controllers.diagnose(loop.simulate(12.0, seed=1), loop)
     assert "sensors" in {finding.kind, *finding.others}
     assert "ensors 0, 1 and 2 are faulty at the same time." in finding.sentence
+
+
+@pytest.mark.parametrize(("dt", "samples"), [(0.1, 15), (5.0, 12), (60.0, 35)])
+def test_a_long_dead_time_of_a_slow_plant_is_found(dt, samples):
+    """Longest are 1 s or 40 samples, whichever is more: with 1 s alone, a minute in a plant of 5 s was called nonlinear."""
+    A, B = np.array([[0.97, 0.03], [0.0, 0.9]]), np.array([[0.0], [0.1]])
+    model = controllers.LinearModel(A, B, [[1, 0], [1, 0]], [1e-6, 1e-5], 0.01, dt=dt)
+    rng, x = np.random.default_rng(1000), np.zeros((800, 2))
+    u = np.repeat(rng.choice([-5.0, 5.0], (20, 1)), 40, axis=0)
+    for k in range(samples, 799):
+        x[k + 1] = A @ x[k] + B @ u[k - samples]
+    finding = diagnose_recording(model, x[:, :1] + 0.1 * rng.standard_normal((800, 2)), u)
+    assert (finding.kind, finding.values[0]) == ("late", pytest.approx(samples * dt))
