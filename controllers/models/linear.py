@@ -401,7 +401,8 @@ class LinearModel(Printed, NamedArguments):
                 )
         if np.any(linear.D != 0):
             raise ModelError(
-                "The system has direct feedthrough (D is not 0), which the model y = C x cannot represent; delay the input."
+                "The system has direct feedthrough (D is not 0), which the model y = C x cannot represent. Put a lag before the "
+                "input: it becomes a state of the plant."
             )
         outputs = linear.C.shape[0]
         if sensors is None:

@@ -499,5 +499,5 @@ def _refuse_direct(D: Floats) -> None:
     if np.any(D != 0):
         raise ModelError(
             "An output depends directly on an input (D is not 0, a relative degree of 0), which the model y = C x cannot "
-            "represent. Measure another output, or delay the input."
+            "represent. Measure another output, or put a lag before the input: a gust, too, is a state that white noise drives."
         )
