@@ -16,7 +16,7 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.actuator_settings import actuator_settings, chance
 from bayesftc.controllers.switching.bank.infer import make_infer
 from bayesftc.controllers.switching.bank.layout import Layout
-from bayesftc.controllers.switching.default_time import time_at
+from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import (
     OFFSET_VARIANCES,
     Drifting,
@@ -234,6 +234,35 @@ class SwitchingPrecision(PrecisionLearner):
         """
         factor = as_number("SwitchingPrecision.slowed() has factor", factor, above=0)
         return self._timed(lambda value: factor * value)
+
+    def rarer(self, factor: float) -> SwitchingPrecision:
+        """Return the learner for devices that fail `factor` times more rarely: an alarm needs more evidence, and few are false.
+
+        Default times still grow with the sample time. Harmless modes and process modes keep theirs.
+
+        Parameters
+        ----------
+        factor : float
+            Positive factor of the mean times to a fault.
+
+        Examples
+        --------
+        >>> from bayesftc.controllers import SwitchingPrecision
+        >>> learner = SwitchingPrecision().rarer(100.0)
+        >>> learner.modes[0].time_to_fault, learner.paced(300.0).modes[0].time_to_fault
+        (30000.0, 450000000.0)
+        """
+        factor = as_number("SwitchingPrecision.rarer() has factor", factor, above=0)
+
+        def rare(mode: Any) -> Any:
+            if not getattr(mode, "is_fault", True):
+                return mode
+            time = mode.time_to_fault
+            usual = getattr(time, "usual_step", None)
+            longer = factor * time if usual is None else DefaultTime(factor * time, usual)
+            return replace(mode, time_to_fault=longer)
+
+        return replace(self, modes=tuple(map(rare, self.modes)), actuator_modes=tuple(map(rare, self.actuator_modes)))
 
     def paced(self, step: float) -> SwitchingPrecision:
         """Return the learner with the mean times for samples `step` seconds apart; `learner` uses these.

@@ -137,6 +137,7 @@ def numbers_of(signals: LoopSignals) -> dict[str, Any]:
         "law": signals.lag,
         "units": units,
         "step": step,
+        "hold": step and usual_hold(step),
         **figures(signals).to_dict(),
         "findings": plain_findings(signals),
     }

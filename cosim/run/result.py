@@ -353,11 +353,12 @@ class Result(Mapping[str, Floats]):
 
     def _findings_html(self) -> str:
         """Return the table of the inferred faults; nothing if there are none."""
-        from bayesftc.cosim.judging.findings import plain_findings
+        from bayesftc.cosim.judging.findings import plain_findings, usual_hold
         from bayesftc.cosim.run.summary import findings_table
 
         inferred = plain_findings(self._loop_signals()) if self.roles is not None else None
-        return findings_table(inferred).html() + "\n" if inferred else ""
+        hold = usual_hold(float(self.time[1] - self.time[0])) if len(self.time) > 1 else None
+        return findings_table(inferred, hold).html() + "\n" if inferred else ""
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a column for each scalar (``y[0]``, ``y[1]``, ...) and time in seconds as its index."""

@@ -18,10 +18,9 @@ TRACKING = "The tracking error uses the reference at the same instant."
 ERRORS = "Root-mean-square errors (tracking: true value - reference; belief: estimate - true value)"
 PHASES = {"overall": "whole run", "before": "before faults", "during": "during", "after": "after"}
 FINDINGS = "Faults that the controller infers"
-PAUSES = "Alarms of one kind with a short pause between them (usually 1 s, but at least 10 and at most 200 samples) are one row."
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
-    f"kind. {PAUSES} Size: at its end. {DASH}: not estimated."
+    f"kind. {{}} Size: at its end. {DASH}: not estimated."
 )
 UNIT_REMARKS = {
     "x noise": " x noise: times the standard deviation of the sensor's noise.",
@@ -136,7 +135,7 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
     numbers : mapping
         Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, ``units``, the unit of each quantity, ``findings``, the
         inferred faults, which are None if nothing is inferred, and possibly ``law``, a sentence about the lag of the controller,
-        and ``step``, the time between two rows in seconds.
+        ``step``, the time between two rows in seconds, and ``hold``, the longest pause within an alarm in seconds.
     """
     if numbers["tracking"]:
         rows = [
@@ -152,7 +151,7 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
         yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), remark)
     sensors, inferred, step = numbers["sensors"], numbers.get("findings"), numbers.get("step")
     if inferred:
-        yield findings_table(inferred)
+        yield findings_table(inferred, numbers.get("hold"))
     yield FiguresTable(
         "sensors",
         "Faults and their detection",
@@ -170,8 +169,17 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
             yield FiguresTable(key, heading, columns, tuple(rows), remark)
 
 
-def findings_table(inferred: Sequence[Mapping[str, Any]]) -> FiguresTable:
-    """Return the table of the inferred faults, each as plain data of a `bayesftc.cosim.judging.findings.Finding`."""
+def pauses(hold: float | None) -> str:
+    """Return the sentence about pauses that do not end an alarm, of at most `hold` seconds, if that is known."""
+    longest = "a short pause" if hold is None else f"a pause of up to {hold:g} s"
+    return f"Alarms of one kind with {longest} between them are one row."
+
+
+def findings_table(inferred: Sequence[Mapping[str, Any]], hold: float | None = None) -> FiguresTable:
+    """Return the table of the inferred faults, each as plain data of a `bayesftc.cosim.judging.findings.Finding`.
+
+    Pauses of at most `hold` seconds do not end an alarm.
+    """
     longest = sorted(inferred, key=lambda each: each["start"] - each["end"])[:MOST_FINDINGS]
     rows = []
     for each in sorted(longest, key=lambda each: each["start"]):
@@ -183,7 +191,9 @@ def findings_table(inferred: Sequence[Mapping[str, Any]]) -> FiguresTable:
     only = f" The table has the {len(rows)} longest of {len(inferred)} rows." if left_out else ""
     process = PROCESS_REMARK if any(where == "process" for where, *_ in rows) else ""
     units = "".join(words for unit, words in UNIT_REMARKS.items() if any(each["unit"] == unit for each in longest))
-    return FiguresTable("findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK + units + process + only)
+    return FiguresTable(
+        "findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK.format(pauses(hold)) + units + process + only
+    )
 
 
 def _timed(rows: Sequence[Row], step: float | None) -> Iterator[Row]:

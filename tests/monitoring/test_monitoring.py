@@ -934,3 +934,21 @@ def test_a_row_that_is_written_twice_counts_once(caplog):
     assert "A sample at 1 s repeats the time and the value of the one before. It counts once." in caplog.text
     with pytest.raises(RecordingError, match=r"different samples at 1 s: 6 and 6\.5"):
         Signal([0.0, 1.0, 1.0, 2.0], [5.0, 6.0, 6.5, 7.0])
+
+
+@pytest.mark.parametrize(("count", "slope"), [(2, 0.0), (2, 0.01), (2, 0.002), (3, 0.01)])
+def test_two_sensors_of_which_one_drifts_disagree(count, slope):
+    """It is open which one, unless a third one tells; healthy ones do not disagree."""
+    t, noise = 0.1 * np.arange(400), 0.1 * np.random.default_rng(0).standard_normal((400, count))
+    noise[200:, 1] += slope * np.arange(200)
+    signals = {name: monitoring.Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("abc"[:count])}
+    model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * count, 1.0, 0.01, dt=0.1)
+    learner = controllers.SwitchingPrecision(joint=True)
+    monitored = monitoring.monitor_recording(monitoring.align(signals, {}, dt=0.1), model, learner, initial_mean=20.0)
+    if count == 3 or not slope:
+        assert not monitored.disagreements
+        return
+    (found,) = monitored.disagreements
+    assert found.sensors == ("a", "b")
+    assert 20.0 < found.start < 25.0
+    assert found.end == pytest.approx(39.9)

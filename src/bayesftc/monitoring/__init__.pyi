@@ -1,6 +1,11 @@
 """The public names of `bayesftc.monitoring`, and where they stand; loaded on first use."""
 
-from .alarms import ActuatorEvent as ActuatorEvent, Alarm as Alarm, FaultEvent as FaultEvent
+from .alarms import (
+    ActuatorEvent as ActuatorEvent,
+    Alarm as Alarm,
+    Disagreement as Disagreement,
+    FaultEvent as FaultEvent,
+)
 from .columns import Column as Column, Input as Input, Sensor as Sensor, SensorErrors as SensorErrors
 from .fit.columns import (
     Place as Place,

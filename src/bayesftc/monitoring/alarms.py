@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -12,13 +13,16 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
-from bayesftc.cosim.judging.findings import Part, last_of_kind, onset_of_alarm, parts_of_alarms
+from bayesftc.cosim.judging.findings import Part, alarms, last_of_kind, onset_of_alarm, parts_of_alarms
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.gaps import Gap
 from bayesftc.monitoring.recording import Recording
 
 ACTUATOR_SIGNALS = ("fault_probability", "mode_probability", "fault_size")
 """Outputs of the estimator about its actuators; their names begin with ``actuator_``."""
+
+EITHER, LASTS = 0.95, 50
+"""Sum of the fault probabilities of two sensors from which one of them is faulty, and for how many samples at least."""
 
 
 @dataclass(frozen=True)
@@ -157,6 +161,65 @@ class ActuatorEvent:
 
     def __repr__(self) -> str:
         return short(self, start="s", end="s")
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """A time in which one of two sensors is faulty, but neither has an alarm, because it is open which one.
+
+    Attributes
+    ----------
+    sensors : tuple of str
+        Names of the two.
+    start, end : float
+        Start and end, in seconds of the recording.
+    probability : float
+        Largest sum of their fault probabilities, at most 1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from bayesftc import controllers, monitoring
+    >>> t, noise = 0.1 * np.arange(400), 0.1 * np.random.default_rng(0).standard_normal((400, 2))
+    >>> noise[200:, 1] += 0.01 * np.arange(200)  # the second of two thermometers drifts from 20 s on
+    >>> signals = {name: monitoring.Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("ab")}
+    >>> model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 2, 1.0, 0.01, dt=0.1)
+    >>> recording, learner = monitoring.align(signals, {}, dt=0.1), controllers.SwitchingPrecision(joint=True)
+    >>> monitored = monitoring.monitor_recording(recording, model, learner, initial_mean=20.0)
+    >>> [(each.sensors, round(each.start)) for each in monitored.disagreements]
+    [(('a', 'b'), 22)]
+    """
+
+    sensors: tuple[str, str]
+    start: float
+    end: float
+    probability: float
+
+    def __repr__(self) -> str:
+        return short(self, start="s", end="s")
+
+
+def disagreements(recording: Recording, probability: Floats, alarm: Alarm) -> Iterator[Disagreement]:
+    """Give the times of at least `LASTS` samples in which only the fault probabilities of two sensors together are large.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    probability : ndarray, steps x sensors
+        Fault probabilities.
+    alarm : Alarm
+        Conditions of an alarm.
+    """
+    step = float(recording.dt)
+    hold, quiet = round(time_at(alarm.hold, step) / step), probability.max(axis=1, initial=0.0) < alarm.threshold
+    for i, j in combinations(range(probability.shape[1]), 2):
+        together = np.where(quiet, probability[:, i] + probability[:, j], 0.0)
+        for begin, end in alarms(together, EITHER, hold):
+            if end - begin >= LASTS:
+                start, last = float(recording.time[begin]), float(recording.time[end - 1])
+                names = recording.sensors[i], recording.sensors[j]
+                yield Disagreement(names, start, last, min(float(together[begin:end].max()), 1.0))
 
 
 def sensor_events(

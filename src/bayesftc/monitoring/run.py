@@ -23,8 +23,10 @@ from bayesftc.monitoring.alarms import (
     ACTUATOR_SIGNALS,
     ActuatorEvent,
     Alarm,
+    Disagreement,
     FaultEvent,
     actuator_events,
+    disagreements,
     sensor_events,
 )
 from bayesftc.monitoring.gaps import in_gaps
@@ -119,6 +121,12 @@ class Monitored:
     def time(self) -> Floats:
         """Times of the steps in seconds."""
         return self.recording.time
+
+    @property
+    def disagreements(self) -> tuple[Disagreement, ...]:
+        """Times in which one of two sensors is faulty, but it is open which one, in the order of their start."""
+        found = disagreements(self.recording, self.fault_probability, self.alarm)
+        return tuple(sorted(found, key=lambda each: each.start))
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row for each step: the time ``t``, and for each sensor its fault probability and kind.

@@ -686,3 +686,15 @@ def test_the_loss_of_a_slow_sensor_counts_the_steps_between_its_samples(loss, be
     assert learner.for_rates(every, before).loss == pytest.approx(expected)
     wrapped = ExplicitDetection(learner, threshold=0.5).for_rates(every, before)
     assert wrapped.learning == learner.for_rates(every, before)
+
+
+def test_rarer_faults_are_rarer_at_every_sample_time():
+    """Default times stay default ones; times of harmless and process modes, and of recoveries, do not change."""
+    learner = SwitchingPrecision([Frozen(), Offset(time_to_fault=3600.0), controllers.Burst()])
+    for step in (0.001, 0.02, 300.0):
+        usual, rare = learner.paced(step), learner.rarer(100.0).paced(step)
+        for one, other in zip(usual.modes, rare.modes, strict=True):
+            factor = 1.0 if isinstance(one, controllers.Burst) else 100.0
+            assert other.time_to_fault == pytest.approx(factor * one.time_to_fault)
+            assert other.time_to_recovery == one.time_to_recovery
+        assert rare.process_modes == usual.process_modes

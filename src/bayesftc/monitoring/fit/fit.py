@@ -86,6 +86,8 @@ class FittedModel:
     changes : dict of str to Change
         Sensors that have moved away from the others and not returned, with the size, the first step, and whether the change is
         sudden. Their biases and lasting errors come from the time before, as do those of a stretch in it.
+    outside : SensorErrors or None
+        Wandering biases that show only outside of the stretch: they are in `errors`, but may be faults there.
     coded : bool
         Whether samples were left out, because a value that repeats seems to stand for no sample.
     level, spread : float
@@ -115,6 +117,7 @@ class FittedModel:
     rate: float
     strangers: Mapping[str, float] = field(default_factory=dict)
     changes: Mapping[str, Change] = field(default_factory=dict)
+    outside: SensorErrors | None = None
     coded: bool = False
 
     @property
@@ -256,12 +259,13 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
     kept = unmoved(whole, moved, stretch)
     y = np.where(np.isfinite(kept[stretch]), y, np.nan)
     bias = biases(y)
-    slow, times = _wandering(y - bias, kept - bias, single)
+    slow, times, outside = _wandering(y - bias, kept - bias, single)
+    counted = [i for i in range(len(single)) if slow[i] > FIT.wanders * single[i].variance]
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
         std = float(max(single[i].white, widths[i] ** 2 / 12)) ** 0.5
         sensors[name] = FittedSensor(std, float(bias[i]), *_samples(recording, i, stretch, y[:, i]))
-        lasting = [*single[i].lasting, *([(slow[i], times[i])] if slow[i] > FIT.wanders * single[i].variance else [])]
+        lasting = [*single[i].lasting, *([(slow[i], times[i])] if i in counted else [])]
         errors += [
             SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting if variance
         ]
@@ -273,7 +277,12 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
     level = median(kept - bias, 1)
     middle, spread = float(np.nanmedian(level)), float(np.nanstd(level))
     by_name = {recording.sensors[i]: change for i, change in moved.items()}
-    return FittedModel(plant, sensors, tuple(errors), motion.seen, middle, spread, rate, changes=by_name)
+    elsewhere = (
+        SensorErrors(outside**0.5, times[0] * dt) if outside and any(slow[i] == outside for i in counted) else None
+    )
+    return FittedModel(
+        plant, sensors, tuple(errors), motion.seen, middle, spread, rate, changes=by_name, outside=elsewhere
+    )
 
 
 def _half(apart: Floats) -> float:
@@ -381,9 +390,10 @@ def _sizes(variances: Floats, uncertain: Floats) -> tuple[Floats, Floats]:
     return sizes, shape
 
 
-def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[float], list[float]]:
+def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[float], list[float], float]:
     """Return the variance and time constant (steps) of each sensor's wandering bias; at least those of a typical sensor.
 
+    The last number is the variance of a typical sensor if less than half of it shows in the stretch, else 0.
     A single sensor whose model has no wandering bias would be suspected when the others wander.
     """
     (inside, _), (everywhere, times) = wander(y, FIT.usual), wander(whole, FIT.rare)
@@ -392,7 +402,12 @@ def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[
         most = np.minimum(most, np.median(everywhere))
     variances = np.maximum(inside, np.minimum(everywhere, most))
     typical = float(np.median(variances))
-    return np.maximum(variances, typical).tolist(), [float(np.median(times[variances >= typical]))] * len(errors)
+    outside = typical if typical > 2.0 * float(np.median(inside)) else 0.0
+    return (
+        np.maximum(variances, typical).tolist(),
+        [float(np.median(times[variances >= typical]))] * len(errors),
+        outside,
+    )
 
 
 def _repeats(samples: Floats, width: float) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from bayesftc.cli import output
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
-from bayesftc.cosim.run.summary import PAUSES
+from bayesftc.cosim.run.summary import pauses
 from bayesftc.monitoring import ActuatorEvent, FaultEvent, Recording
 
 IN_NOISE = tuple(mode.__name__ for mode in FAULT_MODES if mode.size_in_noise)
@@ -21,10 +21,11 @@ def print_faults(
     units: Mapping[str, str],
     recording: Recording | None = None,
     doubtful: Sequence[FaultEvent] = (),
+    hold: float | None = None,
 ) -> None:
     """Print the table of alarms, with the unit of each sensor and input by its name, and dates if the recording has any.
 
-    The kinds of doubtful ones are in brackets.
+    The kinds of doubtful ones are in brackets. Pauses of at most `hold` seconds do not end an alarm.
     """
     console, say = output.sayer()
     if not events:
@@ -50,7 +51,7 @@ def print_faults(
         )
     if any(event.continued for event in events):
         say("An alarm whose kind changes has a row for each kind.")
-    say(f"{PAUSES} Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
+    say(f"{pauses(hold)} Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
     if any(isinstance(event, ActuatorEvent) for event in events):
         say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")
 

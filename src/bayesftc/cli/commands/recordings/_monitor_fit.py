@@ -20,6 +20,7 @@ from bayesftc.cosim.base.recordings.columns import column_called
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.day_first import day_first_date
 from bayesftc.cosim.base.recordings.turns import find_period
+from bayesftc.cosim.base.timebase import spoken
 from bayesftc.cosim.errors import RecordingError, ResultFileError
 from bayesftc.monitoring import (
     FittedModel,
@@ -353,7 +354,18 @@ def fit_notes(fitted: FittedModel) -> list[str]:
         "quantity, leave it out: name the others with --sensor."
         for name, ratio in doubtful_sensors(fitted).items()
         if name not in fitted.strangers
-    ]
+    ] + list(_outside(fitted))
+
+
+def _outside(fitted: FittedModel) -> Iterator[str]:
+    """Give a note that the model expects slow errors which it has not seen while the sensors were healthy."""
+    if fitted.outside:
+        size, seconds = float(np.max(fitted.outside.std)), float(np.max(fitted.outside.time_constant))
+        yield (
+            f"Outside of the stretch, biases wander by {size:.2g} within {spoken(seconds)}, and the model expects that of "
+            "healthy sensors. If sensors failed there, slow drifts are not found. To expect only what the stretch shows, put its "
+            "rows into a file of their own and fit that."
+        )
 
 
 def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path) -> None:

@@ -28,10 +28,12 @@ from bayesftc.cli.commands.recordings._monitor_fit import (
 from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder, check_numbers
 from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort
 from bayesftc.controllers import ModelMismatchWarning
+from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.cosim.base.recordings.dates import date_at, span_text
 from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.monitoring import (
     ActuatorEvent,
+    Disagreement,
     FaultEvent,
     Gap,
     ModelSuspicion,
@@ -219,6 +221,7 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Seque
         **_dates(recording, start=monitored.time[0], end=monitored.time[-1]),
         "sensors": sensors,
         "faults": [_with_dates(event, recording) | {"doubtful": event in doubtful} for event in monitored.events],
+        "disagreements": [_with_dates(each, recording) for each in monitored.disagreements],
         "actuators": {
             name: {
                 "mean_probability": float(monitored.actuator_fault_probability[:, j].mean()),
@@ -245,7 +248,7 @@ def _dates(recording: Recording, **times: float | None) -> dict[str, str | None]
     }
 
 
-def _with_dates(stretch: FaultEvent | ActuatorEvent | Gap, recording: Recording) -> dict[str, Any]:
+def _with_dates(stretch: FaultEvent | ActuatorEvent | Disagreement | Gap, recording: Recording) -> dict[str, Any]:
     """Return an alarm or a gap as plain data."""
     numbers = asdict(stretch)
     times = {name: numbers[name] for name in ("start", "end", "onset") if name in numbers}
@@ -331,7 +334,14 @@ def _print(
         say(f"There is no fault probability: {monitored.why_no_probability}")
     else:
         units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
-        print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording, doubtful)
+        hold = time_at(monitored.alarm.hold, float(recording.dt))
+        print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording, doubtful, hold)
+        for each in monitored.disagreements:
+            span = Clock(recording).whole_span(each.start, each.end)
+            say(
+                f"One of {each.sensors[0]} and {each.sensors[1]} is faulty from {span} (the sum of their fault probabilities "
+                f"reaches {each.probability:.3g}), but it is open which one: a third sensor would tell."
+            )
     for note in notes:
         say(f"\n{note}")
     if folder is not None:
