@@ -941,10 +941,10 @@ def test_two_sensors_of_which_one_drifts_disagree(count, slope):
     """It is open which one, unless a third one tells; healthy ones do not disagree."""
     t, noise = 0.1 * np.arange(400), 0.1 * np.random.default_rng(0).standard_normal((400, count))
     noise[200:, 1] += slope * np.arange(200)
-    signals = {name: monitoring.Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("abc"[:count])}
-    model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * count, 1.0, 0.01, dt=0.1)
-    learner = controllers.SwitchingPrecision(joint=True)
-    monitored = monitoring.monitor_recording(monitoring.align(signals, {}, dt=0.1), model, learner, initial_mean=20.0)
+    signals = {name: Signal(t, 20.0 + noise[:, i]) for i, name in enumerate("abc"[:count])}
+    model = LinearModel([[1.0]], [[0.0]], [[1.0]] * count, 1.0, 0.01, dt=0.1)
+    learner = SwitchingPrecision(joint=True)
+    monitored = monitor_recording(align(signals, {}, dt=0.1), model, learner, initial_mean=20.0)
     if count == 3 or not slope:
         assert not monitored.disagreements
         return

@@ -96,8 +96,8 @@ def _undecided(each: Pair) -> str:
     if half != half:
         return f". {text_of(each.first)} has {value:.3g} more, but with one seed this may be noise."
     return (
-        f", but the difference to {text_of(each.first)} is not certain: its 95 % interval is {value - half:.3g} to "
-        f"{value + half:.3g}."
+        f", but not certainly: {text_of(each.first)} − {text_of(each.second)} is {value:.3g}, with a 95 % interval from "
+        f"{value - half:.3g} to {value + half:.3g}."
     )
 
 

@@ -526,7 +526,7 @@ def test_no_difference_is_claimed_that_noise_may_have_made(stored):
     points = grid(mass=[80.0, 100.0], precision=["a", "b"])
     values = np.random.default_rng(3).normal(size=4 * 8)
     text = read(report(stored(points, 8, {"rmse": values}))).words
-    assert re.search(r"but the difference to [ab] is not certain: its 95 % interval is -[\d.]+ to [\d.]+", text)
+    assert re.search(r"but not certainly: [ab] − [ab] is [\d.]+, with a 95 % interval from -[\d.]+ to [\d.]+", text)
     assert "It is higher" not in text
 
 
