@@ -34,8 +34,9 @@ GROWTH = 1e3
 STEADY = 1e-7
 """Outputs are steady if they change by less than this, relative to their size, in a response's length."""
 
-WAIT = 200
-"""Longest wait for a steady state, in lengths of a response."""
+WAIT, LONGEST_WAIT, SHRINKS = 200, 2000, 0.8
+"""Wait for a steady state, in lengths of a response; the longest one, of a plant that can be saved and restored there; and the
+largest change relative to that before as many lengths, of a plant that approaches such a state."""
 
 ENOUGH = 1e-12
 """Relative difference of the responses to two pulse sizes at which the search for a size ends."""
@@ -104,8 +105,11 @@ class Experiments:
             If they never are.
         """
         plant, size, k = self._begin(), 0.0, 0
+        changes: list[float] = []
         first = np.empty((0, 0))
-        for part in range(WAIT):
+        for part in range(LONGEST_WAIT):
+            if part >= WAIT and not (plant.can_save and _shrinks(changes)):
+                break
             readings = np.empty((SAMPLES, len(self._rows)))
             for i in range(SAMPLES):
                 readings[i], k = self._advance(plant, self.held.copy(), k), k + 1
@@ -113,12 +117,13 @@ class Experiments:
             size = max(size, float(np.abs(readings).max()), 1e-6)
             if not np.isfinite(size):
                 break
-            if np.ptp(readings, axis=0).max() <= STEADY * size:
+            changes.append(float(np.ptp(readings, axis=0).max()))
+            if changes[-1] <= STEADY * size:
                 self._close()
                 self._waited = part * SAMPLES
                 return np.array(readings[-1]), first
         raise ModelError(
-            f"The plant {self._fmu.default_name!r} has no steady state: with its inputs held at {self.held.tolist()} its "
+            f"The plant {self._fmu.default_name!r} does not come to rest: with its inputs held at {self.held.tolist()} its "
             f"outputs still change after {show(self._step * k)} s. Give start values of a steady state (FMU(parameters=...)), or "
             "other inputs (at=...). For a plant without one identify a model from a recording (LinearModel.identify)."
         )
@@ -149,6 +154,12 @@ class Experiments:
         plant, self._plant, self._saved = self._plant, None, None
         if plant is not None:
             plant.close()
+
+
+def _shrinks(changes: Sequence[float]) -> bool:
+    """Return whether the changes of the outputs, in each length of a response, become smaller as those of a slow mode do."""
+    before = changes[-1 - WAIT // 4] if len(changes) > WAIT // 4 else np.inf
+    return bool(changes) and changes[-1] < SHRINKS * before
 
 
 @dataclass(frozen=True, eq=False)

@@ -225,8 +225,20 @@ def test_a_system_without_a_sample_time_says_where_one_is_given():
 
 
 def test_a_plant_that_never_rests_is_said():
-    with pytest.raises(ModelError, match=r"no steady state.*still change after.*LinearModel\.identify"):
+    with pytest.raises(ModelError, match=r"does not come to rest.*still change after.*LinearModel\.identify"):
         LinearModel.from_fmu(fmus.path("PositionServo"), measured="angle", actuated="voltage", at={"voltage": 1.0})
+
+
+@pytest.mark.slow
+def test_a_very_slow_plant_is_waited_for(tmp_path):
+    """A tank with a time constant of three days and a sample each 30 s: its first 20,000 samples are two of them."""
+    tank = cosim.StateSpace(
+        control.ss([[-1 / 3e5]], [[1 / 3e5]], [[1.0]], 0, inputs=["u"], outputs=["y"]), initial=[1.0]
+    )
+    fmu = cosim.FMU(cosim.export_fmu(tank, tmp_path / "tank.fmu", dt=30.0))
+    with pytest.warns(UserWarning, match="the steady state that it reached"):
+        model = design(fmu, measured="y", actuated="u", dt=30.0, sensor_std=0.1).model
+    assert model.A[0, 0] == pytest.approx(np.exp(-30.0 / 3e5), rel=1e-6)
 
 
 def test_a_plant_that_comes_to_rest_elsewhere_is_linearised_there():
