@@ -57,6 +57,8 @@ export class Loop {
       svg.append(element("path", { d: `M166,${y + 14} H60` }));
       value(158, y + 9, "end", s.column, s.unit);
     });
+    const more = sensors.length - rows;
+    if (more > 0) svg.append(element("text", { x: 204, y: py + 34 * rows + 8, "text-anchor": "middle", class: "unit" }, `and ${more} more sensor${more > 1 ? "s" : ""}`));
     const last = py + 34 * (rows - 1) + 14;
     arrow(`M60,${last} V84 H174 V71`, 174, 64, "up");
     place.replaceChildren(svg);
