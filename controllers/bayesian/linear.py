@@ -20,6 +20,7 @@ from bayesftc.controllers.estimation.belief import ESTIMATION, advance, estimati
 from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, Limits, decide, limit
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner, made_once
+from bayesftc.controllers.switching.actuator_settings import warn_of_small_faults
 from bayesftc.cosim.base.html import Lines
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Definition
@@ -203,6 +204,7 @@ class BayesianController(BayesianBlock):
         self._check_settings()
         self._check_reach(self.model.matrix("B"))
         self._learner()  # raises now, not in the loop, for settings that do not fit the model
+        warn_of_small_faults(self._precision.actuator_modes, self.model, self.u_min, self.u_max)  # type: ignore[arg-type]
         self._warn_if_unstable()
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +11,16 @@ import numpy as np
 from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.controllers.switching.given import expected_of
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ops import sqrt
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.cosim.types import Floats
+
+SMALL = 0.01
+"""Share of a control's range below which expected faults are too small: with a tenth they are found at once, with .03 late."""
 
 ROUNDING = 1e-10
 """Share of the process noise in its largest direction up to which that in another one counts as none."""
@@ -67,6 +73,33 @@ def check_controls(modes: Sequence[ActuatorMode], model: LinearModel, names: Seq
                     f"that {name} moves; give it a process_covariance there."
                 )
     return scales
+
+
+def warn_of_small_faults(modes: Sequence[ActuatorMode], model: LinearModel, low: Floats, high: Floats) -> None:
+    """Warn if modes expect faults far smaller than the range of their control, which then count as faults of sensors for long.
+
+    Parameters
+    ----------
+    modes : sequence of ActuatorMode
+        The modes of each control.
+    model : LinearModel
+        The model of the plant.
+    low, high : ndarray
+        Limits of the controls.
+    """
+    absolute = [mode for mode in modes if mode.absolute]
+    names = model.names.controls if model.names else [f"control {j}" for j in range(model.controls)]
+    for j, scale in enumerate(control_scales(model) if absolute else []):
+        span = float(high[j] - low[j])
+        for mode in absolute:
+            size = float(mode.expected(scale)[1]) ** 0.5
+            if isfinite(span) and 0.0 < size < SMALL * span:
+                warn_user(
+                    f"{type(mode).__name__} expects faults of {names[j]} of about {size:.2g}, by its process noise, "
+                    f"but the limits of {names[j]} are {span:.4g} apart. A larger fault is found late, and sensors are blamed "
+                    f"meanwhile. Give {names[j]} process noise of its own, of about a fiftieth of that range (noise= in design)."
+                )
+                break
 
 
 def actuator_settings(modes: Sequence[ActuatorMode], model: LinearModel) -> list[float]:

@@ -157,7 +157,7 @@ class Campaign:
             Folder for the results, made if necessary; by default they are kept in memory. After an interruption, a further call
             with the same store continues the campaign.
         executor : Executor, optional
-            `Threads`, `Processes` or `DaskCluster`; by default threads if every block and FMU allows it, else processes.
+            Such as `Threads`, `Processes` or `DaskCluster`; by default threads if every block and FMU allows it, else processes.
             The result's ``metadata["executor"]`` names the executor, with the reason. The bits are the same on each.
         progress : callable, optional
             Called as ``progress(done, of, failed)`` when a piece is done.
@@ -183,9 +183,10 @@ class Campaign:
             On Ctrl-C, after all workers have ended; its note has the number of runs that the store keeps.
         """
         if executor is not None and (isinstance(executor, type) or not callable(getattr(executor, "run", None))):
-            raise ModelError(
-                f"executor is {brief(executor)}; it must be Threads(), Processes() or DaskCluster(), or left out."
-            )
+            from bayesftc.cosim.campaign.executors.choice import EXECUTORS
+
+            known = ", ".join(f"{cls.__name__}()" for cls in EXECUTORS)
+            raise ModelError(f"executor is {brief(executor)}; it must be one of {known}, or left out.")
         reason = f"{executor!r}, as requested."
 
         def choose() -> Executor:

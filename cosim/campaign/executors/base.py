@@ -7,7 +7,9 @@ To write an executor you must:
 2. run every piece by ``job.run(piece)``, in this process or in another one to which the job was pickled: the bits are the
    same everywhere;
 3. stop at once, and leave nothing behind, when the iterator is closed or on Ctrl-C;
-4. add it to `EXECUTORS` in ``choice.py``, to ``cosim/__init__.pyi`` and to the table of ``docs/reference/campaigns.md``.
+4. add it to `EXECUTORS` in ``choice.py``, to ``cosim/__init__.pyi``, to the table of ``docs/reference/campaigns.md``, to the
+   command line (`Executor` and `_executor` in ``src/bayesftc/cli/commands/campaigns/campaign.py``), and to `EXAMPLES` of
+   ``tests/cosim/campaign/test_executors.py``.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 To write a metric you must:
 
-1. derive from `Metric`, as a frozen dataclass. Its fields are its settings, also in a campaign file;
+1. derive from `Metric`, as a frozen dataclass; from `_OfSignal` if it reduces one signal, or a difference, to a number, without
+   the times. Its fields are its settings, also in a campaign file;
 2. return from ``signals(diagram)`` the names of the signals that it needs, recorded at every step;
 3. return from ``columns(diagram)`` the names of its numbers, and refuse in ``check(diagram)`` settings that do not fit; both
    are called for the first point of a campaign, before anything runs;

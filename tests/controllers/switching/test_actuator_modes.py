@@ -319,3 +319,14 @@ class Idle(Lone):
 def test_bad_settings(make, words):
     with pytest.raises(ModelError, match=words):
         make()
+
+
+@pytest.mark.parametrize("noise", [1.0, 0.005])
+def test_modes_that_expect_tiny_faults_are_named(noise, recwarn):
+    """Of a heater of 50 kW with a noise of 5 W: its faults would be some 25 W."""
+    model = controllers.LinearModel([[0.9]], [[1.0]], [[1.0], [1.0]], noise**2, 0.04, dt=0.1)
+    learner = controllers.SwitchingPrecision(actuator_modes=[controllers.StuckActuator()])
+    controllers.LQGController(model, learner, goal_covariance=1.0, control_covariance=1.0, u_min=0.0, u_max=50.0)
+    assert any("StuckActuator expects faults of control 0 of about 0.025" in str(w.message) for w in recwarn) == (
+        noise < 1
+    )

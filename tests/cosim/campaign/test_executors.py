@@ -15,7 +15,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim import DaskCluster, Processes, Threads
-from bayesftc.cosim.campaign.executors.choice import choose_executor
+from bayesftc.cosim.campaign.executors.choice import EXECUTORS, choose_executor
 from bayesftc.cosim.campaign.runs import pickling
 from bayesftc.cosim.errors import ModelError
 
@@ -27,6 +27,14 @@ IN_OTHER_PROCESSES = [Processes(2), DaskCluster(workers=2)]
 """Those that outlive the death of a run."""
 EXAMPLES = [Threads(2), *IN_OTHER_PROCESSES]
 """Each way to make the runs; a new one is tested by being added here, or to those above."""
+
+
+def test_every_executor_is_tested_and_can_be_chosen_on_the_command_line():
+    from bayesftc.cli.commands.campaigns.campaign import Executor
+
+    lacking = set(EXECUTORS) - {type(each) for each in EXAMPLES}
+    assert not lacking, f"add {', '.join(cls.__name__ for cls in lacking)} to EXAMPLES of this file"
+    assert len(Executor) == len(EXECUTORS), "Executor of src/bayesftc/cli/commands/campaigns/campaign.py lacks one"
 
 
 def case(executor, *more, slow=False):
@@ -334,7 +342,9 @@ def test_what_cannot_be_pickled_is_named(car):
 
 @pytest.mark.parametrize("executor", ["threads", Threads, 4], ids=str)
 def test_what_is_no_executor_is_refused(executor, car):
-    with pytest.raises(ModelError, match=r"executor is .*; it must be Threads\(\), Processes\(\) or DaskCluster\(\)"):
+    with pytest.raises(
+        ModelError, match=r"executor is .*; it must be one of Threads\(\), Processes\(\), DaskCluster\(\)"
+    ):
         cosim.Campaign(car(), duration=0.1).run(executor=executor)
 
 
