@@ -160,6 +160,10 @@ def _changed(part: Any, changes: Sequence[Change]) -> Any:
         return {**part, **{step: _changed(part[step], group) for step, group in inner.items()}}
     if is_dataclass(part) and not isinstance(part, type):
         return _with_settings(part, inner)
+    if part is None:
+        raise ModelError(
+            f"The factor {path!r}: {path.rpartition('.')[0]} is not set in the loop. Give it there, to change a part of it."
+        )
     raise ModelError(
         f"The factor {path!r}: the settings of {type(part).__name__} cannot be changed one by one; give a whole new object."
     )

@@ -3,6 +3,7 @@
 import pickle
 import warnings
 
+import control
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -476,3 +477,11 @@ def test_signals_of_more_rows_than_any_memory_holds_are_refused(car, tmp_path):
     ):
         cosim.Campaign(car(), duration=1e13, record=["plant.v"]).run(tmp_path / "store")
     assert not (tmp_path / "store").exists()
+
+
+def test_a_part_of_what_is_not_set_cannot_be_changed():
+    system = control.nlsys(lambda t, x, u, params: -x + u, lambda t, x, u, params: x, inputs=1, outputs=1, states=1)
+    diagram = cosim.Diagram(dt=0.1)
+    diagram.add(cosim.StateSpace(system), "plant")
+    with pytest.raises(cosim.ModelError, match=r"plant\.params is not set in the loop\. Give it there"):
+        cosim.varied(diagram, {"plant.params.tau": 2.0})
