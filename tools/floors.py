@@ -47,7 +47,6 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.judging",),
     ("cosim.control",),
     ("cosim.ssp",),
-    ("cosim.stepping.translate",),
     ("cosim.export",),
     ("cosim.campaign.designs",),
     ("cosim.campaign.runs",),
