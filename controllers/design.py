@@ -103,15 +103,16 @@ def design(
         or for each sensor in the order of `sensors`.
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations. It is white: a new value in each sample. A disturbance
-        that lasts, as a gust, is a state of the plant that such noise drives.
+        that lasts, as a gust, is a state of the plant that such noise drives. By default each control has noise of 5 % of half
+        the range between its limits, or of `acceptable_control`. State it if you know better: if the plant moves far less at
+        random, equal sensors seem unequal, and a coarse sensor at rest seems frozen. `describe()` prints it.
     disturbance : number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
         model would leave. If further outputs are measured, and the load acts elsewhere than the control, an error remains: make
         such a load a state of the plant, and give its `noise`.
 
         `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`. A `LinearModel`
-        contains all but the last: leave them out with one. Only the default of `noise` differs: here it is 5 % of half the range
-        between a control's limits, or without limits of `acceptable_control`, where one of them is given.
+        contains all but the last: leave them out with one. Only the default of `noise` differs.
     acceptable_error : number or vector
         For Bryson's rule: the largest acceptable error of each goal output, in its unit.
     acceptable_control : number or vector, optional

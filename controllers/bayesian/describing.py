@@ -136,8 +136,8 @@ def accuracy_lines(controller: BayesianController) -> list[str]:
     if np.isinf(tracking).any():
         return ["Expected accuracy: none. A mode of the loop is not damped, so its variance grows without bound."]
     return [
-        f"Expected standard deviation, at a constant goal and without faults, of the tracked quantities: {_numbers(tracking)}; "
-        f"of the belief about them: {_numbers(belief)}."
+        f"Expected errors without faults, at a constant goal (standard deviations): tracking {_numbers(tracking)}; belief "
+        f"{_numbers(belief)}."
     ]
 
 

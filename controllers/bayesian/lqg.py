@@ -134,7 +134,11 @@ class LQGController(BayesianController):
     @property
     def lag(self) -> str:
         """A sentence about how far the control law is by itself behind a moving reference; empty with a preview."""
-        return "" if self.preview else "The regulator lags behind a moving reference, unless preview=n knows it ahead."
+        return (
+            ""
+            if self.preview
+            else "The regulator lags behind a moving reference. If that is known n samples ahead, give the controller preview=n."
+        )
 
     @property
     def _costs(self) -> tuple[Floats, Floats]:

@@ -454,9 +454,9 @@ def advice_on(signals: LoopSignals, sensor: int) -> str:
         return LOOK_AT_MODEL
     unit = of.unit or ""
     return (
-        f"While it is blamed, its samples differ from the belief by {f'{apart:.3g} {unit}'.rstrip()} (root mean square), but the "
-        f"model expects at least {f'{expected:.3g} {unit}'.rstrip()}. The process noise of the model (noise= in design, "
-        "process_covariance) is probably too large. State it as it is."
+        f"While it is blamed, its samples differ from the belief by {f'{apart:.3g} {unit}'.rstrip()} (root mean square), less "
+        f"than the model expects ({f'{expected:.3g} {unit}'.rstrip()} or more). The process noise of the model (noise= in "
+        "design, process_covariance) is probably too large. State it as it is."
     )
 
 

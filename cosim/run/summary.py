@@ -19,8 +19,8 @@ ERRORS = "Root-mean-square errors (tracking: true value - reference; belief: est
 PHASES = {"overall": "whole run", "before": "before faults", "during": "during", "after": "after"}
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
-    "Onset: the estimated begin of the fault. From, until: the alarm (probability at least 0.5), or the part of it with this "
-    f"kind. {{}} Size: at its end. {DASH}: not estimated."
+    "Onset: the estimated begin of the fault. From, until: the alarm (a fault probability of 0.5 or more); one whose kind "
+    f"changes has a row for each kind. {{}} Size: at the end of the row. {DASH}: not estimated."
 )
 UNIT_REMARKS = {
     "x noise": " x noise: times the standard deviation of the sensor's noise.",

@@ -218,10 +218,15 @@ class Job:
             with self._lock, suppress(ValueError):
                 self._loops.remove(kept)
             kept.many.close()
-        with self._lock:  # the threads share a diagram, which takes longest; each has its own FMUs
-            built = next((other.diagram for other in self._loops if other.point == point), None)
-            loop = _Loop(self, point, built or self.diagram(point))
-            self._loops.append(loop)
+        if isinstance(self.loop, Diagram):
+            with self._lock:  # threads share what takes longest, the diagram; each has its own FMUs
+                built = next((other.diagram for other in self._loops if other.point == point), None)
+                loop = _Loop(self, point, built or self.diagram(point))
+                self._loops.append(loop)
+        else:  # a function may make blocks with a state of their own, one for each thread
+            loop = _Loop(self, point, self.diagram(point))
+            with self._lock:
+                self._loops.append(loop)
         self._local.loop = loop
         return loop
 

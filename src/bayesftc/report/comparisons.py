@@ -116,13 +116,14 @@ def _cells(contents: Contents, beside: Pair) -> list[str]:
     rest = len(rows) - lower - higher
     points = f"{len(rows)} {'values' if len(by) == 1 else 'combinations'} of {', '.join(by)}"
     tested = (
-        f"{text_of(best)} and {text_of(other)} are tested at each of the {points} (5 %, corrected for several tests)."
+        f"The difference of {text_of(best)} and {text_of(other)} is tested at each of the {points} (level 5 %, corrected for "
+        "several tests)."
     )
     if rest == len(rows):
         return [f"{tested} None of the differences is significant."]
     parts = [f"significantly {word} at {count}" for word, count in (("lower", lower), ("higher", higher)) if count]
-    more = f"; the difference is not significant at {rest}" if rest else ""
-    return [f"{tested} {text_of(best)} is {' and '.join(parts)} of them{more}."]
+    more = f", and not significantly different at {rest}" if rest else f" of {len(rows)}"
+    return [f"{tested} {text_of(best)} is {', '.join(parts)}{more}."]
 
 
 def _tests(contents: Contents) -> tuple[pd.DataFrame, list[str], bool] | None:

@@ -75,7 +75,7 @@ def test_every_learner_is_described(learner):
     assert text.startswith("Closed-loop poles of the control: ")
     assert f"Precision learner: {learner.__name__}." in text
     assert "Model: 2 states, 1 control, 2 sensors of 1 quantity, every 0.1 s." in text
-    assert "Expected standard deviation" in text
+    assert "Expected errors without faults" in text
     assert "Expected process noise in each step, as standard deviations: 0.01, 0.01414 of each state.\n" in text
     assert len(text) < 3000
     assert pretty(text) == str(text)  # as the last line of a notebook's cell
@@ -143,4 +143,4 @@ def test_a_mode_that_is_not_damped_and_has_no_goal_leaves_the_accuracy_of_the_ot
     )
     speed = lqg(beside, goal_on=[[1.0, 0.0]])
     np.testing.assert_allclose(expected_accuracy(speed), expected_accuracy(alone), rtol=1e-3)
-    assert speed.describe().splitlines()[-1].startswith("Expected standard deviation")
+    assert speed.describe().splitlines()[-1].startswith("Expected errors without faults")

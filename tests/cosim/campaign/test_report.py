@@ -518,8 +518,11 @@ def test_the_first_sentence_says_what_the_tests_carry(stored):
     exact = mean["gamma"] - mean["switching"]
     assert shown == f"{exact:.{len(shown.partition('.')[2])}f}"
     assert re.search(r"It is higher by [\d.]+ ± [\d.]+ with gamma and by [\d.]+ ± [\d.]+ with fixed\.", text)
-    assert "switching and gamma are tested at each of the 2 values of mass (5 %, corrected for several tests)." in text
-    assert "switching is significantly lower at 2 of them." in text
+    assert (
+        "The difference of switching and gamma is tested at each of the 2 values of mass (level 5 %, corrected for several "
+        "tests)." in text
+    )
+    assert "switching is significantly lower at 2 of 2." in text
 
 
 def test_no_difference_is_claimed_that_noise_may_have_made(stored):

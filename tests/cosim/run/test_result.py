@@ -431,7 +431,7 @@ def test_a_process_noise_that_is_stated_too_large_is_named_where_it_makes_a_sens
     assert (blamed["kind"], blamed["unit"]) == ("Unmodelled", "x noise from the belief")
     (sentence,) = result.summary().notes
     assert re.match(r"Sensor 0 is blamed for \d\d% of its fault-free time\. While it is blamed, ", sentence)
-    apart, expected = map(float, re.findall(r"by ([\d.]+) rad .* at least ([\d.]+) rad", sentence)[0])
+    apart, expected = map(float, re.findall(r"by ([\d.]+) rad .* expects \(([\d.]+) rad", sentence)[0])
     assert apart < 0.7 * expected
     assert "The process noise of the model (noise= in design, process_covariance) is probably too large." in sentence
     assert "Look at the model first" not in sentence

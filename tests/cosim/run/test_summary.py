@@ -75,7 +75,13 @@ def test_it_prints_aligned_tables(result):
 
 @pytest.mark.parametrize(
     ("preview", "sentence"),
-    [(0, " The regulator lags behind a moving reference, unless preview=n knows it ahead."), (20, "")],
+    [
+        (
+            0,
+            " The regulator lags behind a moving reference. If that is known n samples ahead, give the controller preview=n.",
+        ),
+        (20, ""),
+    ],
 )
 def test_it_says_of_a_tracking_error_that_the_regulator_lags(tmp_path, preview, sentence):
     """bayesftc run said it alone, and an error of tracking that the law has by itself looked like a wrong design."""
