@@ -71,6 +71,9 @@ MUCH = 0.8
 
 A force that wanders, and to which the controls react, looks like other dynamics, which have more parameters than the noise."""
 
+RARELY = 0.01
+"""Share of the samples in which all sensors may be blamed while some are said to be faulty, and the model right."""
+
 OFTEN = 0.1
 """Least share of the samples with several blamed sensors in which one of them is blamed."""
 
@@ -236,16 +239,17 @@ def diagnose(
 
 
 def _blamed_together(signals: Mapping[str, Any], samples: Floats, name: str) -> NDArray[np.bool_] | None:
-    """Return which samples the controller blames, if it ever blames several sensors at once, but not all; else None.
+    """Return which samples the controller blames, if it ever blames several sensors at once, but hardly ever all; else None.
 
-    One faulty sensor is no evidence against the model, because the others agree with it.
+    One faulty sensor is no evidence against the model, because the others agree with it. Without all there is no evidence at all.
     """
     probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
     blamed = probability.reshape(len(probability), -1) >= ALARM
     if blamed.shape != np.shape(samples):
         return None
     together = blamed.sum(axis=1)
-    return blamed if np.any((together > 1) & (together < blamed.shape[1])) else None
+    every = together == blamed.shape[1]
+    return blamed if np.any((together > 1) & ~every) and np.mean(every) < RARELY else None
 
 
 def _inferred(signals: Mapping[str, Any], controller: Any, name: str) -> list[float] | None:

@@ -878,3 +878,12 @@ def test_a_long_dead_time_of_a_slow_plant_is_found(dt, samples):
         x[k + 1] = A @ x[k] + B @ u[k - samples]
     finding = diagnose_recording(model, x[:, :1] + 0.1 * rng.standard_normal((800, 2)), u)
     assert (finding.kind, finding.values[0]) == ("late", pytest.approx(samples * dt))
+
+
+def test_a_wrong_model_under_which_all_sensors_are_blamed_is_no_fault_of_sensors():
+    """After the pendulum has fallen all are blamed, and without their samples nothing is left to speak against the model."""
+    case = next(c for c in cases() if c.name == "pendulum: late")
+    (result,) = run(case, LEARNERS["SER"], [5000])
+    finding = controllers.diagnose(result, parts(case, LEARNERS["SER"])[1])
+    assert "late" in {finding.kind, *finding.others}
+    assert "sensors" not in {finding.kind, *finding.others}
