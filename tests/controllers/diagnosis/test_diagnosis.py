@@ -56,6 +56,7 @@ def test_a_right_model_is_not_blamed_whatever_one_sensor_does(case):
     assert not suspect
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("stated", "true"), [(100.0, 100.0), (300.0, 0.0), (3000.0, 300.0)])
 def test_a_right_model_is_not_blamed_where_noise_is_stated_too_large(stated, true):
     """A converter at 20 us with a load current: the controls react to innovations that are correlated, as for other dynamics."""
