@@ -808,6 +808,7 @@ def pitching(gust=1.0):
     controller = controllers.design(
         plant, measured=outputs, sensors=[3, 2, 2], sensor_std=stds, actuated="elevator", goal="theta", dt=0.02,
         noise={"gust": noise}, acceptable_error=0.02, acceptable_control=0.1, u_min=-0.3, u_max=0.3,
+        precision=controllers.FixedPrecision(),
     )  # fmt: skip
     return cosim.closed_loop(
         plant,
