@@ -269,8 +269,8 @@ def _pushed(judge: Judge) -> list[Explanation]:
         for last in (first - plant, others.shape[1]):
             results += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
     results.append(judge.fitted("dynamics", responses[:, :first]))
-    for i in range(each, responses.shape[1], each):  # a single column of A or B, or one nonlinear term
-        results.append(judge.fitted("dynamics" if i < first else "nonlinear", responses[:, i : i + each]))
+    for i in range(first, responses.shape[1], each):
+        results.append(judge.fitted("nonlinear", responses[:, i : i + each]))
     results.append(judge.fitted("nonlinear", responses[:, first:]))
     results.append(judge.fitted("nonlinear", responses))
     return results

@@ -74,6 +74,9 @@ A force that wanders, and to which the controls react, looks like other dynamics
 RARELY = 0.01
 """Share of the samples in which all sensors may be blamed while some are said to be faulty, and the model right."""
 
+MOSTLY = 0.5
+"""Share of a run from which on a blamed sensor is left out of all of it."""
+
 OFTEN = 0.1
 """Least share of the samples with several blamed sensors in which one of them is blamed."""
 
@@ -98,7 +101,8 @@ class ModelFinding:
         (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only where another kind would count without
         it, or `model_suspect` was raised),
-        ``"sensors"`` (several of them failed: without the samples for which the controller blames them, the model is right),
+        ``"sensors"`` (several of them failed: nothing explains the run, and without the samples for which the controller blames
+        them nothing speaks against the model),
         ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
@@ -224,14 +228,13 @@ def diagnose(
     result = found(samples)
     if result is None and raised:
         result = ModelFinding("unknown", sentence("unknown", (), model))
-    if result is not None and (blamed := _blamed_together(signals, samples, name)) is not None:
-        together = blamed[blamed.sum(axis=1) > 1].mean(axis=0) > OFTEN
-        if found(np.where(blamed, np.nan, samples)) is None:
-            words = several_sensors(np.flatnonzero(together).tolist())
-            if result.kind == "unknown":
-                result = ModelFinding("sensors", f"{words[0].upper()}{words[1:]}")
-            else:
-                result = replace(result, sentence=f"{result.sentence} Or {words}", others=(*result.others, "sensors"))
+    if result is not None and result.kind == "unknown":
+        blamed = _blamed_together(signals, samples, name)
+        trusted = None if blamed is None else _trusted(model, samples, blamed)
+        if blamed is not None and trusted is not None and found(trusted) is None:
+            shares = blamed[blamed.sum(axis=1) > 1].mean(axis=0)
+            named = np.flatnonzero(shares > OFTEN) if np.sum(shares > OFTEN) > 1 else np.sort(np.argsort(-shares)[:2])
+            result = ModelFinding("sensors", several_sensors(named.tolist()))
     if result is None or result.kind == "nonlinear" or roles is None or roles.controller != name:
         return result
     far = far_goal(model, signals_of(roles, signals, drawn=False))  # type: ignore[arg-type]
@@ -250,6 +253,18 @@ def _blamed_together(signals: Mapping[str, Any], samples: Floats, name: str) -> 
     together = blamed.sum(axis=1)
     every = together == blamed.shape[1]
     return blamed if np.any((together > 1) & ~every) and np.mean(every) < RARELY else None
+
+
+def _trusted(model: LinearModel, samples: Floats, blamed: NDArray[np.bool_]) -> Floats | None:
+    """Return the samples that the controller does not blame; None if the sensors that are left cannot be compared with the model.
+
+    A sensor that is blamed for most of the run is left out of all of it, because a few samples would leave its set no evidence.
+    """
+    bank = observers(model)
+    gone = np.flatnonzero(blamed.mean(axis=0) > MOSTLY).tolist()
+    if bank is None or observers(model, _sets_without(bank.sensors, gone)) is None:
+        return None
+    return np.where(blamed | np.isin(np.arange(blamed.shape[1]), gone), np.nan, samples)
 
 
 def _inferred(signals: Mapping[str, Any], controller: Any, name: str) -> list[float] | None:
@@ -413,7 +428,8 @@ def best_explanations(
 
 def _without(model: LinearModel, bank: Observers, samples: Floats) -> tuple[Observers, Floats]:
     """Return observers and samples without sensors that others contradict for long; all if the rest does not see the plant."""
-    faulty = contradicted(model, samples)
+    absent = np.flatnonzero(~np.isfinite(samples).any(axis=0)).tolist()
+    faulty = sorted({*contradicted(model, samples), *absent})
     rest = observers(model, _sets_without(bank.sensors, faulty)) if faulty else None
     if rest is None:
         return bank, samples

@@ -97,12 +97,11 @@ def _actuators(
 
 
 def several_sensors(blamed: Sequence[int]) -> str:
-    """Return the sentence about sensors that the controller blames at once: without their samples, the model is right."""
+    """Return the sentence about two or more sensors that the controller blames at once: without them, the model is right."""
     *most, last = map(str, blamed)
-    who = f"{', '.join(most)} and {last}" if most else f"{last} and others"
     return (
-        f"sensors {who} are faulty at the same time. Without the samples for which the controller blames them, nothing speaks "
-        "against the model."
+        f"Sensors {', '.join(most)} and {last} are faulty at the same time. Without the samples for which the controller blames "
+        "them, nothing speaks against the model."
     )
 
 

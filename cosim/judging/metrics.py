@@ -368,7 +368,8 @@ def limited(signals: LoopSignals) -> Iterator[tuple[str, str]]:
         per_second = f"{unit}/s" if unit else " per second"
         rate = f", and changes at its limit of {control.rate:g}{per_second} for {fast:.0%}" if fast >= LIMITED else ""
         if min(low, high) >= SWINGS and low + high >= LIMITED:
-            follows = _swings(control) <= max(map(_turns, signals.quantities), default=0) + 1
+            swings, turns = _swings(control), max(map(_turns, signals.quantities), default=0)
+            follows = turns // 2 <= swings <= turns + 1  # a noisy reference turns far more often
             yield (
                 f"{name} swings between its limits, {control.low:g}{unit} ({low:.0%} of the run) and {control.high:g}{unit} "
                 f"({high:.0%}){rate}",

@@ -952,3 +952,16 @@ def test_two_sensors_of_which_one_drifts_disagree(count, slope):
     assert found.sensors == ("a", "b")
     assert 20.0 < found.start < 25.0
     assert found.end == pytest.approx(39.9)
+
+
+def test_only_two_sensors_of_which_each_may_be_the_faulty_one_disagree():
+    """Not one that is nearly certain beside others that share the rest, and not if judged one by one."""
+    from bayesftc.monitoring.alarms import disagreements
+
+    t = 0.1 * np.arange(200)
+    recording = align({name: Signal(t, np.sin(t) + 0.01 * i) for i, name in enumerate("abc")}, {}, dt=0.1)
+    for threshold, row, count in (
+        (0.9, [0.5, 0.5, 0.0], 1), (0.9, [0.88, 0.08, 0.08], 0), (0.99, [0.02, 0.01, 0.95], 0), (0.9, [0.3, 0.3, 0.3], 0),
+    ):  # fmt: skip
+        found = list(disagreements(recording, np.tile(row, (len(recording.y), 1)), Alarm(threshold=threshold)))
+        assert len(found) == count

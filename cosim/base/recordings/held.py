@@ -32,6 +32,9 @@ EMPTY = 0.05
 MANY = 200
 """Least number of its values."""
 
+ONE_WAY = 0.2
+"""Share of rises, or of falls, below which a signal moves in one direction: a counter or a filling tank never repeats a value."""
+
 EDGE, AT_EDGE = 1.6, 0.05
 """Multiple of the least change up to which changes are near it, and their least share.
 
@@ -72,7 +75,10 @@ def least_change(cells: Floats) -> float | None:
         return None
     if _regular(np.diff(there).astype(float), 1.0):  # a slow sensor
         return None
-    changes = np.abs(np.diff(cells[there]))
+    moved = np.diff(cells[there])
+    if not ONE_WAY < np.mean(moved > 0) < 1.0 - ONE_WAY:
+        return None
+    changes = np.abs(moved)
     least = float(changes.min())
     return least if least > 0 and np.mean(changes <= EDGE * least) >= AT_EDGE else None
 

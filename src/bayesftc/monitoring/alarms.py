@@ -21,6 +21,9 @@ from bayesftc.monitoring.recording import Recording
 ACTUATOR_SIGNALS = ("fault_probability", "mode_probability", "fault_size")
 """Outputs of the estimator about its actuators; their names begin with ``actuator_``."""
 
+CERTAIN, MATERIAL = 0.9, 0.1
+"""Fault probability from which one sensor alone is meant, and below which a sensor is not one of the two."""
+
 EITHER, LASTS = 0.95, 50
 """Sum of the fault probabilities of two sensors from which one of them is faulty, and for how many samples at least."""
 
@@ -167,6 +170,8 @@ class ActuatorEvent:
 class Disagreement:
     """A time in which one of two sensors is faulty, but neither has an alarm, because it is open which one.
 
+    It is meant for learners that judge sensors together: only then is the sum of two probabilities that of either fault.
+
     Attributes
     ----------
     sensors : tuple of str
@@ -212,9 +217,11 @@ def disagreements(recording: Recording, probability: Floats, alarm: Alarm) -> It
         Conditions of an alarm.
     """
     step = float(recording.dt)
-    hold, quiet = round(time_at(alarm.hold, step) / step), probability.max(axis=1, initial=0.0) < alarm.threshold
+    hold = round(time_at(alarm.hold, step) / step)
+    quiet = probability.max(axis=1, initial=0.0) < min(alarm.threshold, CERTAIN)
     for i, j in combinations(range(probability.shape[1]), 2):
-        together = np.where(quiet, probability[:, i] + probability[:, j], 0.0)
+        open_ = quiet & (np.minimum(probability[:, i], probability[:, j]) >= MATERIAL)
+        together = np.where(open_, probability[:, i] + probability[:, j], 0.0)
         for begin, end in alarms(together, EITHER, hold):
             if end - begin >= LASTS:
                 start, last = float(recording.time[begin]), float(recording.time[end - 1])

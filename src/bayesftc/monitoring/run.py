@@ -81,6 +81,8 @@ class Monitored:
         The actuators' alarms in the order of their start.
     alarm : Alarm
         The conditions of an alarm.
+    joint : bool
+        Whether sensors were judged together.
 
     Examples
     --------
@@ -113,6 +115,7 @@ class Monitored:
     actuator_mode_probability: Floats = field(default_factory=lambda: np.empty((0, 0, 0)))
     actuator_events: tuple[ActuatorEvent, ...] = ()
     alarm: Alarm = field(default_factory=Alarm)
+    joint: bool = False
 
     def __repr__(self) -> str:
         return short(self)
@@ -124,7 +127,12 @@ class Monitored:
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:
-        """Times in which one of two sensors is faulty, but it is open which one, in the order of their start."""
+        """Times in which one of two sensors is faulty, but it is open which one, in the order of their start.
+
+        There are none if sensors were judged one by one: the sum of two probabilities then is no probability.
+        """
+        if not self.joint:
+            return ()
         found = disagreements(self.recording, self.fault_probability, self.alarm)
         return tuple(sorted(found, key=lambda each: each.start))
 
@@ -241,6 +249,7 @@ def monitor_recording(
         rest,
         precision.why_no_probability,
         alarm=alarm,
+        joint=bool(getattr(precision, "joint", False)),
     )
     if not actuator_modes:
         return monitored

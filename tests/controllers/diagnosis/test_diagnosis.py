@@ -830,23 +830,6 @@ def test_strong_gusts_are_noise_and_no_other_dynamics(gust):
     assert finding is None if gust == 1.0 else finding.kind == "noise"
 
 
-def test_one_wrong_element_of_A_is_other_dynamics():
-    """A tank that loses twice the heat: one column of A differs, and the plant is linear."""
-    A, B, C = (
-        np.array([[0.98, 0.01], [0.02, 0.97]]),
-        np.array([[0.0], [0.1]]),
-        np.array([[1.0, 0.0]] * 2 + [[0.0, 1.0]] * 2),
-    )
-    rng, x, y = np.random.default_rng(1000), np.zeros(2), []
-    u = np.repeat(rng.choice([-1.0, 1.0], (40, 1)), 25, axis=0) + 0.5
-    for k in range(len(u)):
-        y.append(C @ x + 0.05 * rng.standard_normal(4))
-        x = (A - [[0.02, 0.0], [0.0, 0.0]]) @ x + B @ u[k] + 0.003 * rng.standard_normal(2)
-    model = controllers.LinearModel(A, B, C, 9e-6, 0.0025, dt=0.1)
-    finding = controllers.diagnose_recording(model, np.array(y), u)
-    assert finding.kind == "dynamics"
-
-
 def test_sensors_that_fail_together_are_named_where_no_wrong_model_explains_the_run():
     """Two of five sensors, each in its own way; a drift that others contradict is left out before."""
     model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]] * 4, 1e-3, 1.0, dt=0.02)
@@ -889,3 +872,33 @@ def test_a_wrong_model_under_which_all_sensors_are_blamed_is_no_fault_of_sensors
     finding = controllers.diagnose(result, parts(case, LEARNERS["SER"])[1])
     assert "late" in {finding.kind, *finding.others}
     assert "sensors" not in {finding.kind, *finding.others}
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_wrong_model_beside_a_faulty_sensor_is_no_fault_of_several_sensors(count):
+    """A gain of .4 and one biased sensor: the healthy ones alone speak against the model."""
+    plant = control.ss([[0.98]], [[0.04]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"])
+    model = controllers.LinearModel([[0.98]], [[0.1]], [[1.0]] * count, 1e-4, 0.01, dt=0.1)
+    controller = controllers.LQGController(model, goal_covariance=0.01, control_covariance=1.0)
+    loop = cosim.closed_loop(
+        cosim.StateSpace(plant, process_noise=[[1e-4]]),
+        controller,
+        control="u",
+        measured="y",
+        sensors=cosim.Sensors(count, 0.1),
+        faults=[cosim.Bias(sensor=0, start=5.0, magnitude=1.0)],
+        reference=cosim.Sine(amplitude=2.0, period=20.0),
+    )
+    for seed in (1, 2, 3):
+        finding = controllers.diagnose(loop.simulate(60.0, seed=seed), loop)
+        assert finding is not None
+        assert "sensors" not in {finding.kind, *finding.others}
+
+
+def test_a_car_far_from_its_point_is_nonlinear_first():
+    case = next(c for c in cases() if c.name == "car: far")
+    controller = parts(case, LEARNERS["fixed"])[1]
+    kinds = [
+        controllers.diagnose(result, controller).kind for result in run(case, LEARNERS["fixed"], range(5000, 5003))
+    ]
+    assert kinds == ["nonlinear"] * 3

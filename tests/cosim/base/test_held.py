@@ -103,3 +103,17 @@ def test_a_slow_sensor_with_empty_cells_is_no_log_of_changes(ratio):
         _, values = held(1, 0, resolution)
         assert least_change(np.where(np.arange(ROWS) % ratio, np.nan, values)) is None
     assert least_change(np.where(np.arange(ROWS) % ratio, np.nan, np.arange(ROWS) * 0.1)) is None  # a clean ramp
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
+def test_a_signal_that_moves_in_one_direction_is_no_log_of_changes(noise):
+    """A tank that fills, and a counter: they never repeat a value, however many samples are lost."""
+    rng = np.random.default_rng(0)
+    for steps in (
+        np.ones(ROWS),
+        1.0 + noise * rng.standard_normal(ROWS),
+        rng.integers(1, 4, ROWS),
+        np.exp(-np.arange(ROWS) / 500),
+    ):
+        values = np.cumsum(np.maximum(steps, 0.01))
+        assert least_change(np.where(rng.uniform(size=ROWS) < 0.08, np.nan, values)) is None

@@ -338,9 +338,10 @@ def _print(
         print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording, doubtful, hold)
         for each in monitored.disagreements:
             span = Clock(recording).whole_span(each.start, each.end)
+            advice = "" if len(recording.sensors) > 2 else ": a third sensor would tell"
             say(
                 f"One of {each.sensors[0]} and {each.sensors[1]} is faulty from {span} (the sum of their fault probabilities "
-                f"reaches {each.probability:.3g}), but it is open which one: a third sensor would tell."
+                f"reaches {each.probability:.3g}), but it is open which one{advice}."
             )
     for note in notes:
         say(f"\n{note}")
