@@ -180,6 +180,29 @@ class Schedule:
         """Return the full name of the output of node `i` that lies `offset` places after its first."""
         return f"{self.nodes[i].name}.{element_name(self.nodes[i].outputs, offset)}"
 
+    def origin_of_nan(self, i: int, memory: Floats) -> str | None:
+        """Return the first output from which a NaN came to node `i`, followed back block by block; None if none came.
+
+        The first one is an output of a block that got no NaN, as a sensor that drops out.
+        """
+        sources = {target: source for call in (*self.evaluate, *self.advance) for target, source in call.gathers}
+        outputs = {
+            begin + e: (j, e)
+            for j, node in enumerate(self.nodes)
+            for begin in {self.slots[j].start["outputs"], self.ahead.get(j, self.slots[j].start["outputs"])}
+            for e in range(sum(port.size for port in node.outputs))
+        }
+        origin, seen = None, {i}
+        while True:
+            begin = self.slots[i].start["inputs"]
+            places = range(begin, begin + sum(port.size for port in self.nodes[i].inputs))
+            taken = [outputs[sources[p]] for p in places if p in sources and np.isnan(memory[p])]
+            i, element = next((each for each in taken if each[0] not in seen), (-1, 0))
+            if i < 0:
+                return origin
+            seen.add(i)
+            origin = self.output_name(i, element)
+
     @property
     def _tight(self) -> bool:
         """Whether coupled FMUs make their steps together."""

@@ -258,9 +258,15 @@ def explain(failure: Failure, run: Run) -> str:
         value = run.memory[place]
         name = run.schedule.output_name(failure.node, place - failure.outputs)
         h = show(run.schedule.step * node.every)
+        came = f"The run stopped {when}: {name} came out {'NaN' if np.isnan(value) else 'infinite'}."
+        origin = run.schedule.origin_of_nan(failure.node, run.memory) if np.isnan(value) else None
+        if origin is not None:
+            return (
+                f"{came} The NaN came from {origin}. A missing sample is NaN, so that a block that reads a sensor must expect "
+                "NaN, and for example hold its last output. The signals up to the step before are kept."
+            )
         return (
-            f"The run stopped {when}: {name} came out {'NaN' if np.isnan(value) else 'infinite'}. Check the "
-            f"plant's parameters and the step size of {h} s; the signals up to the step before are kept."
+            f"{came} Check the plant's parameters and the step size of {h} s; the signals up to the step before are kept."
         )
     external = run.instances.get(failure.node)
     detail = external.explain(failure.status) if external is not None else ""

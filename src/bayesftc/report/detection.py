@@ -129,9 +129,16 @@ def _seconds(delay: float) -> str:
 
 
 def _chosen(detection: dict[Any, Level]) -> str:
-    used, of = (max(numbers) for numbers in zip(*((len(d.seeds), d.of) for d in detection.values()), strict=True))
-    each = " of each" if len(detection) > 1 else ""
-    return f"in {used} of {of} runs{each}, drawn at random" if used < of else f"in all {of} complete runs{each}"
+    """Return which runs the figures are of. Levels may differ: another factor may have learners without a probability."""
+    levels = list(detection.values())
+    used, of = {len(level.seeds) for level in levels}, max(level.of for level in levels)
+    each = " of each" if len(levels) > 1 else ""
+    if used == {of}:
+        return f"in all {of} complete runs{each}"
+    some = str(max(used)) if len(used) == 1 else f"{min(used)} to {max(used)}"
+    return f"in {some} of {of} complete runs{each}" + (
+        ", drawn at random" if any(level.drawn for level in levels) else "; the others have no such number"
+    )
 
 
 def _without(contents: Contents, found: Found) -> str:

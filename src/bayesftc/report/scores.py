@@ -31,13 +31,18 @@ class Level:
     score: list[Floats]
     truth: list[Any]
     seeds: list[int]  # one per run; runs with the same seed have the same noise
-    of: int  # number of runs from which these were drawn
+    of: int  # number of complete runs, of which at most `RUNS` are drawn
     seen_as_missing: int  # number of faults whose samples are all missing
 
     @property
     def is_probability(self) -> bool:
         """Whether the score is a probability."""
         return self.score_name.endswith(SCORES[0])
+
+    @property
+    def drawn(self) -> bool:
+        """Whether not all complete runs were read."""
+        return self.of > RUNS
 
     def by_seed(self) -> tuple[list[Floats], list[Any]]:
         """Return scores and truth, with the runs of a seed joined: intervals count seeds, because only these are independent."""
@@ -98,7 +103,7 @@ def read_detection(contents: Contents) -> Found:
             found.without[level] = why[0]
             continue
         name = scores[why.index("")]
-        fit = [run for run in runs if run.valid(name) is not None]
+        fit = [run for run in runs if (valid := run.valid(name)) is not None and valid.any()]
         found.levels[level] = Level(
             name,
             [run.scores[name] for run in fit],

@@ -452,7 +452,17 @@ def test_of_many_runs_some_are_drawn_at_random_and_the_page_says_how_many(stored
     contents = Contents(precisions(stored, seeds=3, signals=signals))
     found = read_detection(contents)
     assert {len(own.seeds) for own in found.levels.values()} == {4}
-    assert "in 4 of 6 runs of each, drawn at random" in roc_figure(contents, found)[1]
+    assert "in 4 of 6 complete runs of each, drawn at random" in roc_figure(contents, found)[1]
+
+
+def test_runs_without_a_probability_count_in_no_figure_of_detection(stored):
+    signals, _ = detected(lambda both, rng: 2.0 * both + rng.normal(size=both.shape))
+    signals["controller.fault_probability"][::3] = np.nan  # those of one seed, as of a factor with a learner that has none
+    signals["controller.beta"][:] = np.nan
+    contents = Contents(precisions(stored, seeds=3, signals=signals))
+    found = read_detection(contents)
+    assert {(len(own.seeds), own.of) for own in found.levels.values()} == {(4, 6)}
+    assert "in 4 of 6 complete runs of each; the others have no such number" in roc_figure(contents, found)[1]
 
 
 def test_bands_are_the_quantiles_of_the_runs(stored):

@@ -358,3 +358,25 @@ def test_whole_sides(make_block, run_both):
     result = run_both(diagram, 0)
     assert result["side.p"].tolist() == [[1.0, 4.0]]
     assert result["side.q"].tolist() == [6.0]
+
+
+@pytest.mark.parametrize("between", [cosim.Gain(2.0), cosim.UnitDelay(), cosim.TransferFunction([1.0], [1.0, 1.0])])
+def test_a_nan_that_reaches_a_plant_is_followed_back_to_the_sensor(between):
+    diagram = cosim.Diagram(dt=0.1)
+    level, sensor = diagram.add(cosim.Constant(1.0)), diagram.add(cosim.Dropout(start=0.2, duration=0.2, channels=1), "sensor")
+    last = diagram.add(between, "filter")
+    plant = diagram.add(cosim.StateSpace(control.ss(-1, 1, 1, 0, inputs="force", outputs="x")), "plant")
+    diagram.connect(level["y"], sensor["u"])
+    diagram.connect(sensor["y"], last["u"])
+    diagram.connect(last["y"], plant["force"])
+    with pytest.raises(cosim.SimulationError, match=r"(plant\.x|filter\.y) came out NaN\. The NaN came from (sensor|filter)\.y\. "):
+        diagram.simulate(1.0)
+
+
+def test_a_nan_of_the_plant_itself_came_from_nowhere_else():
+    root = control.nlsys(None, lambda t, x, u, p: np.sqrt(1.0 - u), inputs=1, outputs=1, dt=0)
+    diagram = cosim.Diagram(dt=0.1)
+    ramp, plant = diagram.add(cosim.Ramp(10.0)), diagram.add(cosim.StateSpace(root), "plant")
+    diagram.connect(ramp["y"], plant["u[0]"])
+    with pytest.raises(cosim.SimulationError, match=r"came out NaN\. Check the plant's parameters"):
+        diagram.simulate(1.0)
