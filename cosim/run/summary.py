@@ -185,7 +185,8 @@ def findings_table(inferred: Sequence[Mapping[str, Any]], hold: float | None = N
     for each in sorted(longest, key=lambda each: each["start"]):
         unit = each["unit"].replace("{", "{{").replace("}", "}}")
         values = (each["kind"] or None, *(each[name] for name in ("onset", "start", "end", "size", "probability")))
-        rows.append((each["where"], values, ("{}", *["{:.5g}"] * 3, f"{{:.3g}} {unit}".rstrip(), "{:.3f}")))
+        times = ["{:.5g}" if seconds is None or seconds < 1e5 else "{:.0f}" for seconds in values[1:4]]
+        rows.append((each["where"], values, ("{}", *times, f"{{:.3g}} {unit}".rstrip(), "{:.3f}")))
     columns = ("kind", "onset (s)", "from (s)", "until (s)", "size", "probability")
     left_out = len(inferred) - len(rows)
     only = f" The table has the {len(rows)} longest of {len(inferred)} rows." if left_out else ""

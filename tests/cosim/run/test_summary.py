@@ -175,6 +175,8 @@ def test_an_alarm_of_the_process_is_explained_below_the_table():
         "size": None,
         "unit": "",
     }
+    (row,) = findings_table([alarm | {"probability": 0.7, "end": 123456.0}]).texts()
+    assert row[2:5] == ("–", "1", "123456")  # not 1.2346e+05
     of_process = findings_table([alarm | {"probability": 0.7}]).remark
     assert (
         "the plant moved more than its model expects, as after a kick or a sudden load. It is no fault of a sensor."
