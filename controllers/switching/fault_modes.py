@@ -150,6 +150,7 @@ class Frozen(FaultMode):
         Standard deviation of the dither, in units of the sensor's noise.
     resolution : float or sequence of float
         Resolution of the sensors in their unit, for all or for each. A healthy sensor of coarse resolution also repeats itself.
+        With 0 it is learned, from the smallest changes of a sensor whose changes are as large as its noise.
     healthy_repeats : float or sequence of float
         Expected share of the samples that a healthy sensor repeats exactly, for all sensors or for each. It is learned while the
         sensor is healthy; the expected share counts as ten samples. If a resolution is given, at most this share is learned,
@@ -196,17 +197,19 @@ class Frozen(FaultMode):
         near = log(1 - self.repeats) - 0.5 * (log(spread) + LOG_2_PI)
         return 0.5 * width, log(self.repeats / width), near, spread
 
-    def healthy(self, model: LinearModel, sensor: int) -> tuple[float, float, float, float]:
+    def healthy(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """Return the settings for the repetitions of a healthy sensor of a model.
 
         They are the width within which two samples count as equal, in the sensor's unit; the expected numbers of repetitions and
-        of samples before the first one; and the largest share that is learned.
+        of samples before the first one; the largest share that is learned; and 1 if the sensor may be coarser than that width,
+        else 0.
         """
         half = self.settings(model, sensor)[0]
         has_resolution = as_vector("The resolution of Frozen", self.resolution, model.sensors)[sensor] > 0
         share = float(as_vector("healthy_repeats of Frozen", self.healthy_repeats, model.sensors)[sensor])
         most = share if has_resolution or share == 0 else max(MOST_REPEATS, share)
-        return 2.0 * half, share * REPEATS_STRENGTH, REPEATS_STRENGTH, most
+        finds = float(share > 0 and not has_resolution)
+        return 2.0 * half, share * REPEATS_STRENGTH, REPEATS_STRENGTH, most, finds
 
 
 @dataclass(frozen=True)

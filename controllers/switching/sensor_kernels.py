@@ -9,6 +9,7 @@ The state of a sensor is in ``memory`` from ``at`` on:
 - `NOISE`, `NOISE_SHAPE`, `NOISE_RATE`: the variance of its noise while healthy, in nominal ones, and the gamma distribution of
   its precision.
 - `REPEATS`, `SAMPLES`: numbers of repetitions and of samples while it was healthy.
+- `STEP`: the smallest of its last changes from sample to sample; 0 before the first one.
 - From `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of it that has just begun (`ENTERED`), its mean
   `AGE` in samples, and the mode's own numbers (``mode_kernels.py``).
 
@@ -21,6 +22,7 @@ The settings of a sensor are from ``row`` on:
 - `KEEPS`, `SHAPE0`, `LEAST_NOISE`, `MOST_NOISE`: forgetting factor, prior shape, and bounds of its noise.
 - `WIDTH`, `REPEATS0`, `SAMPLES0`, `MOST_REPEATS`: the resolution, the expected numbers of repetitions and of samples, and the
   largest share of repetitions that is learned.
+- `FINDS`: whether the sensor may be coarser than its resolution (1 or 0).
 - From `FIRST_SETTINGS` on a block for each mode: the probabilities that it `BEGINS`, `LASTS`, `ENDS`, that a sample arrives and
   is missing, and the mode's own settings. If it neither lasts nor ends, a second fault begins (`FaultMode.alone`).
 
@@ -30,12 +32,23 @@ sample is: a probability is at least `LEAST`, and the relative density has a far
 
 from bayesftc.controllers.precision.base import NAN
 from bayesftc.controllers.switching.mode_kernels import AGE, ENTERED, FURTHEST, SIZE, WEIGHT
-from bayesftc.cosim.ops import absolute, exp, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import absolute, both, exp, maximum, minimum, select, sqrt
 
-LAST, HEALTHY, TRUSTED, DENSITY, NOISE, NOISE_SHAPE, NOISE_RATE, REPEATS, SAMPLES, FIRST = range(10)
-ARRIVES, MISSING, KEEPS, SHAPE0, LEAST_NOISE, MOST_NOISE, WIDTH, REPEATS0, SAMPLES0, MOST_REPEATS, FIRST_SETTINGS = (
-    range(11)
-)
+LAST, HEALTHY, TRUSTED, DENSITY, NOISE, NOISE_SHAPE, NOISE_RATE, REPEATS, SAMPLES, STEP, FIRST = range(11)
+(
+    ARRIVES,
+    MISSING,
+    KEEPS,
+    SHAPE0,
+    LEAST_NOISE,
+    MOST_NOISE,
+    WIDTH,
+    REPEATS0,
+    SAMPLES0,
+    MOST_REPEATS,
+    FINDS,
+    FIRST_SETTINGS,
+) = range(12)
 BEGINS, LASTS, ENDS, MODE_ARRIVES, MODE_MISSING, OWN_SETTINGS = 0, 1, 2, 3, 4, 5
 
 TYPICAL = 17.079468445347132
@@ -46,6 +59,13 @@ LEAST = 5e-131
 
 LEAST_LOG = -380.0
 """Least log density relative to the largest one: far below `LEAST`, but their product is not subnormal, which would be slow."""
+
+COARSEST, COARSE = 12.0, 1.2
+"""Squared steps of a sensor, in variances of its noise: if that is all due to rounding, and from which on the sensor is coarse.
+The samples of a sensor of smaller steps change with its noise, also while the plant is at rest."""
+
+GROWS = 1.02
+"""Growth of a sensor's step with each larger change, so that a fault with small changes is forgotten."""
 
 LEAST_TRUST = 1e-12
 """Least precision of a sensor in nominal ones, so that its covariance remains finite."""
@@ -67,6 +87,14 @@ def pass_mode(memory, block, healthy, settings, row):
     memory[block + ENTERED] = entered
     memory[block + AGE] = (1.0 - entered) * (memory[block + AGE] + 1.0)
     return ended - begun
+
+
+def not_less(squared, step, nominal):
+    """Return the square of a sensor's noise, in nominal variances, from which to learn: not less than rounding to a ``step``.
+
+    The error of a repetition is that of the sample before: at rest it tells nothing about how large rounding errors are.
+    """
+    return minimum(select(step > 0.0, maximum(squared, step * step / (COARSEST * nominal)), squared), FURTHEST)
 
 
 def learn_noise(squared, sound, memory, at, settings, row):
@@ -94,9 +122,33 @@ def repetition(change, nominal, memory, at, settings, row):
     return select(absolute(change) <= 0.5 * settings[row + WIDTH], settings[row + WIDTH] / width, 1.0)
 
 
+def indifferent(change, nominal, memory, at, settings, row):
+    """Return the largest error with which a repeated sample of a coarse sensor says nothing; -1 for all others.
+
+    It is a step of the sensor, because a coarse sensor repeats its sample until the plant has moved by a step. Before the first
+    change the sensor may be as coarse as its noise allows.
+    """
+    noise, step = nominal * memory[at + NOISE], memory[at + STEP]
+    step = maximum(settings[row + FINDS] * select(step > 0.0, step, sqrt(COARSEST * noise)), settings[row + WIDTH])
+    says_nothing = both(absolute(change) <= 0.5 * settings[row + WIDTH], step * step >= COARSE * noise)
+    return select(says_nothing, step, -1.0)
+
+
+def as_coarse(logp, normal, e, variance, step):
+    """Return the log density of a coarse sensor's repetition if the sensor has failed, see `indifferent`.
+
+    It is that of no fault (``logp``), and beyond a ``step`` that of no fault without an error, of the same ``normal`` density.
+    Else a repetition, of which a healthy sensor has many, would be better than all other samples of a healthy sensor.
+    """
+    return select(absolute(e) <= step, logp, normal + 0.5 * (e * e / variance))
+
+
 def learn_repeats(change, sound, memory, at, settings, row):
-    """Count the repetitions of a sensor with the weight ``sound``, the probability of present and healthy."""
-    equal = absolute(change) <= 0.5 * settings[row + WIDTH]
+    """Count the repetitions of a sensor with the weight ``sound``, the probability of present and healthy; learn its step."""
+    by, step = absolute(change), memory[at + STEP]
+    equal = by <= 0.5 * settings[row + WIDTH]
+    smaller = select(both(step > 0.0, by > step), minimum(GROWS * step, by), by)
+    memory[at + STEP] = select(both(sound > 0.0, by > 0.5 * settings[row + WIDTH]), smaller, step)
     memory[at + REPEATS] = memory[at + REPEATS] + select(equal, sound, 0.0)
     memory[at + SAMPLES] = memory[at + SAMPLES] + sound
 

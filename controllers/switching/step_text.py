@@ -50,7 +50,13 @@ factor{k} = select(present > 0.5, settings[place + MODE_ARRIVES] * memory[block{
 
 _TELLS = """\
 logp{k} = mode{k}(e, present, variance, nominal, change, {healthy}, memory, block{k}, settings, place + OWN_SETTINGS)
+{repeats}
 logp{k} = select(present > 0.5, logp{k}, 0.0)\
+"""
+
+_REPEATS = """
+logp{k} = select(step > 0.0, as_coarse(logp, sound, e, variance, step), logp{k})
+repeats{k} = select(step > 0.0, 1.0, repeats)\
 """
 
 _LEARN = """
@@ -64,13 +70,15 @@ for i in range(sample.y.shape[0]):
     change = sample.y[i] - memory[at + LAST]
     error = held(sample.e[i], variance)
     repeats = repetition(change, sample.nominal[i, i], memory, at, settings, row)
+    step = indifferent(change, sample.nominal[i, i], memory, at, settings, row)
     doubt = 0.5 / memory[at + NOISE_SHAPE]
-    logp = logp + weigh(error, {present}, variance, noise, doubt, change, repeats, memory, at, settings, row)
+    logp = logp + weigh(error, {present}, variance, noise, doubt, change, repeats, step, memory, at, settings, row)
     logp = logp + log(memory[at + DENSITY] / repeats)
     part = noise / variance
     squared = part * (part * error * error + sample.spread[i, i])
     counts = sample.present[i] * memory[at + HEALTHY]{counts}
-    learn_noise(minimum(squared / sample.nominal[i, i], FURTHEST), counts, memory, at, settings, row)
+    squared = not_less(squared / sample.nominal[i, i], step, sample.nominal[i, i])
+    learn_noise(squared, counts, memory, at, settings, row)
     learn_repeats(change, counts, memory, at, settings, row)
     memory[at + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[at + LAST])
     trust.fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
@@ -101,7 +109,7 @@ report_process(memory, PROCESS, STRIDE, PROCESS_MODES, first + PROCESS_OUTPUTS, 
 """
 
 _OF_TIME = ("memory", "at", "settings", "row")
-_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "doubt", "change", "repeats", *_OF_TIME)
+_OF_A_SAMPLE = ("e", "present", "variance", "nominal", "doubt", "change", "repeats", "step", *_OF_TIME)
 
 Evidence = tuple[Callable[..., float], ...]
 
@@ -137,9 +145,15 @@ def sensor_functions(
                 k=k,
                 block=kernels.FIRST + k * width,
                 settings=kernels.FIRST_SETTINGS + k * settings,
-                tells=_TELLS.format(k=k, healthy="logp" if evidence[k] in waiting else "sound") if k in telling else "",
+                tells=_TELLS.format(
+                    k=k,
+                    healthy="logp" if evidence[k] in waiting else "sound",
+                    repeats=_REPEATS.format(k=k) if evidence[k] is mode_kernels.freezes else "",
+                )
+                if k in telling
+                else "",
                 share=f"share_of(logp{k}, most)" if k in telling else "share",
-                times=" * repeats" if evidence[k] is mode_kernels.freezes else "",
+                times=f" * repeats{k}" if evidence[k] is mode_kernels.freezes else "",
                 missing=missing.format("settings[place + MODE_MISSING]"),
             )
             for k in of

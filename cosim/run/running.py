@@ -265,9 +265,7 @@ def explain(failure: Failure, run: Run) -> str:
                 f"{came} The NaN came from {origin}. A missing sample is NaN, so that a block that reads a sensor must expect "
                 "NaN, and for example hold its last output. The signals up to the step before are kept."
             )
-        return (
-            f"{came} Check the plant's parameters and the step size of {h} s; the signals up to the step before are kept."
-        )
+        return f"{came} Check the plant's parameters and the step size of {h} s; the signals up to the step before are kept."
     external = run.instances.get(failure.node)
     detail = external.explain(failure.status) if external is not None else ""
     run.ended = external is not None and external.has_ended

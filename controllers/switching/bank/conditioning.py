@@ -123,7 +123,7 @@ def make_expect(layout: Layout, offset: int) -> Callable[..., None]:
 def make_weigh_modes(layout: Layout, weigh_sensor: Callable[..., float]) -> Callable[..., None]:
     """Return the step function that weighs a sensor's modes in a hypothesis, by ``weigh_sensor``."""
     sensor, row_length, none, stride, kept = layout.sensor, layout.row, layout.first, layout.length, layout.kept
-    readings, reading, repeated = layout.readings, layout.reading, layout.repeated
+    m, readings, reading, repeated = layout.m, layout.readings, layout.reading, layout.repeated
     logp, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
 
     def weigh_modes(h, i, sample, memory, settings):
@@ -136,6 +136,7 @@ def make_weigh_modes(layout: Layout, weigh_sensor: Callable[..., float]) -> Call
             0.5 / memory[i * sensor + NOISE_SHAPE],
             sample.y[i] - memory[i * sensor + LAST],
             memory[repeated + i],
+            memory[repeated + m + i],
             memory,
             place,
             settings,

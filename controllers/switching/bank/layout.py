@@ -320,13 +320,13 @@ class Layout:
 
     @property
     def repeated(self) -> int:
-        """Place of each sensor's density factor of a repeated sample."""
+        """Place of each sensor's density factor of a repeated sample, then of its `indifferent` error."""
         return self.squares + self.hypotheses * self.m
 
     @property
     def readings(self) -> int:
         """Place of each hypothesis's reading of one sensor: variance without and with noise, error, vectors of `correct`."""
-        return self.repeated + self.m
+        return self.repeated + 2 * self.m
 
     @property
     def reading(self) -> int:

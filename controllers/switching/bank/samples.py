@@ -24,7 +24,7 @@ from bayesftc.controllers.switching.bank.layout import (
     Layout,
 )
 from bayesftc.controllers.switching.course import follow, misfit, repeats_share
-from bayesftc.controllers.switching.mode_kernels import AGE, FURTHEST, SIZE, TRUST, WEIGHT
+from bayesftc.controllers.switching.mode_kernels import AGE, SIZE, TRUST, WEIGHT, log_density
 from bayesftc.controllers.switching.sensor_kernels import (
     FIRST,
     FIRST_SETTINGS,
@@ -38,9 +38,12 @@ from bayesftc.controllers.switching.sensor_kernels import (
     OWN_SETTINGS,
     TRUSTED,
     WIDTH,
+    as_coarse,
     held,
+    indifferent,
     learn_noise,
     learn_repeats,
+    not_less,
     repetition,
     share_of,
 )
@@ -82,7 +85,9 @@ def make_weigh(
             memory[factor + h] = memory[none + h * stride]
         for i in range(m):
             place, change = i * sensor, sample.y[i] - memory[i * sensor + LAST]
-            memory[repeated + i] = repetition(change, sample.nominal[i, i], memory, place, settings, i * row_length)
+            row, nominal = i * row_length, sample.nominal[i, i]
+            memory[repeated + i] = repetition(change, nominal, memory, place, settings, row)
+            memory[repeated + m + i] = indifferent(change, nominal, memory, place, settings, row)
         for i in range(m):
             condition(i, sample, C, memory, settings)
             if U > 0:
@@ -113,8 +118,13 @@ def make_weigh(
                 share = repeats_share(
                     equal, sample.present[i], memory[begun], memory, begun + 1, settings, place + OWN_SETTINGS
                 )
-                likely = select(equal > 0.5, share * memory[repeated + i] / width, 1.0 - share)
-                density = select(both(sample.present[i] > 0.5, equal < 0.5), density, 0.0)
+                coarse, total = memory[repeated + m + i], spread + variance * noise
+                healthy = log_density(error * error, total)
+                repeats = as_coarse(healthy, healthy, error, total, coarse)
+                density = select(coarse > 0.0, repeats, select(equal > 0.5, 0.0, density))
+                density = select(sample.present[i] > 0.5, density, 0.0)
+                alike = select(coarse > 0.0, share, share * memory[repeated + i] / width)
+                likely = select(equal > 0.5, alike, 1.0 - share)
                 times = select(
                     sample.present[i] > 0.5, settings[place + MODE_ARRIVES] * likely, settings[place + MODE_MISSING]
                 )
@@ -146,6 +156,7 @@ def make_learn_sensors(layout: Layout) -> Callable[..., None]:
     """
     m, H, none, stride, kept = layout.m, layout.hypotheses, layout.first, layout.length, layout.kept
     sensor, row, squares, judged = layout.sensor, layout.row, layout.squares, layout.judged
+    coarse = layout.repeated + m
 
     def learn_sensors(sample, memory, settings):
         for i in range(m):
@@ -158,7 +169,7 @@ def make_learn_sensors(layout: Layout) -> Callable[..., None]:
                         part = part * memory[at + kept + i * sensor + HEALTHY]
                     sound = sound + part
                     squared = squared + part * memory[squares + h * m + i]
-            squared = minimum(squared / (sound * sample.nominal[i, i]), FURTHEST)
+            squared = not_less(squared / (sound * sample.nominal[i, i]), memory[coarse + i], sample.nominal[i, i])
             learn_noise(squared, sample.present[i] * sound, memory, i * sensor, settings, i * row)
             change = sample.y[i] - memory[i * sensor + LAST]
             learn_repeats(

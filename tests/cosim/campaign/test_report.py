@@ -457,7 +457,9 @@ def test_of_many_runs_some_are_drawn_at_random_and_the_page_says_how_many(stored
 
 def test_runs_without_a_probability_count_in_no_figure_of_detection(stored):
     signals, _ = detected(lambda both, rng: 2.0 * both + rng.normal(size=both.shape))
-    signals["controller.fault_probability"][::3] = np.nan  # those of one seed, as of a factor with a learner that has none
+    signals["controller.fault_probability"][::3] = (
+        np.nan
+    )  # those of one seed, as of a factor with a learner that has none
     signals["controller.beta"][:] = np.nan
     contents = Contents(precisions(stored, seeds=3, signals=signals))
     found = read_detection(contents)

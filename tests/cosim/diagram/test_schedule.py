@@ -363,13 +363,18 @@ def test_whole_sides(make_block, run_both):
 @pytest.mark.parametrize("between", [cosim.Gain(2.0), cosim.UnitDelay(), cosim.TransferFunction([1.0], [1.0, 1.0])])
 def test_a_nan_that_reaches_a_plant_is_followed_back_to_the_sensor(between):
     diagram = cosim.Diagram(dt=0.1)
-    level, sensor = diagram.add(cosim.Constant(1.0)), diagram.add(cosim.Dropout(start=0.2, duration=0.2, channels=1), "sensor")
+    level, sensor = (
+        diagram.add(cosim.Constant(1.0)),
+        diagram.add(cosim.Dropout(start=0.2, duration=0.2, channels=1), "sensor"),
+    )
     last = diagram.add(between, "filter")
     plant = diagram.add(cosim.StateSpace(control.ss(-1, 1, 1, 0, inputs="force", outputs="x")), "plant")
     diagram.connect(level["y"], sensor["u"])
     diagram.connect(sensor["y"], last["u"])
     diagram.connect(last["y"], plant["force"])
-    with pytest.raises(cosim.SimulationError, match=r"(plant\.x|filter\.y) came out NaN\. The NaN came from (sensor|filter)\.y\. "):
+    with pytest.raises(
+        cosim.SimulationError, match=r"(plant\.x|filter\.y) came out NaN\. The NaN came from (sensor|filter)\.y"
+    ):
         diagram.simulate(1.0)
 
 
