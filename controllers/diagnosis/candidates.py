@@ -231,7 +231,7 @@ def _by_models(
     possible: list[_Fitted],
     recording: Recording | None = None,
 ) -> list[Explanation]:
-    """Judge other models by their observers.
+    """Judge other models by their observers, without those whose observers diverge because too many samples are missing.
 
     `recording` is the judge's, by default itself, with the belief before the first sample of these models.
     """
@@ -239,10 +239,12 @@ def _by_models(
         return []
     models, banks = [model for *_, model, _ in possible], [bank for *_, bank in possible]
     moved = np.array([(judge.recording.u @ model.matrix("B").T)[None] for model in models])
-    whites, _ = innovations(models, banks, recording or judge.recording, moved)
+    with np.errstate(over="ignore", invalid="ignore"):
+        whites, _ = innovations(models, banks, recording or judge.recording, moved)
     return [
         judge.of(kind, [values], judge.cost(white[:, :1], bank, judge.beginnings(white)), fitted)[0]
         for (values, fitted, _, bank), white in zip(possible, whites, strict=True)
+        if np.isfinite(white).all()
     ]
 
 

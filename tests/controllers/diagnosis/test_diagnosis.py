@@ -231,6 +231,27 @@ def test_what_begins_during_a_run_is_dated_and_measured(faults, load, kind, valu
     assert re.search(words, finding.sentence)
 
 
+@pytest.mark.parametrize("every", [10, 20])
+def test_a_load_is_named_beside_a_slow_only_sensor_of_a_rate(every):
+    """Observers of other models diverged between its samples, and the diagnosis ended in an error of numpy."""
+    m, lag = 1.4, 0.06
+    a, b = [[0, 1, 0], [0, -0.3 / m, 1 / m], [0, 0, -1 / lag]], [[0, 0], [0, 1 / m], [1 / lag, 0]]
+    names = {"inputs": ["thrust", "gust"], "outputs": ["height", "climb"]}
+    hover, std = control.ss(a, b, np.eye(2, 3), 0, **names), [0.3, 0.02, 1.5, 0.1]
+    measured = {"measured": ["height", "climb"]}
+    controller = controllers.design(
+        hover, sensors=[3, 1], sensor_std=std, actuated="thrust", goal="height", noise={"gust": 1.0}, dt=0.01,
+        acceptable_error=0.2, acceptable_control=4.0, **measured,
+    )  # fmt: skip
+    flight = cosim.closed_loop(
+        hover, controller, control="thrust", sensors=cosim.Sensors(count=[3, 1], std=std, every=[1, 1, every, every]),
+        noise={"gust": cosim.Gaussian(std=1.0)}, input_faults={"thrust": [cosim.Bias(start=10.0, magnitude=-4.0)]},
+        reference=2.0, **measured,
+    )  # fmt: skip
+    found = controllers.diagnose(flight.simulate(20.0, seed=1), controller)
+    assert re.search(r"acts from (9\.9\d|10|10\.[01]\d?) s", str(found))
+
+
 def chamber(disturbance, reference, **faults):
     """Return a climate chamber under control, which its heater warms and an open door cools, in deviations from 700 W."""
     A, B = [[-40 / 6e3, 40 / 6e3], [40 / 20e3, -57.5 / 20e3]], [[1 / 6e3, -1 / 6e3], [0.0, 0.0]]

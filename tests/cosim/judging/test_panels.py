@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.cosim.judging.panels import PANEL, broken, finish, make_panels
+from bayesftc.cosim.judging.panels import PANEL, broken, finish, make_panels, thin
 
 
 @pytest.mark.parametrize(
@@ -41,3 +41,18 @@ def test_no_exponent_stands_above_a_panel(largest, texts):
     figure.draw_without_rendering()
     assert axes[0].yaxis.get_offset_text().get_text() == ""
     assert texts <= {label.get_text() for label in axes[0].get_yticklabels()}
+
+
+@pytest.mark.parametrize("count", [100, 20_000, 20_001, 30_001, 86_400, 1_000_003])
+def test_a_long_line_keeps_its_peaks_its_order_and_its_end(count):
+    """Every second point of a run of 300 s was left out, and with them the alarms that the table had."""
+    time, values = np.arange(count, dtype=float), np.random.default_rng(count).normal(size=count)
+    values[count // 3], values[count // 2] = 99.0, -99.0
+    values[count // 5 : count // 5 + 2000 * (count > 20_000)] = np.nan
+    at, shown = thin(time, values)
+    assert len(at) <= 20_000
+    assert (np.diff(at) >= 0).all()
+    assert np.array_equal(values[at.astype(int)], shown, equal_nan=True)
+    assert (np.nanmin(shown), np.nanmax(shown)) == (-99.0, 99.0)
+    assert at[-1] >= count - 1 - count // 10_000
+    assert np.isnan(shown).any() == np.isnan(values).any()

@@ -298,7 +298,7 @@ def test_long_runs_are_thinned(signals):
     n = 100_000
     recording = np.random.default_rng(0).normal(size=(n, 1))
     result = cosim.Result(recording, {"a.y": (0, ())}, cosim.Diagram(0.1).step)
-    assert len(plot_signals(result).axes[0].lines[0].get_xdata()) == 20_000
+    assert 10_000 < len(plot_signals(result).axes[0].lines[0].get_xdata()) <= 20_000
 
 
 @pytest.mark.slow
