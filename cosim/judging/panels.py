@@ -126,7 +126,7 @@ def broken(label: str, height: float, size: float = 10.0) -> str:
 
 
 def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return a line with at most as many points as a print shows: the least and the largest of each few, so that no peak is lost."""
+    """Return a line with at most as many points as a print shows: the least and the largest of each few, so that peaks remain."""
     if len(time) <= MOST_POINTS:
         return time, values
     few = -(-len(time) // (MOST_POINTS // 2 - 1))

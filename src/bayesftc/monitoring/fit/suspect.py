@@ -76,7 +76,7 @@ class ModelSuspicion:
     ratio : float
         Root mean square of their innovations in this time, relative to the standard deviation that the model predicts.
     setting : str
-        ``"motion"`` or ``"noise"``, if a larger value of it ends the blame; else empty.
+        ``"motion"`` or ``"noise"``, if a larger value of it ends the blame, or nearly; else empty.
     factor : float
         How much larger it must be; else 1.
     sentence : str
@@ -144,17 +144,17 @@ def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | No
     blame = _Blame(monitor, monitored)
     if not blame.sensors:
         return None
-    setting, factor = _remedy(monitor, monitored, blame)
-    if blame.times and not setting and not blame.whole:
+    remedy = _remedy(monitor, monitored, blame)
+    if blame.times and not remedy.setting and not blame.whole:
         return None  # a few moments of some of the sensors are not enough to blame another part of the model
     ratio = max(excess(errors, expected)[0] for errors, expected in blame.innovations())
     return ModelSuspicion(
         tuple(monitored.recording.sensors[i] for i in blame.sensors),
         blame.share,
         ratio,
-        setting,
-        factor,
-        _sentence(monitor, monitored, blame, setting, factor),
+        remedy.setting,
+        remedy.factor,
+        _sentence(monitor, monitored, blame, remedy),
     )
 
 
@@ -372,8 +372,17 @@ def _differences(monitor: Monitor, recording: Recording, model: LinearModel) -> 
     return expected
 
 
-def _remedy(monitor: Monitor, monitored: Monitored, blame: _Blame) -> tuple[str, float]:
-    """Return the setting whose larger value ends the blame, and the least factor; nothing if there is none."""
+class _Remedy(NamedTuple):
+    """A setting whose larger value ends the blame, and the least factor."""
+
+    setting: str = ""
+    factor: float = 1.0
+    nearly: bool = False
+    """Whether some of the blame remains, for which the model would still be suspect."""
+
+
+def _remedy(monitor: Monitor, monitored: Monitored, blame: _Blame) -> _Remedy:
+    """Return what ends the blame, or nearly ends it. Factors are tried on a part of a long recording first."""
     recording = monitored.recording
     begin = 0
     if monitor.initial_std is None and len(recording.y) > MOST_STEPS:
@@ -384,12 +393,18 @@ def _remedy(monitor: Monitor, monitored: Monitored, blame: _Blame) -> tuple[str,
     tried = [("motion", factor) for factor in FACTORS]
     if not blame.agreeing:  # then no motion, which they have in common, is the reason
         tried = [("noise", float(f"{blame.spread:.2g}"))] if blame.spread > SCATTER else []
+    nearly = _Remedy()
     for setting, factor in tried:
         other = _with(monitor, setting, factor)
         with suppress(ModelError):  # of a number whose square is too large
-            if other is not None and blame.ends(_Blame(other, other.run(recording)), most):
-                return setting, factor
-    return "", 1.0
+            if other is None or not blame.ends(_Blame(other, other.run(recording)), most):
+                continue
+            whole = _Blame(other, other.run(monitored.recording))
+            if blame.ends(whole, REMAINING * float(blame.when.sum())):
+                if not whole.sensors:
+                    return _Remedy(setting, factor)
+                nearly = nearly if nearly.setting else _Remedy(setting, factor, True)
+    return nearly
 
 
 def _with(monitor: Monitor, setting: str, factor: float) -> Monitor | None:
@@ -403,7 +418,7 @@ def _with(monitor: Monitor, setting: str, factor: float) -> Monitor | None:
     return replace(monitor, plant=replace(plant, std=factor * plant.std)) if hasattr(plant, "std") else None
 
 
-def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: str, factor: float) -> str:
+def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, remedy: _Remedy) -> str:
     names, units = monitored.recording.sensors, monitored.recording.units
     listed = [names[i] for i in blame.sensors]
     who = f"{', '.join(listed[:-1])} and {listed[-1]}"
@@ -420,7 +435,7 @@ def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: st
     else:
         said = [f"The model may be wrong instead of the sensors: {who} are blamed at the same time, {share}."]
     (i, (errors, expected)), *_ = zip(blame.sensors, blame.innovations(), strict=True)
-    if setting == "noise":
+    if remedy.setting == "noise":
         own = {
             pair: expected for pair, expected in blame.apart.items() if set(pair) <= set(blame.sensors)
         } or blame.apart
@@ -433,17 +448,18 @@ def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: st
     else:
         subject, source = f"{names[i]} then differs from its prediction", "from the motion and the noise of all sensors"
         said.append(scatter(errors, expected, units[i], subject, source))
-    return " ".join(filter(None, [*said, _advice(monitor, monitored, blame, setting, factor)]))
+    return " ".join(filter(None, [*said, _advice(monitor, monitored, blame, remedy)]))
 
 
-def _advice(monitor: Monitor, monitored: Monitored, blame: _Blame, setting: str, factor: float) -> str:
+def _advice(monitor: Monitor, monitored: Monitored, blame: _Blame, remedy: _Remedy) -> str:
     plant: Any = monitor.plant
+    setting, factor, ends = remedy.setting, remedy.factor, "This nearly ends" if remedy.nearly else "This ends"
     if setting == "motion" and isinstance(plant, Matrices):
-        return f"This ends if the process_covariance in [model] is {factor**2:.3g} times as large."
+        return f"{ends} if the process_covariance in [model] is {factor**2:.3g} times as large."
     if setting == "motion":
-        return f"This ends with std = {factor * plant.std:.3g} in [model] instead of {plant.std:.3g}, {factor:g} times as large."
+        return f"{ends} with std = {factor * plant.std:.3g} in [model] instead of {plant.std:.3g}, {factor:g} times as large."
     if setting == "noise":
-        return f"This ends if the std of every sensor is {factor:g} times as large."
+        return f"{ends} if the std of every sensor is {factor:g} times as large."
     if blame.agreeing:
         return "No larger motion ends this: another kind of [model] may fit, or [[errors]] that these sensors have in common."
     names, units = monitored.recording.sensors, monitored.recording.units
