@@ -13,6 +13,7 @@ import ctypes
 import logging
 import pickle
 import sys
+import time
 import weakref
 from collections import deque
 from collections.abc import Collection
@@ -218,12 +219,23 @@ class Isolated(ByAddress):
             if process.steps in ready:
                 with contextlib.suppress(OSError):
                     if process.steps.recv(protocol.MESSAGE):
-                        return
+                        if not self._is_answered:  # it was sent for an earlier answer, see `protocol`
+                            self.shared.words[protocol.HOST] = protocol.ASLEEP
+                            process.wait(time.monotonic() + protocol.ATTENTION)  # it may not have seen this
+                        if self._is_answered:
+                            return
+                        continue
                 self._bury()
             if process.talk in ready:
                 self._note()
             elif not ready:
                 self._overdue(self._limit)
+
+    @property
+    def _is_answered(self) -> bool:
+        """Whether the last step or read is done. A faulty FMU may have written into the counts."""
+        words = self.shared.words
+        return bool(words[protocol.DONE] == words[protocol.ASKED] or words[protocol.PHASE] == protocol.IDLE)
 
     # --- errors, states and end -----------------------------------------------------------------------------------------------
 

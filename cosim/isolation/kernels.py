@@ -33,18 +33,19 @@ COMMAND, TIME, SIZE, COUNT, PROCESSOR, ASKED = (
     protocol.PROCESSOR,
     protocol.ASKED,
 )
-STATUS, READ_STATUS, AHEAD, PHASE, DONE = (
+STATUS, READ_STATUS, AHEAD, PHASE, DONE, HEARD = (
     protocol.STATUS,
     protocol.READ_STATUS,
     protocol.AHEAD,
     protocol.PHASE,
     protocol.DONE,
+    protocol.HEARD,
 )
 HOST, WORKER, SLEPT, LOOKS = protocol.HOST, protocol.WORKER, protocol.SLEPT, protocol.LOOKS
 LOGGED, RESULT, ANSWER = protocol.LOGGED, protocol.RESULT, protocol.ANSWER
 ASLEEP, AWAKE, WOKEN = protocol.ASLEEP, protocol.AWAKE, protocol.WOKEN
 HEADER, MESSAGE = protocol.WORDS, protocol.MESSAGE
-READ, STEP = protocol.READ, protocol.STEP
+READ, STEP, TALK = protocol.READ, protocol.STEP, protocol.TALK
 IDLE, STEPPING, READING, WANTED = protocol.IDLE, protocol.STEPPING, protocol.READING, protocol.WANTED
 INTERRUPTED = protocol.INTERRUPTED
 GONE, SIGNALLED, PAUSED, ELSEWHERE = protocol.GONE, protocol.SIGNALLED, protocol.PAUSED, protocol.ELSEWHERE
@@ -126,24 +127,27 @@ def rest(typingctx):
 
 @inlined
 def _await(shared, mine, theirs, count, receive, socket, answer):
-    """Wait until the word `theirs` has this count, or a message comes; return what `recv` did, MESSAGE if it was not called.
+    """Wait until the word `theirs` has this count, or the message TALK comes; return what `recv` did, MESSAGE if it was not called.
 
-    `mine` is HOST or WORKER: what this process does.
+    `mine` is HOST or WORKER: what this process does. A message is received into the word `answer`.
     """
-    if look(shared, mine) == AWAKE or swap(shared, mine, ASLEEP, AWAKE):  # else a message is on its way
-        for _ in range(min(word(shared, LOOKS), MOST_LOOKS)):  # a faulty FMU may write any number there
-            if look(shared, theirs) == count:
+    while True:
+        if look(shared, mine) == AWAKE or swap(shared, mine, ASLEEP, AWAKE):  # else a message is on its way
+            for _ in range(min(word(shared, LOOKS), MOST_LOOKS)):  # a faulty FMU may write any number there
+                if look(shared, theirs) == count:
+                    return MESSAGE
+                rest()
+            show(shared, mine, ASLEEP)
+            # The other may have stored its count before it could see that this process sleeps.
+            if look(shared, theirs) == count and swap(shared, mine, ASLEEP, AWAKE):
                 return MESSAGE
-            rest()
-        show(shared, mine, ASLEEP)
-        # The other may have stored its count before it could see that this process sleeps.
-        if look(shared, theirs) == count and swap(shared, mine, ASLEEP, AWAKE):
-            return MESSAGE
-    put_word(shared, mine + SLEPT, word(shared, mine + SLEPT) + 1)
-    received = transfer(receive, socket, shared + 8 * answer, MESSAGE, 0)
-    if received == MESSAGE:
+        put_word(shared, mine + SLEPT, word(shared, mine + SLEPT) + 1)
+        received = transfer(receive, socket, shared + 8 * answer, MESSAGE, 0)
+        if received != MESSAGE:
+            return received
         show(shared, mine, AWAKE)
-    return received
+        if look(shared, theirs) == count or word(shared, answer) == TALK:  # else it was sent for an earlier count
+            return MESSAGE
 
 
 @inlined
@@ -208,7 +212,7 @@ def serve(state, parameters, inputs, outputs, t, k):
     y = u + 8 * word(parameters, INPUT_COUNT)
     for _ in range(PAUSE):
         done = word(shared, DONE)
-        received = _await(shared, WORKER, ASKED, done + 1, receive, socket, COMMAND)
+        received = _await(shared, WORKER, ASKED, done + 1, receive, socket, HEARD)
         if received != MESSAGE:
             return GONE if received == 0 else SIGNALLED
         command = word(shared, COMMAND)

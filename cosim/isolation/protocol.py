@@ -3,7 +3,8 @@
 Both share one block of memory: `WORDS` 64-bit words, then the inputs, then the outputs. Steps and reads are asked for by a count
 in that memory, ASKED, and answered by another, DONE. Whoever waits watches the count of the other for a short while, and then
 sleeps until a message comes over a socket. HOST and WORKER say which of both each does, so that a message is sent only to
-who sleeps. All else (instantiation, saved states, explanations, the FMU's log) uses a second connection, as Python objects, each
+who sleeps. It may come late: on a busy machine a process can be stopped between seeing that the other sleeps and waking it, while
+the other sees the count by itself, and sleeps again. So whoever is woken looks at the count, and sleeps on if it is not there. All else (instantiation, saved states, explanations, the FMU's log) uses a second connection, as Python objects, each
 announced by a message.
 """
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 # Words of the shared memory. Those that the host writes at each step, those that the worker writes, and those that change rarely
 # are apart by 64 bytes: processors exchange so many at once.
 COMMAND, TIME, SIZE, COUNT, PROCESSOR, ASKED = range(6)
-STATUS, READ_STATUS, AHEAD, PHASE, DONE = range(8, 13)
+STATUS, READ_STATUS, AHEAD, PHASE, DONE, HEARD = range(8, 14)
 HOST, WORKER, HOST_SLEPT, WORKER_SLEPT, LOOKS, LOGGED, RESULT, ANSWER = range(16, 24)
 WORDS = 24
 SLEPT = HOST_SLEPT - HOST
