@@ -82,9 +82,9 @@ def design(
         The plant to control. Nonlinear systems are linearised at a steady state.
     goal : str or sequence of str
         Names of the plant's outputs that have a goal, measured or not; by default the measured ones. The name of a vector stands
-        for all its elements, ``"y[1]"`` for one; this holds for `measured` and `actuated` as well. For a `LinearModel`: numbers
-        of sensors, or a matrix as in `LQGController`; by default each distinct output. For an `Identification` also columns, or
-        the quantities that it was given.
+        for all its elements, ``"y[1]"`` for one; this holds for `measured` and `actuated` as well. For a `LinearModel`: names
+        of its sensors, if it has any, their numbers, or a matrix as in `LQGController`; by default each distinct output. For an
+        `Identification` also columns, or the quantities that it was given.
     measured, actuated : str or sequence of str
         Names of the outputs that sensors measure, and of the inputs that the controller drives. By default all outputs, and all
         inputs without `noise`, of a system of python-control; of an FMU if there is only one. Not for a `LinearModel` or an
@@ -363,6 +363,15 @@ def _squares(name: str, value: object, size: int) -> Floats:
     return _positive(name, value, size) ** 2
 
 
+def _sensor_number(model: LinearModel, name: str) -> int:
+    """Return the number of the first sensor of this name."""
+    if model.names is None:
+        raise ModelError("This LinearModel has no names; give goal= as numbers of sensors, or as a matrix.")
+    if name not in model.names.sensors:
+        raise UnknownNameError(f"The model has no sensor {name!r}; {did_you_mean(name, model.names.sensors)}")
+    return model.names.sensors.index(name)
+
+
 def _goal_rows(model: LinearModel, goal: Any) -> Floats:
     """Return the rows that map the model's state to the goals."""
     quantities = model.quantities
@@ -370,9 +379,7 @@ def _goal_rows(model: LinearModel, goal: Any) -> Floats:
         return np.asarray(quantities[sorted(np.unique(quantities, axis=0, return_index=True)[1])])
     rows = np.asarray(goal)
     if rows.dtype.kind in "US":
-        raise ModelError(
-            "The outputs of a LinearModel have no names; give goal= as numbers of sensors, or as a matrix."
-        )
+        rows = np.array([_sensor_number(model, str(name)) for name in np.atleast_1d(rows)])
     if rows.ndim == 2:
         return np.asarray(rows, dtype=np.float64)
     numbers = np.atleast_1d(rows)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def far_goal(model: LinearModel, signals: LoopSignals) -> str:
         there = float(readings[sensor])
         away = np.nan_to_num(np.abs(quantity.reference - there))
         if abs(there) > KNOWN * stds[sensor] and away.max() > FAR * abs(there):
-            unit = f" {quantity.unit}" if quantity.unit else ""
+            unit = behind(quantity.unit)
             goal = float(quantity.reference[away.argmax()])
             return (
                 f"The goal of {quantity.name} goes to {goal:.3g}{unit}, but the operating point of the model is "

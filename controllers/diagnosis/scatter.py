@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.types import Floats
 
 SCATTER = 1.3
@@ -29,7 +30,7 @@ def scatter(errors: Floats, expected: float, unit: str | None, subject: str, set
     ratio, found = excess(errors, expected)
     if ratio < SCATTER:
         return ""
-    of = f" {unit}" if unit else ""
+    of = behind(unit)
     return f"{subject} by {found:.3g}{of} (root mean square), but the model expects {expected:.3g}{of}: {setting}."
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.models.disturbances import has_loads
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.judging.signals import ALARM
 
 if TYPE_CHECKING:
@@ -185,7 +186,7 @@ def _change(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     """Return by how much each control would have to change: ``the control q1 by 0.02 m3/s``."""
     known = units if len(units) == len(values) else [None] * len(values)
     return " and of ".join(
-        f"{_named(j, model)} by {value:.3g}" + (f" {unit}" if unit else "")
+        f"{_named(j, model)} by {value:.3g}" + behind(unit)
         for j, (value, unit) in enumerate(zip(values, known, strict=True))
     )
 
@@ -219,7 +220,7 @@ def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel
         who = f"all sensors of {names} ({numbers})" if names else f"sensors {numbers}, all of one quantity,"
     sizes = list(dict.fromkeys(f"{values[i]:.2g}" for i in group))
     offset = "a constant offset" if len(sizes) == 1 else "constant offsets"
-    unit = f" {units[group[0]]}" if units and units[group[0]] else ""
+    unit = behind(units[group[0]]) if units else ""
     return f"{who} {'has' if len(group) == 1 else 'have'} {offset} of about {' and '.join(sizes)}{unit}"
 
 
@@ -247,7 +248,7 @@ def _noise_of_load(load: int, std: float, model: LinearModel) -> str:
 
 def _wandering(load: int, std: float, mean: float, model: LinearModel, units: Sequence[str | None]) -> str:
     """Return the sentence about a load on a control that changes all the time, of which the model has none."""
-    unit = f" {units[load]}" if len(units) == model.controls and units[load] else ""
+    unit = behind(units[load]) if len(units) == model.controls else ""
     average = f", on average by {mean:.3g}{unit}" if mean else ""
     return (
         f"a load acts, and changes all the time. It has the effect of a change of {_named(load, model)}{average}. Estimate it "

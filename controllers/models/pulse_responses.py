@@ -116,16 +116,28 @@ class Experiments:
             first = readings if part == 0 else first
             size = max(size, float(np.abs(readings).max()), 1e-6)
             if not np.isfinite(size):
-                break
+                i = int(np.flatnonzero(~np.isfinite(readings).all(axis=1))[0])
+                raise ModelError(
+                    f"The plant {self._fmu.default_name!r} has no steady state: with its inputs held at {self.held.tolist()} an "
+                    f"output is NaN or infinite at t = {show(self._step * (k - SAMPLES + i))} s. Give other inputs (at=...) or "
+                    "start values (FMU(parameters=...))."
+                )
             changes.append(float(np.ptp(readings, axis=0).max()))
             if changes[-1] <= STEADY * size:
                 self._close()
                 self._waited = part * SAMPLES
                 return np.array(readings[-1]), first
+        longer = (
+            " They change less and less, but this FMU cannot save its state (canGetAndSetFMUstate): each experiment would "
+            "wait anew. Begin nearer to rest, or export the FMU with that ability."
+            if not plant.can_save and _shrinks(changes)
+            else ""
+        )
         raise ModelError(
             f"The plant {self._fmu.default_name!r} does not come to rest: with its inputs held at {self.held.tolist()} its "
-            f"outputs still change after {show(self._step * k)} s. Give start values of a steady state (FMU(parameters=...)), or "
-            "other inputs (at=...). For a plant without one identify a model from a recording (LinearModel.identify)."
+            f"outputs still change after {show(self._step * k)} s.{longer} Give start values of a steady state "
+            "(FMU(parameters=...)), or other inputs (at=...). For a plant without one identify a model from a recording "
+            "(LinearModel.identify)."
         )
 
     def _begin(self) -> External:

@@ -37,6 +37,11 @@ def with_unit(name: str, unit: str | None) -> str:
     return f"{name} ({unit})" if unit else name
 
 
+def behind(unit: str | None) -> str:
+    """Return a unit as it stands behind a number: nothing if there is none, or if it is that of a plain number, 1."""
+    return f" {unit}" if unit and unit != "1" else ""
+
+
 @dataclass(frozen=True)
 class Unit:
     """The meaning of a unit in SI.

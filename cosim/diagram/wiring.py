@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
@@ -343,7 +344,7 @@ def warn_of_start(diagram: Diagram, plant: Node, controller: Node) -> None:
         origin = healthy_source(diagram, controller, controller.port("y"), i)
         if origin == (sensors, sensors.port("y"), i) and abs(start[i] - belief[i]) > UNLIKELY * std[i]:
             name, unit = label_of(diagram, sensors, tuple(rows[i]), i)
-            unit = f" {unit}" if unit else ""
+            unit = behind(unit)
             warn_user(
                 f"The controller's belief begins with {name} = {belief[i]:.4g}{unit}, give or take {std[i]:.2g}{unit}, but the "
                 f"plant begins at {start[i]:.4g}{unit}, so healthy sensors may be blamed: design the controller for the plant of "

@@ -127,7 +127,7 @@ def rest(typingctx):
 
 @inlined
 def _await(shared, mine, theirs, count, receive, socket, answer):
-    """Wait until the word `theirs` has this count, or the message TALK comes; return what `recv` did, MESSAGE if it was not called.
+    """Wait until the word `theirs` has this count, or the message TALK comes; return what `recv` did, MESSAGE without it.
 
     `mine` is HOST or WORKER: what this process does. A message is received into the word `answer`.
     """

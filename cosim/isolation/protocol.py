@@ -4,8 +4,10 @@ Both share one block of memory: `WORDS` 64-bit words, then the inputs, then the 
 in that memory, ASKED, and answered by another, DONE. Whoever waits watches the count of the other for a short while, and then
 sleeps until a message comes over a socket. HOST and WORKER say which of both each does, so that a message is sent only to
 who sleeps. It may come late: on a busy machine a process can be stopped between seeing that the other sleeps and waking it, while
-the other sees the count by itself, and sleeps again. So whoever is woken looks at the count, and sleeps on if it is not there. All else (instantiation, saved states, explanations, the FMU's log) uses a second connection, as Python objects, each
-announced by a message.
+the other sees the count by itself, and sleeps again. So whoever is woken looks at the count, and sleeps on if it is not there.
+
+All else (instantiation, saved states, explanations, the FMU's log) uses a second connection, as Python objects, each announced
+by a message.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.judging.signals import (
     ALARM,
     SCORES,
@@ -364,7 +365,7 @@ def limited(signals: LoopSignals) -> Iterator[tuple[str, str]]:
         low = 0.0 if control.low is None else _share(control.sent <= control.low)
         high = 0.0 if control.high is None else _share(control.sent >= control.high)
         fast, name = _at_rate(control, signals.time), f"control {control.name}"
-        unit = f" {control.unit}" if control.unit else ""
+        unit = behind(control.unit)
         per_second = f"{unit}/s" if unit else " per second"
         rate = f", and changes at its limit of {control.rate:g}{per_second} for {fast:.0%}" if fast >= LIMITED else ""
         if min(low, high) >= SWINGS and low + high >= LIMITED:

@@ -1,12 +1,14 @@
 """A controller from nothing but a plant: linear models of FMUs and of python-control systems, and the call that uses them."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers import LinearModel, PoorFitWarning, design
+from bayesftc.controllers import LinearModel, PoorFitWarning, SignalNames, design
 from bayesftc.controllers.models import pulse_responses
 from bayesftc.controllers.models.differences import derivative
 from bayesftc.controllers.models.linearization import linearize
@@ -492,6 +494,11 @@ def test_of_a_linear_model_the_sensors_have_numbers():
         design(model, goal="angle")
     with pytest.raises(ModelError, match="leave measured= out"):
         design(model, measured="angle")
+    named = replace(model, names=SignalNames(["torque"], ["angle", "angle", "rate"], ["a", "r"]))
+    np.testing.assert_array_equal(design(named, goal="angle").goal_matrix, [[1, 0]])
+    np.testing.assert_array_equal(design(named, goal=["rate"]).goal_matrix, [[0, 1]])
+    with pytest.raises(UnknownNameError, match="no sensor 'angel'; did you mean 'angle'"):
+        design(named, goal="angel")
 
 
 def test_a_redundant_sensor_fails_and_the_servo_stays():

@@ -251,9 +251,7 @@ def test_while_a_run_waits_for_the_clock(tmp_path):
         assert process.stdout.readline() == "waits\n"
         process.send_signal(signal.SIGINT)
         said, errors = process.communicate(timeout=15)  # a step is 20 s long
-        sentence = (
-            "Stopped by Ctrl-C at t = 0 s of 20 s. The signals up to then are kept. They are in out/result.npz.\n"
-        )
+        sentence = "Stopped by Ctrl-C at t = 0 s of 20 s. The signals up to then are in out/result.npz.\n"
         assert (process.returncode, said, errors) == (130, "", sentence)
         assert sorted(path.name for path in (tmp_path / "out").iterdir()) == WRITTEN
         assert Result.load(tmp_path / "out/result.npz").time.tolist() == [0.0]

@@ -19,8 +19,8 @@ ROWS = 2.5
 MANY = 20
 """Least number of samples in an hour with which times in seconds show that a clock was set back."""
 
-IN_UTC = 'pd.to_datetime(table["Time"]).dt.tz_localize("Europe/Berlin", ambiguous="infer").dt.tz_convert("UTC")'
-"""The line of pandas for a table of local times in their first order."""
+IN_UTC = 'pd.to_datetime(times).dt.tz_localize("Europe/Berlin", ambiguous="infer").dt.tz_convert("UTC")'
+"""The line of pandas for a column of local times in their first order."""
 
 
 class Once(NamedTuple):
@@ -55,7 +55,7 @@ def wrong_order(time: Floats, values: Floats, origin: datetime | None) -> str:
         if _set_back(steps, k, origin):
             return (
                 f"A signal's times go back by an hour: {jump}. The clock was probably set back. Write the times in "
-                f"UTC or with their offset, as 2026-10-25T02:00:00+01:00. In pandas, with your own time zone: {IN_UTC}."
+                f"UTC or with their offset, as 2026-10-25T02:00:00+01:00. In pandas, with your own column and zone: {IN_UTC}."
             )
         return f"A signal's times do not increase: {jump}. Sort the recording by time."
     same = np.flatnonzero(steps == 0)

@@ -22,11 +22,12 @@ from bayesftc.controllers.switching.fault_modes import Frozen
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.recordings.columns import column_unit
 from bayesftc.cosim.base.timebase import rational_step
-from bayesftc.cosim.errors import ModelError, RecordingError
+from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
 from bayesftc.monitoring.csv import Tables, warn_of_changes
+from bayesftc.monitoring.fit.fit import fit_model
 from bayesftc.monitoring.fit.units import in_unit
 from bayesftc.monitoring.models import PlantModel
 from bayesftc.monitoring.precision import default_precision
@@ -102,6 +103,60 @@ class Monitor:
     initial_std: float | Sequence[float] | None = None
     invalid: Sequence[float | str] = ()
     joint: bool = False
+
+    def __post_init__(self) -> None:
+        for name, sensor in self.sensors.items():
+            if not isinstance(sensor, Sensor):
+                raise ModelError(
+                    f"The sensor {name!r} of Monitor is {brief(sensor)}; give Sensor(std=...). Monitor.fit makes the monitor of "
+                    "a fitted model."
+                )
+
+    @classmethod
+    def fit(cls, recording: Recording, stretch: slice = slice(None), **settings: Any) -> tuple[Monitor, Recording]:
+        """Return a monitor with a model fitted to a recording of sensors of one quantity, and the recording for its `run`.
+
+        The returned recording has no constant biases and no gains; ``bayesftc monitor --fit`` does the same with files.
+
+        Parameters
+        ----------
+        recording : Recording
+            From `align` or `recorded`.
+        stretch : slice
+            The steps in which the sensors are healthy; see `fit_model`.
+        **settings
+            Further ones of the monitor, such as ``alarm``.
+
+        Raises
+        ------
+        RecordingError
+            As for `fit_model`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from bayesftc import monitoring
+        >>> rng, t = np.random.default_rng(0), 0.1 * np.arange(1000)
+        >>> level = 20.0 + np.cumsum(0.05 * rng.standard_normal(1000))
+        >>> y = level[:, None] + 0.1 * rng.standard_normal((1000, 3)) + [0.0, 0.0, 2.0]
+        >>> y[700:, 1] += 1.5
+        >>> signals = {name: monitoring.Signal(t, y[:, i]) for i, name in enumerate("abc")}
+        >>> monitor, corrected = monitoring.Monitor.fit(monitoring.recorded(signals))
+        >>> [(event.sensor, event.kind) for event in monitor.run(corrected).events]
+        [('b', 'Offset')]
+        """
+        fitted = fit_model(recording, stretch)
+        of = list(fitted.sensors.values())
+        bias, gain = (np.array([getattr(sensor, name) for sensor in of]) for name in ("bias", "gain"))
+        resolution = tuple(sensor.resolution / sensor.gain for sensor in of)
+        corrected = replace(recording, y=(recording.y - bias) / gain, resolution=resolution)
+        sensors = {
+            name: Sensor(std=s.std, resolution=s.resolution, repeats=s.repeats, bias=s.bias, gain=s.gain)
+            for name, s in fitted.sensors.items()
+        }
+        mean, std = fitted.belief or (None, None)
+        given = {"errors": fitted.errors, "joint": fitted.joint, "initial_mean": mean, "initial_std": std, **settings}
+        return cls(recording.dt, fitted.plant, sensors, **given), corrected
 
     @property
     def _input_errors(self) -> bool:

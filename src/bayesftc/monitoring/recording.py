@@ -19,10 +19,14 @@ from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.base.recordings.held import without_held
 from bayesftc.cosim.base.recordings.order import without_repeats, wrong_order
 from bayesftc.cosim.base.recordings.turns import Turns
-from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.base.timebase import rational_step, show, spoken
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.gaps import Gap, find_gaps
+
+LATE = 0.02
+"""Share of a recording before the first sample of the last sensor from which on there is a warning that it is not judged."""
 
 MOST_STEPS = 20_000_000
 """Largest number of steps, two days at 100 samples per second: a longer recording more likely has a wrong unit of time."""
@@ -280,6 +284,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
             f"The recording from {time_text(start, origin)}, when the last sensor begins, to {time_text(end, origin)} is shorter "
             f"than one step of {show(step)} s. Give a smaller dt, about the interval of the fastest sensor."
         )
+    _warn_of_a_late_sensor(sensors, start, end, origin)
     steps = int(np.rint((end - start) / float(step))) + 1
     y, loss, replaced = np.full((steps, len(sensors)), np.nan), [], []
     for i, signal in enumerate(sensors.values()):
@@ -324,6 +329,16 @@ def _overlap(
             "do not overlap. Check that all times are in seconds from the same instant."
         )
     return max(spans[name][0] for name in sensors), max(spans[name][1] for name in sensors)
+
+
+def _warn_of_a_late_sensor(sensors: Mapping[str, Signal], start: float, end: float, origin: datetime | None) -> None:
+    begins = {name: float(signal.corrected[0][0]) for name, signal in sensors.items()}
+    first, late = min(begins.values()), max(begins, key=lambda name: begins[name])
+    if start - first > LATE * (end - first):
+        warn_user(
+            f"The recording is judged from {time_text(start, origin)} on, when {late} begins; "
+            f"{spoken(start - first)} before that are left out. To judge them, leave {late} out."
+        )
 
 
 def _snapped(time: Floats, step: float) -> Floats:

@@ -26,7 +26,7 @@ def test_a_clock_that_is_set_back_is_told_and_the_named_line_of_pandas_helps(min
     assert IN_UTC in text
     assert "Sort" not in text
     table = pd.DataFrame({"Time": (LOCAL + pd.to_timedelta(time, unit="s")).astype(str)})
-    assert list(eval(IN_UTC, {"pd": pd, "table": table})) == list(clock)
+    assert list(eval(IN_UTC, {"pd": pd, "times": table["Time"]})) == list(clock)
 
 
 @pytest.mark.parametrize("minutes", [1, 30, 60])

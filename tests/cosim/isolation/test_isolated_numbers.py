@@ -167,7 +167,7 @@ def test_settings(car):
 
 
 def test_a_message_that_comes_late_asks_for_no_further_step(same_bits, car):
-    """On a busy machine the host was stopped between seeing that the FMU sleeps and waking it, so that one step was made twice."""
+    """On a busy machine the host was stopped between seeing that the FMU sleeps and waking it: one step was made twice."""
     runs = []
     for isolate in (False, True):
         diagram = cosim.Diagram(dt=0.02)

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from bayesftc.cosim.errors import RecordingError
+from bayesftc.cosim.errors import ModelError, RecordingError
 from bayesftc.examples.redundant_speed_sensors import study
 from bayesftc.monitoring import (
+    Alarm,
     ConstantRate,
+    Monitor,
     Place,
     RandomWalk,
     Signal,
@@ -260,6 +262,27 @@ def hold(samples, share, rng):
     """Let a sensor repeat a share of its samples."""
     for k in np.flatnonzero(rng.random(len(samples)) < share):
         samples[k] = samples[max(k - 1, 0)]
+
+
+def test_the_monitor_of_a_fit_is_that_of_the_file_that_it_writes():
+    """In Python there was no way from a fit to its monitor but by a file."""
+    rng, t = np.random.default_rng(3), 0.1 * np.arange(2000)
+    quantity = 20.0 + np.cumsum(0.05 * rng.standard_normal(2000))
+    y = quantity[:, None] + 0.1 * rng.standard_normal((2000, 3)) + [0.0, 0.4, -0.2]
+    y[1500:, 1] += 1.0
+    signals = {name: Signal(t, y[:, i]) for i, name in enumerate("abc")}
+    by_file, _ = watched(signals)
+    monitor, corrected = Monitor.fit(recorded(signals))
+    found = monitor.run(corrected)
+    np.testing.assert_allclose(
+        found.fault_probability, by_file.fault_probability, atol=0.02
+    )  # the file has five digits
+    assert (
+        [(e.sensor, e.kind) for e in found.events] == [(e.sensor, e.kind) for e in by_file.events] == [("b", "Offset")]
+    )
+    assert Monitor.fit(recorded(signals), alarm=Alarm(threshold=0.5))[0].alarm.threshold == 0.5
+    with pytest.raises(ModelError, match=r"'a' of Monitor is FittedSensor.*Monitor\.fit makes"):
+        Monitor(0.1, monitor.plant, fit_model(recorded(signals)).sensors)
 
 
 @pytest.mark.sampled(1)

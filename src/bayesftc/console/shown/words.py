@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.console.shown.layout import AnyLane
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.judging.signals import ALARM
 from bayesftc.cosim.types import Floats
 
@@ -78,7 +79,7 @@ def _sensor(lane: AnyLane, row: Floats, i: int, t: float) -> dict[str, Any]:
         return {**card, "state": "healthy", "words": f"using {device}{share}"}
     if chance < ALARM:
         return {**card, "state": "suspect", "words": f"watching {device}: probability {_chance(chance)}"}
-    unit = f" {role.unit}" if role.unit else ""
+    unit = behind(role.unit)
     when = "" if since is None else f" since {since:.4g} s"
     card |= {"state": "faulty", "kind": PAST.get(kind, kind), "since": since}
     if kind in lane.inference.offset_kinds and size is not None:

@@ -130,6 +130,14 @@ class FittedModel:
         """
         return bool(self.changes) or not (self.strangers or self.coded)
 
+    @property
+    def belief(self) -> tuple[list[float], list[float]] | None:
+        """Mean and standard deviation of quantity and rate before the first sample; None if the first samples tell them."""
+        if not isinstance(self.plant, ConstantRate):
+            return None
+        least = self.plant.std
+        return [self.level, 0.0], [max(FIT.uncertain * self.spread, least), max(self.rate, least)]
+
 
 def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool = True) -> FittedModel:
     """Fit a model to a recording of sensors of the same quantity; a part of it may have faults.

@@ -16,6 +16,7 @@ from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.switching.fault_modes import DroppedOut, Frozen
 from bayesftc.cosim.base.numbers import MAD, short
 from bayesftc.cosim.base.recordings.dates import span_text
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.findings import AGREE
 from bayesftc.cosim.judging.metrics import periods
@@ -467,7 +468,7 @@ def _advice(monitor: Monitor, monitored: Monitored, blame: _Blame, remedy: _Reme
     if not apart:
         return ""
     i, j = max(apart, key=lambda pair: abs(apart[pair]) / blame.apart[pair])
-    unit = f" {units[i]}" if units[i] else ""
+    unit = behind(units[i])
     return (
         f"{names[i]} and {names[j]} differ by {abs(apart[i, j]):.3g}{unit} in the median: if that is no fault, give the bias of "
         "each sensor, or [[errors]] that last."

@@ -9,8 +9,6 @@ from collections.abc import Mapping
 from bayesftc.cosim.base.recordings.dates import span_text
 from bayesftc.monitoring.fit.columns import Place
 from bayesftc.monitoring.fit.fit import FittedModel
-from bayesftc.monitoring.fit.settings import FIT
-from bayesftc.monitoring.models import ConstantRate
 from bayesftc.monitoring.recording import Recording
 
 BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -125,19 +123,19 @@ def _span(recording: Recording, stretch: slice) -> str:
 
 def _plant(fitted: FittedModel, unit: str) -> list[str]:
     kind, std = type(fitted.plant).__name__, _number(fitted.plant.std)
-    if not isinstance(fitted.plant, ConstantRate):
+    if fitted.belief is None:
         of = f", in {unit}" if unit else ""
         return [
             f'kind = "{kind}"  # a quantity that changes at random',
             f"std = {std}  # of its change in one second{of}",
         ]
-    spread = max(FIT.uncertain * fitted.spread, fitted.plant.std)
+    (level, _), (spread, rate) = fitted.belief
     of = f", in {unit}/s" if unit else ""
     return [
         f'kind = "{kind}"  # a quantity whose rate changes at random',
         f"std = {std}  # of the rate's change in one second{of}",
-        f"initial_mean = [{_number(fitted.level)}, 0.0]  # quantity and rate before the first sample",
-        f"initial_std = [{_number(spread)}, {_number(max(fitted.rate, fitted.plant.std))}]",
+        f"initial_mean = [{_number(level)}, 0.0]  # quantity and rate before the first sample",
+        f"initial_std = [{_number(spread)}, {_number(rate)}]",
     ]
 
 

@@ -113,8 +113,8 @@ def run(
         kept = getattr(error, "result", None)  # after Ctrl-C only of a paced run
         if out is not None and kept is not None and len(kept.time):
             output.write_files(out, kept, *_report(scenario, loaded, loop, kept))
-            said = error if isinstance(error, SimulationError) else f"{kept.stopped} The signals up to then are kept."
-            error.args = (f"{said} They are in {out / output.RESULT}.",)
+            said = error if isinstance(error, SimulationError) else kept.stopped
+            error.args = (f"{said} The signals up to then are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
     numbers["model"], compared = _diagnosed(loaded, loop, result)
