@@ -33,8 +33,8 @@ PRIOR = 10.0
 sensors until it is estimated."""
 
 UNMOVED = (
-    "the quantity moves differently from the model, or the recording has long gaps. Fit the model to a stretch that moves as the "
-    "rest does (bayesftc monitor --fit --from --to)."
+    "the quantity moves differently from the model, or the recording has long gaps. Fit the model to a recording that moves as "
+    "this one does (bayesftc monitor --fit)."
 )
 """What is wrong with a model that no control moves, as that of a monitor: nothing can be linearised or weakened."""
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -9,13 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 from bayesftc.cli import app
-from bayesftc.cli.commands.recordings._faults import print_faults
+from bayesftc.cli.commands.recordings._faults import print_disagreements, print_faults
 from bayesftc.cli.commands.recordings.monitor import monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.learning import learn_modes
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
-from bayesftc.monitoring import FaultEvent, Monitor, load_monitor
+from bayesftc.monitoring import Alarm, Disagreement, FaultEvent, Monitor, Signal, align, load_monitor
 
 RUNNER = CliRunner()
 
@@ -712,3 +713,18 @@ def test_a_log_of_changes_is_named(tmp_path, caplog):
     done = RUNNER.invoke(app, ["monitor", str(tmp_path / "log.csv"), "--fit", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     assert caplog.text.count(words) == 1
+
+
+def test_sensors_that_are_open_at_the_same_time_have_one_sentence(capsys):
+    """Three pairs of three sensors had a line each, also beside alarms that the model causes."""
+    t = np.arange(100.0)
+    recording = align({name: Signal(t, np.zeros(100)) for name in "abc"}, {}, dt=1)
+    pairs = [Disagreement(pair, 10.0, 20.0, 0.9) for pair in (("a", "b"), ("a", "c"), ("b", "c"))]
+    pairs += [Disagreement(("a", "b"), 51.0, 60.0, 0.95), Disagreement(("b", "c"), 80.0, 90.0, 0.97)]
+    monitored = SimpleNamespace(recording=recording, alarm=Alarm(hold=5.0), disagreements=pairs)
+    doubtful = FaultEvent("a", 40.0, 48.0, 1.0, "Offset")
+    print_disagreements(monitored, [doubtful])
+    printed = " ".join(capsys.readouterr().out.split())
+    assert printed.count("One of") == 2
+    assert "One of a, b and c is faulty, or the model is wrong, from 10 s to 20 s" in printed
+    assert "One of b and c is faulty from 80 s to 90 s (the sum of two fault probabilities reaches 0.97)" in printed

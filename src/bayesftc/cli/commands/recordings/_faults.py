@@ -8,7 +8,7 @@ from bayesftc.cli import output
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.run.summary import pauses
-from bayesftc.monitoring import ActuatorEvent, FaultEvent, Recording
+from bayesftc.monitoring import ActuatorEvent, Disagreement, FaultEvent, Monitored, Recording
 
 IN_NOISE = tuple(mode.__name__ for mode in FAULT_MODES if mode.size_in_noise)
 """Modes whose sizes are multiples of the sensor's noise."""
@@ -94,6 +94,28 @@ class Clock:
     def whole_span(self, start: float, end: float) -> str:
         """Return two times with a unit, or with their day."""
         return span_text(start, end, self._origin, self._digits)
+
+
+def print_disagreements(monitored: Monitored, doubtful: Sequence[FaultEvent]) -> None:
+    """Print when one of several sensors is faulty, but it is open which one: a sentence for all pairs with the same times.
+
+    Those that begin with a doubtful alarm, or soon after it, are left out: then the model is probably wrong.
+    """
+    recording, hold = monitored.recording, monitored.alarm.hold
+    say, clock = output.sayer()[1], Clock(monitored.recording)
+    together: dict[tuple[float, float], list[Disagreement]] = {}
+    for each in monitored.disagreements:
+        if not any(event.start <= each.start <= event.end + hold for event in doubtful):
+            together.setdefault((each.start, each.end), []).append(each)
+    for (start, end), pairs in together.items():
+        *names, last = (name for name in recording.sensors if any(name in each.sensors for each in pairs))
+        several = len(recording.sensors) > 2
+        model = ", or the model is wrong," if several and len(names) + 1 == len(recording.sensors) else ""
+        say(
+            f"One of {', '.join(names)} and {last} is faulty{model} from {clock.whole_span(start, end)} (the sum of two fault "
+            f"probabilities reaches {max(each.probability for each in pairs):.3g}), but it is open which one"
+            f"{'' if several else ': a third sensor would tell'}."
+        )
 
 
 def _size(event: FaultEvent | ActuatorEvent, unit: str) -> str:

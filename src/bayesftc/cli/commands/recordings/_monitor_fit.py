@@ -160,7 +160,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
             *_strangers(fitted),
             *_changes(fitted, samples, stretch),
             *_gains(fitted, samples, stretch, model),
-            *fit_notes(fitted),
+            *fit_notes(fitted, part),
         ],
     )
 
@@ -345,7 +345,7 @@ def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
     }
 
 
-def fit_notes(fitted: FittedModel) -> list[str]:
+def fit_notes(fitted: FittedModel, part: Fit) -> list[str]:
     """Return a note for each sensor that may have failed in the stretch of the fit, or that measures another quantity."""
     return [
         f"The errors of {name} last, and are {ratio:.0f} times its noise and far above those of the other sensors. If {name} has "
@@ -354,17 +354,19 @@ def fit_notes(fitted: FittedModel) -> list[str]:
         "quantity, leave it out: name the others with --sensor."
         for name, ratio in doubtful_sensors(fitted).items()
         if name not in fitted.strangers
-    ] + list(_outside(fitted))
+    ] + list(_outside(fitted, part))
 
 
-def _outside(fitted: FittedModel) -> Iterator[str]:
-    """Give a note that the model expects slow errors which it has not seen while the sensors were healthy."""
+def _outside(fitted: FittedModel, part: Fit) -> Iterator[str]:
+    """Give a note that the model expects slow errors which are rare, or which the stretch of healthy sensors does not show."""
     if fitted.outside:
         size, seconds = float(np.max(fitted.outside.std)), float(np.max(fitted.outside.time_constant))
+        named = part.start is not None or part.stop is not None
+        where, there = ("Outside of the stretch", "there") if named else ("In a small part of the recording", "then")
         yield (
-            f"Outside of the stretch, biases wander by {size:.2g} within {spoken(seconds)}, and the model expects that of "
-            "healthy sensors. If sensors failed there, slow drifts are not found. To expect only what the stretch shows, put its "
-            "rows into a file of their own and fit that."
+            f"{where}, biases wander by {size:.2g} within {spoken(seconds)}, and the model expects that of healthy sensors. If "
+            f"sensors failed {there}, slow drifts are not found: put rows with healthy sensors into a file of their own, and fit "
+            "that."
         )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.commands.recordings._faults import Clock, print_faults
+from bayesftc.cli.commands.recordings._faults import Clock, print_disagreements, print_faults
 from bayesftc.cli.commands.recordings._monitor_fit import (
     MODEL,
     Fit,
@@ -195,7 +195,7 @@ def monitor(
 def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspicion, model: Path) -> str:
     """Return a sentence about the fit of a better model; empty for a model with inputs, which is not fitted."""
     if fitted is not None and suspicion.setting == "motion":
-        return f"Change it in {model} and give --model {model} without --fit, or fit a stretch with the fastest motion."
+        return f"Change it in {model} and give --model {model} without --fit."
     if fitted is not None:
         return "Fit a stretch in which the sensors are healthy, with --from and --to."
     return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
@@ -336,13 +336,7 @@ def _print(
         units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
         hold = time_at(monitored.alarm.hold, float(recording.dt))
         print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording, doubtful, hold)
-        for each in monitored.disagreements:
-            span = Clock(recording).whole_span(each.start, each.end)
-            advice = "" if len(recording.sensors) > 2 else ": a third sensor would tell"
-            say(
-                f"One of {each.sensors[0]} and {each.sensors[1]} is faulty from {span} (the sum of their fault probabilities "
-                f"reaches {each.probability:.3g}), but it is open which one{advice}."
-            )
+        print_disagreements(monitored, doubtful)
     for note in notes:
         say(f"\n{note}")
     if folder is not None:
