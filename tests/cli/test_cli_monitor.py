@@ -726,5 +726,5 @@ def test_sensors_that_are_open_at_the_same_time_have_one_sentence(capsys):
     print_disagreements(monitored, [doubtful])
     printed = " ".join(capsys.readouterr().out.split())
     assert printed.count("One of") == 2
-    assert "One of a, b and c is faulty, or the model is wrong, from 10 s to 20 s" in printed
-    assert "One of b and c is faulty from 80 s to 90 s (the sum of two fault probabilities reaches 0.97)" in printed
+    assert "One of a, b and c is faulty, or the model is wrong, from 10.00 to 20.00 s" in printed
+    assert "One of b and c is faulty from 80.00 to 90.00 s (the sum of two fault probabilities reaches 0.97)" in printed
