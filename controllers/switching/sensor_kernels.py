@@ -122,14 +122,21 @@ def repetition(change, nominal, memory, at, settings, row):
     return select(absolute(change) <= 0.5 * settings[row + WIDTH], settings[row + WIDTH] / width, 1.0)
 
 
-def indifferent(change, nominal, memory, at, settings, row):
+def is_fine(nominal, memory, at):
+    """Return 1 if a sensor's changes are smaller than its noise, else 0, also before the first change."""
+    step = memory[at + STEP]
+    return select(both(step > 0.0, step * step < COARSE * (nominal * memory[at + NOISE])), 1.0, 0.0)
+
+
+def indifferent(change, nominal, presumed, memory, at, settings, row):
     """Return the largest error with which a repeated sample of a coarse sensor says nothing; -1 for all others.
 
     It is a step of the sensor, because a coarse sensor repeats its sample until the plant has moved by a step. Before the first
-    change the sensor may be as coarse as its noise allows.
+    change the sensor is ``presumed`` to be as coarse as its noise allows (1), or not to be coarse (0).
     """
     noise, step = nominal * memory[at + NOISE], memory[at + STEP]
-    step = maximum(settings[row + FINDS] * select(step > 0.0, step, sqrt(COARSEST * noise)), settings[row + WIDTH])
+    step = settings[row + FINDS] * select(step > 0.0, step, presumed * sqrt(COARSEST * noise))
+    step = maximum(step, settings[row + WIDTH])
     says_nothing = both(absolute(change) <= 0.5 * settings[row + WIDTH], step * step >= COARSE * noise)
     return select(says_nothing, step, -1.0)
 
@@ -144,13 +151,17 @@ def as_coarse(logp, normal, e, variance, step):
 
 
 def learn_repeats(change, sound, memory, at, settings, row):
-    """Count the repetitions of a sensor with the weight ``sound``, the probability of present and healthy; learn its step."""
+    """Count the repetitions of a sensor with the weight ``sound``, the probability of present and healthy; learn its step.
+
+    Those before its first change are not counted: the sensor may have been frozen from the beginning.
+    """
     by, step = absolute(change), memory[at + STEP]
     equal = by <= 0.5 * settings[row + WIDTH]
     smaller = select(both(step > 0.0, by > step), minimum(GROWS * step, by), by)
     memory[at + STEP] = select(both(sound > 0.0, by > 0.5 * settings[row + WIDTH]), smaller, step)
-    memory[at + REPEATS] = memory[at + REPEATS] + select(equal, sound, 0.0)
-    memory[at + SAMPLES] = memory[at + SAMPLES] + sound
+    counts = select(both(both(equal, settings[row + FINDS] > 0.0), step <= 0.0), 0.0, sound)
+    memory[at + REPEATS] = memory[at + REPEATS] + select(equal, counts, 0.0)
+    memory[at + SAMPLES] = memory[at + SAMPLES] + counts
 
 
 def share_of(logp, most):

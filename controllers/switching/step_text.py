@@ -70,7 +70,7 @@ for i in range(sample.y.shape[0]):
     change = sample.y[i] - memory[at + LAST]
     error = held(sample.e[i], variance)
     repeats = repetition(change, sample.nominal[i, i], memory, at, settings, row)
-    step = indifferent(change, sample.nominal[i, i], memory, at, settings, row)
+    step = indifferent(change, sample.nominal[i, i], 1.0, memory, at, settings, row)
     doubt = 0.5 / memory[at + NOISE_SHAPE]
     logp = logp + weigh(error, {present}, variance, noise, doubt, change, repeats, step, memory, at, settings, row)
     logp = logp + log(memory[at + DENSITY] / repeats)

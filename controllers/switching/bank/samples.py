@@ -41,6 +41,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     as_coarse,
     held,
     indifferent,
+    is_fine,
     learn_noise,
     learn_repeats,
     not_less,
@@ -75,7 +76,7 @@ def make_weigh(
     n, none, stride, first_lost = layout.n, layout.first, layout.length, layout.first_lost
     logp, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
     U, lost = len(layout.lost), layout.lost or (0,)
-    courses, course, repeated = layout.courses, layout.course, layout.repeated
+    courses, course, repeated, quantity = layout.courses, layout.course, layout.repeated, layout.quantity
     condition = make_condition(layout, weigh_alone, weigh_other)
     notice, credit = make_notice(layout), make_credit(layout)
 
@@ -87,7 +88,13 @@ def make_weigh(
             place, change = i * sensor, sample.y[i] - memory[i * sensor + LAST]
             row, nominal = i * row_length, sample.nominal[i, i]
             memory[repeated + i] = repetition(change, nominal, memory, place, settings, row)
-            memory[repeated + m + i] = indifferent(change, nominal, memory, place, settings, row)
+            presumed = 1.0 + 0.0 * nominal
+            for j in range(m):
+                if (
+                    quantity[j] == quantity[i]
+                ):  # beside a fine one a sensor that never changes is not presumed to be coarse
+                    presumed = presumed * (1.0 - is_fine(sample.nominal[j, j], memory, j * sensor))
+            memory[repeated + m + i] = indifferent(change, nominal, presumed, memory, place, settings, row)
         for i in range(m):
             condition(i, sample, C, memory, settings)
             if U > 0:
@@ -172,9 +179,8 @@ def make_learn_sensors(layout: Layout) -> Callable[..., None]:
             squared = not_less(squared / (sound * sample.nominal[i, i]), memory[coarse + i], sample.nominal[i, i])
             learn_noise(squared, sample.present[i] * sound, memory, i * sensor, settings, i * row)
             change = sample.y[i] - memory[i * sensor + LAST]
-            learn_repeats(
-                change, sample.present[i] * memory[i * sensor + HEALTHY], memory, i * sensor, settings, i * row
-            )
+            sound = sample.present[i] * memory[i * sensor + HEALTHY]
+            learn_repeats(change, sound, memory, i * sensor, settings, i * row)
             memory[i * sensor + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[i * sensor + LAST])
 
     return learn_sensors

@@ -37,11 +37,23 @@ def said(move, *, noise=0.01, stated=COUNT / 12**0.5, resolution=None, fault=Non
 @pytest.mark.parametrize("move", list(MOVES))
 @pytest.mark.parametrize("resolution", [None, COUNT])
 @pytest.mark.parametrize(
-    ("noise", "stated"), [(0.0, COUNT / 12**0.5), (0.01, COUNT / 12**0.5), (0.05, 0.06), (0.01, COUNT)]
+    ("noise", "stated", "most"),
+    [(0.0, COUNT / 12**0.5, 0.005), (0.01, COUNT / 12**0.5, 0.005), (0.05, 0.06, 0.005), (0.01, COUNT, 0.02)],
 )
-def test_healthy_coarse_sensors_are_not_blamed(move, resolution, noise, stated):
+def test_healthy_coarse_sensors_are_not_blamed(move, resolution, noise, stated, most):
     """Two encoders at rest counted as frozen for all of the time, and with their resolution given as well."""
-    assert (said(move, noise=noise, stated=stated, resolution=resolution) > 0.5).mean() < 0.005
+    assert (said(move, noise=noise, stated=stated, resolution=resolution) > 0.5).mean() < most
+
+
+def test_a_sensor_that_never_changes_beside_a_fine_one_is_frozen():
+    """It is not presumed to be coarse, as two encoders at rest are."""
+    model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=DT)
+    step = controllers.StateEstimator(model).online()
+    y = 0.1 * np.random.default_rng(0).standard_normal((30, 2))
+    y[:, 0] = 0.05
+    found = np.array([step(y=sample, u=[0.0]).fault_probability for sample in y])
+    assert (found[15:, 0] > 0.95).all()
+    assert (found[:, 1] < 0.5).all()
 
 
 def freeze(k, y, held=[]):  # noqa: B006 - the value at the onset
