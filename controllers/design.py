@@ -99,13 +99,13 @@ def design(
         Number of sensors, or of each measured output: ``(3, 1)`` is three sensors of the first output, then one of the second. A
         single number takes the outputs in turn: ``4`` of position and speed is position, speed, position, speed.
     sensor_std : number or vector
-        Standard deviation of the sensors' noise, with that of their rounding: `Sensors.error_std`. One for all, for each output,
-        or for each sensor in the order of `sensors`.
+        Standard deviation of the sensors' errors, noise and rounding together (`Sensors.error_std`): one for all, for each
+        output, or for each sensor in the order of `sensors`.
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations. It is white: a new value in each sample. A disturbance
         that lasts, as a gust, is a state of the plant that such noise drives. By default each control has noise of 5 % of half
         the range between its limits, or of `acceptable_control`. State it if you know better: if the plant moves far less at
-        random, equal sensors seem unequal, and a coarse sensor at rest seems frozen. `describe()` prints it.
+        random, equal sensors seem unequal. `describe()` prints it.
     disturbance : number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
         model would leave. If further outputs are measured, and the load acts elsewhere than the control, an error remains: make
@@ -118,7 +118,7 @@ def design(
     acceptable_control : number or vector, optional
         Deviation of each control from its steady value that costs as much. By default half the range of its limits, or else 1.
     goal_covariance, control_covariance : number, vector or matrix, optional
-        Inverses of the costs, in place of the squares of the acceptable values.
+        The squares of the acceptable values, or other inverses of the costs, in place of those values.
     precision : PrecisionLearner, optional
         Learns the sensors' precisions; by default `SwitchingPrecision`. Its ``loss`` is the share of steps without a sample;
         `closed_loop` computes it from ``every`` of slow `Sensors`. In your own loop, give it: ``SwitchingPrecision(loss=(0.01,

@@ -135,8 +135,8 @@ def _check_blocks(diagram: Diagram) -> None:
             )
         if isinstance(block, FMU) and block.timing == "sampled":
             _refuse(
-                f"{label} makes its step before its outputs are used (timing='sampled'), which SSP cannot express. Make it a "
-                "plant (timing='plant') and check whether the delay of one step matters"
+                f"{label} makes its step before its outputs are used (timing='sampled'), which SSP cannot express. Load the "
+                f"same file as {type(block).__name__}(..., timing='plant'), and check whether the delay of one step matters"
             )
         if isinstance(block, Gain) and node.name not in used:
             _refuse(f"{label} feeds no FMU and would be lost; leave it out")

@@ -52,7 +52,7 @@ class Fault(Block):
     latching : bool
         Whether the fault remains when the condition of its start is no longer fulfilled, until its stop or duration.
     mean_time_to_fault, mean_time_to_recovery : float, optional
-        Seconds, both or neither. If given, the fault begins and ends at random in that window: at every step with the
+        Seconds; give both, or none of them. If given, the fault begins and ends at random in that window: at every step with the
         probabilities step / mean_time_to_fault and step / mean_time_to_recovery. Else it is present in the whole window.
     channels : int, optional
         Length of the signal; `closed_loop` sets it.

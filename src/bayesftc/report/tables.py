@@ -92,7 +92,9 @@ def means(contents: Contents) -> Table | None:
     pools = any(runs["point"].nunique() > 1 for _, runs in cells)
     note = "Mean ± half of its 95 % confidence interval (Student's t over seeds)."
     if any(" to " in text for row in rows for text in row[-len(shown) :]):
-        note += " In brackets: the interval without its part below zero, where no value can be."
+        note += (
+            " In brackets: an interval that would reach below zero, and is cut there, because no value can be negative."
+        )
     if pools:
         note += " A row has several points: its mean is over these; its interval covers other noise, not other points."
     if contents.failed or any(table[m].isna().any() for m in shown):

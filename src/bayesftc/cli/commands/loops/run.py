@@ -304,8 +304,8 @@ def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] =
             )
         if not quantity.has_belief:
             notes.append(
-                f"{quantity.name} has no error of the belief: it is no linear function of the controller's states, or the "
-                "controller has no measurement_matrix."
+                f"{quantity.name} has no error of the belief: the controller does not say how {quantity.name} depends on "
+                "its states (measurement_matrix), or they do not determine it."
             )
         for what, values, figures_of in (
             ("true value", quantity.truth, "errors"),
