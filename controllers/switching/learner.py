@@ -334,7 +334,7 @@ class SwitchingPrecision(PrecisionLearner):
                 settings += block + [0.0] * (settings_width - len(block))
         memory = []
         for _ in range(m):
-            memory += [np.nan, 1.0, 1.0, 1.0, 1.0, shape, shape, 0.0, 0.0, 0.0]
+            memory += [np.nan, 1.0, 1.0, 1.0, 1.0, shape, shape, 0.0, 0.0, 0.0, kernels.UNKNOWN]
             for values in first:
                 block = [kernels.LEAST, 0.0, 1.0, 0.0, *values]
                 memory += block + [0.0] * (width - len(block))

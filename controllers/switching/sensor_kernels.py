@@ -9,7 +9,8 @@ The state of a sensor is in ``memory`` from ``at`` on:
 - `NOISE`, `NOISE_SHAPE`, `NOISE_RATE`: the variance of its noise while healthy, in nominal ones, and the gamma distribution of
   its precision.
 - `REPEATS`, `SAMPLES`: numbers of repetitions and of samples while it was healthy.
-- `STEP`: the smallest of its last changes from sample to sample; 0 before the first one.
+- `STEP`, `KNOWN`: the step of which its last changes from sample to sample are multiples, 0 before the first one; `FINE`,
+  `UNKNOWN` or `ON_GRID`.
 - From `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of it that has just begun (`ENTERED`), its mean
   `AGE` in samples, and the mode's own numbers (``mode_kernels.py``).
 
@@ -32,9 +33,9 @@ sample is: a probability is at least `LEAST`, and the relative density has a far
 
 from bayesftc.controllers.precision.base import NAN
 from bayesftc.controllers.switching.mode_kernels import AGE, ENTERED, FURTHEST, SIZE, WEIGHT
-from bayesftc.cosim.ops import absolute, both, exp, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import absolute, both, either, exp, floor, maximum, minimum, select, sqrt
 
-LAST, HEALTHY, TRUSTED, DENSITY, NOISE, NOISE_SHAPE, NOISE_RATE, REPEATS, SAMPLES, STEP, FIRST = range(11)
+LAST, HEALTHY, TRUSTED, DENSITY, NOISE, NOISE_SHAPE, NOISE_RATE, REPEATS, SAMPLES, STEP, KNOWN, FIRST = range(12)
 (
     ARRIVES,
     MISSING,
@@ -64,8 +65,11 @@ COARSEST, COARSE = 12.0, 1.2
 """Squared steps of a sensor, in variances of its noise: if that is all due to rounding, and from which on the sensor is coarse.
 The samples of a sensor of smaller steps change with its noise, also while the plant is at rest."""
 
-GROWS = 1.02
-"""Growth of a sensor's step with each larger change, so that a fault with small changes is forgotten."""
+GRID = 1e-4
+"""Largest distance of a change from a whole multiple of the step, in steps, if the samples lie on a grid."""
+
+FINE, UNKNOWN, ON_GRID = 0.0, 1.0, 2.0
+"""What the changes of a sensor tell: they are no multiples of a step, they are less than two, they are such multiples."""
 
 LEAST_TRUST = 1e-12
 """Least precision of a sensor in nominal ones, so that its covariance remains finite."""
@@ -89,12 +93,15 @@ def pass_mode(memory, block, healthy, settings, row):
     return ended - begun
 
 
-def not_less(squared, step, nominal):
+def not_less(squared, step, nominal, memory, at, settings, row):
     """Return the square of a sensor's noise, in nominal variances, from which to learn: not less than rounding to a ``step``.
 
-    The error of a repetition is that of the sample before: at rest it tells nothing about how large rounding errors are.
+    The error of a repetition is that of the sample before: at rest it tells nothing about how large rounding errors are. Most of
+    their variance is learned while the step is presumed: noise may be stated as a whole step.
     """
-    return minimum(select(step > 0.0, maximum(squared, step * step / (COARSEST * nominal)), squared), FURTHEST)
+    presumed = both(settings[row + FINDS] > 0.0, memory[at + KNOWN] <= UNKNOWN)
+    least = select(presumed, 0.8, 1.0) * (step * step / (COARSEST * nominal))
+    return minimum(select(step > 0.0, maximum(squared, least), squared), FURTHEST)
 
 
 def learn_noise(squared, sound, memory, at, settings, row):
@@ -123,20 +130,22 @@ def repetition(change, nominal, memory, at, settings, row):
 
 
 def is_fine(nominal, memory, at):
-    """Return 1 if a sensor's changes are smaller than its noise, else 0, also before the first change."""
-    step = memory[at + STEP]
-    return select(both(step > 0.0, step * step < COARSE * (nominal * memory[at + NOISE])), 1.0, 0.0)
+    """Return 1 if a sensor's samples lie on no grid, or on one that is finer than its noise; else 0, also before two changes."""
+    step, known = memory[at + STEP], memory[at + KNOWN]
+    finer = both(known > UNKNOWN, step * step < COARSE * (nominal * memory[at + NOISE]))
+    return select(either(known < UNKNOWN, finer), 1.0, 0.0)
 
 
 def indifferent(change, nominal, presumed, memory, at, settings, row):
     """Return the largest error with which a repeated sample of a coarse sensor says nothing; -1 for all others.
 
-    It is a step of the sensor, because a coarse sensor repeats its sample until the plant has moved by a step. Before the first
-    change the sensor is ``presumed`` to be as coarse as its noise allows (1), or not to be coarse (0).
+    It is a step of the sensor, because a coarse sensor repeats its sample until the plant has moved by a step. Before the second
+    change the sensor is ``presumed`` to be as coarse as its noise or its first change allows (1), or not to be coarse (0).
     """
-    noise, step = nominal * memory[at + NOISE], memory[at + STEP]
-    step = settings[row + FINDS] * select(step > 0.0, step, presumed * sqrt(COARSEST * noise))
-    step = maximum(step, settings[row + WIDTH])
+    noise, step, known = nominal * memory[at + NOISE], memory[at + STEP], memory[at + KNOWN]
+    first = presumed * select(step > 0.0, step, sqrt(COARSEST * noise))
+    step = select(known > UNKNOWN, step, select(known < UNKNOWN, 0.0, first))
+    step = maximum(settings[row + FINDS] * step, settings[row + WIDTH])
     says_nothing = both(absolute(change) <= 0.5 * settings[row + WIDTH], step * step >= COARSE * noise)
     return select(says_nothing, step, -1.0)
 
@@ -150,18 +159,39 @@ def as_coarse(logp, normal, e, variance, step):
     return select(absolute(e) <= step, logp, normal + 0.5 * (e * e / variance))
 
 
+def off_grid(longer, shorter):
+    """Return how far a change is from a whole multiple of a shorter one."""
+    return absolute(longer - shorter * floor(longer / shorter + 0.5))
+
+
+def learn_step(change, sound, memory, at, settings, row):
+    """Learn the step of a sensor while it is healthy, from the last step and another change: their greatest common measure.
+
+    The remainder of 3 and 2 steps is one step. The changes of a sensor with noise have no common measure; then the last change is
+    the next candidate, so that a few changes after a fault the step is known again.
+    """
+    by, step, known = absolute(change), memory[at + STEP], memory[at + KNOWN]
+    longer, shorter = maximum(by, step), maximum(minimum(by, step), 1e-300)
+    left = off_grid(longer, shorter)
+    exact = left <= GRID * shorter
+    measure = select(exact, shorter, left)
+    common = either(exact, off_grid(shorter, maximum(left, 1e-300)) <= GRID * left)
+    changed = both(sound > 0.5, by > 0.5 * settings[row + WIDTH])
+    later = both(changed, step > 0.0)
+    memory[at + KNOWN] = select(later, select(common, ON_GRID, FINE), known)
+    memory[at + STEP] = select(later, select(common, measure, by), select(changed, by, step))
+
+
 def learn_repeats(change, sound, memory, at, settings, row):
     """Count the repetitions of a sensor with the weight ``sound``, the probability of present and healthy; learn its step.
 
     Those before its first change are not counted: the sensor may have been frozen from the beginning.
     """
-    by, step = absolute(change), memory[at + STEP]
-    equal = by <= 0.5 * settings[row + WIDTH]
-    smaller = select(both(step > 0.0, by > step), minimum(GROWS * step, by), by)
-    memory[at + STEP] = select(both(sound > 0.0, by > 0.5 * settings[row + WIDTH]), smaller, step)
-    counts = select(both(both(equal, settings[row + FINDS] > 0.0), step <= 0.0), 0.0, sound)
+    equal = absolute(change) <= 0.5 * settings[row + WIDTH]
+    counts = select(both(both(equal, settings[row + FINDS] > 0.0), memory[at + STEP] <= 0.0), 0.0, sound)
     memory[at + REPEATS] = memory[at + REPEATS] + select(equal, counts, 0.0)
     memory[at + SAMPLES] = memory[at + SAMPLES] + counts
+    learn_step(change, sound, memory, at, settings, row)
 
 
 def share_of(logp, most):

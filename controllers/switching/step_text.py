@@ -77,7 +77,7 @@ for i in range(sample.y.shape[0]):
     part = noise / variance
     squared = part * (part * error * error + sample.spread[i, i])
     counts = sample.present[i] * memory[at + HEALTHY]{counts}
-    squared = not_less(squared / sample.nominal[i, i], step, sample.nominal[i, i])
+    squared = not_less(squared / sample.nominal[i, i], step, sample.nominal[i, i], memory, at, settings, row)
     learn_noise(squared, counts, memory, at, settings, row)
     learn_repeats(change, counts, memory, at, settings, row)
     memory[at + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[at + LAST])

@@ -181,7 +181,7 @@ class Schedule:
         return f"{self.nodes[i].name}.{element_name(self.nodes[i].outputs, offset)}"
 
     def origin_of_nan(self, i: int, memory: Floats) -> str | None:
-        """Return the first output from which a NaN came to node `i`, followed back block by block; None if none came.
+        """Return the first output from which a NaN may have come to node `i`, followed back block by block; None if none came.
 
         The first one is an output of a block that got no NaN, as a sensor that drops out.
         """

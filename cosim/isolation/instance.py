@@ -223,6 +223,7 @@ class Isolated(ByAddress):
                             self.shared.words[protocol.HOST] = protocol.ASLEEP
                             process.wait(time.monotonic() + protocol.ATTENTION)  # it may not have seen this
                         if self._is_answered:
+                            self.shared.words[protocol.HOST] = protocol.AWAKE
                             return
                         continue
                 self._bury()

@@ -127,7 +127,7 @@ def rest(typingctx):
 
 @inlined
 def _await(shared, mine, theirs, count, receive, socket, answer):
-    """Wait until the word `theirs` has this count, or the message TALK comes; return what `recv` did, MESSAGE without it.
+    """Wait until the word `theirs` has this count, or the worker hears TALK; return what `recv` did, MESSAGE without it.
 
     `mine` is HOST or WORKER: what this process does. A message is received into the word `answer`.
     """
@@ -146,8 +146,8 @@ def _await(shared, mine, theirs, count, receive, socket, answer):
         if received != MESSAGE:
             return received
         show(shared, mine, AWAKE)
-        if look(shared, theirs) == count or word(shared, answer) == TALK:  # else it was sent for an earlier count
-            return MESSAGE
+        if look(shared, theirs) == count or (mine == WORKER and word(shared, answer) == TALK):
+            return MESSAGE  # else it was sent for an earlier count
 
 
 @inlined

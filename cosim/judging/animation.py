@@ -16,7 +16,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.fault_panels import draw_detection, draw_shades, name_faults
 from bayesftc.cosim.judging.limits import limits_with_samples, mark_cut
 from bayesftc.cosim.judging.loop_figure import draw_quantity
-from bayesftc.cosim.judging.panels import finish, legend, player_figure, thin
+from bayesftc.cosim.judging.panels import finish, legend, player_figure, thin_marks
 from bayesftc.cosim.judging.pictures import PICTURES, Picture
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.roles import signals_of
@@ -158,7 +158,9 @@ def _draw_signals(axis: Axes, signals: LoopSignals, quantity: QuantitySignals) -
         if sensor.samples is not None:
             label = f"sensor {sensor.index}"
             mark = MARKERS[sensor.index % len(MARKERS)]
-            axis.plot(*thin(signals.time, sensor.samples), mark, color=colour_of(sensor.index), label=label, **style)
+            axis.plot(
+                *thin_marks(signals.time, sensor.samples), mark, color=colour_of(sensor.index), label=label, **style
+            )
     limits = _limits(signals, quantity)
     axis.set_ylim(*limits)
     if samples := _samples(signals, quantity):

@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.judging.findings import parts_of_device
 from bayesftc.cosim.judging.metrics import periods
-from bayesftc.cosim.judging.panels import LETTER, WIDTH, name_spans, thin
+from bayesftc.cosim.judging.panels import LETTER, WIDTH, name_spans, thin, thin_marks
 from bayesftc.cosim.judging.plotting import BLACK, LINES, colour_of
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.types import Floats
@@ -128,7 +128,7 @@ def _mark(
             axis.plot(ends, np.where(np.isnan(ends), np.nan, top), color=colour, **bar, **style)
         else:
             size = 2.5 if what == "missing" else 5
-            at, values = thin(time[where], np.full(int(where.sum()), top))
+            at, values = thin_marks(time[where], np.full(int(where.sum()), top))
             crosses: dict[str, Any] = {"ls": "none", "marker": "x", "ms": size, "color": colour}
             drawn = _apart(at, 1.5 * size / 72 / WIDTH * float(time[-1] - time[0]))
             axis.plot(at, values, markevery=drawn, **crosses, **style)

@@ -21,7 +21,7 @@ from bayesftc.cosim.judging.fault_panels import (
     name_faults,
 )
 from bayesftc.cosim.judging.limits import limit_axis
-from bayesftc.cosim.judging.panels import broken, finish, legend, make_panels, thin
+from bayesftc.cosim.judging.panels import broken, finish, legend, make_panels, thin, thin_marks, with_peaks
 from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.signals import ControlSignals, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.types import Floats
@@ -121,10 +121,10 @@ def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> Non
     if quantity.belief is not None and quantity.spread is not None:
         cut = [quantity.belief - NORMAL_95 * quantity.spread, quantity.belief + NORMAL_95 * quantity.spread]
         what = "95 % interval"  # wide before the first samples, while the belief is inside
-        shown, mean = thin(time, quantity.belief)
-        half = NORMAL_95 * thin(time, quantity.spread)[1]
+        kept = with_peaks(quantity.belief)
+        low, high = (limit[kept] for limit in cut)
         style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
-        axis.fill_between(shown, mean - half, mean + half, label="belief: 95 % interval", **style)
+        axis.fill_between(time[kept], low, high, label="belief: 95 % interval", **style)
     axis.set_ylabel(broken(with_unit(quantity.name, quantity.unit), MAIN))
     limit_axis(axis, time, [values for values in (quantity.truth, quantity.reference) if values is not None], cut, what)
 
@@ -153,7 +153,7 @@ def _draw_samples(axis: Axes, *, time: Floats, sensor: SensorSignals, belief: Fl
         sensor.samples
     )  # first, as thinning of the samples of a slow sensor with its pauses may leave none
     axis.plot(
-        *thin(time[given], sensor.samples[given]),
+        *thin_marks(time[given], sensor.samples[given]),
         color=colour_of(sensor.index),
         alpha=0.6,
         zorder=3,

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesftc.cosim.types import Floats
 
@@ -126,16 +127,26 @@ def broken(label: str, height: float, size: float = 10.0) -> str:
 
 
 def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return a line with at most as many points as a print shows: the least and the largest of each few, so that peaks remain."""
-    if len(time) <= MOST_POINTS:
-        return time, values
-    few = -(-len(time) // (MOST_POINTS // 2 - 1))
-    blocks = values[: len(values) // few * few].reshape(-1, few)
+    """Return a line with at most as many points as a print shows."""
+    kept = with_peaks(values)
+    return time[kept], values[kept]
+
+
+def with_peaks(values: Floats) -> NDArray[np.intp]:
+    """Return the indices of the points of a thinned line: the least and the largest of each few, so that peaks remain."""
+    if len(values) <= MOST_POINTS:
+        return np.arange(len(values))
+    few = -(-len(values) // (MOST_POINTS // 2))
+    blocks = np.append(values, np.full(-len(values) % few, np.nan)).reshape(-1, few)
     low, high = (np.where(np.isnan(blocks), limit, blocks) for limit in (np.inf, -np.inf))
-    first = few * np.arange(len(blocks))[:, np.newaxis]
-    chosen = np.sort(first + np.stack([low.argmin(axis=1), high.argmax(axis=1)], axis=1), axis=1).ravel()
-    chosen = np.append(chosen, np.arange(blocks.size, len(time))[-1:])
-    return time[chosen], values[chosen]
+    within = np.sort(np.stack([low.argmin(axis=1), high.argmax(axis=1)], axis=1), axis=1)
+    return np.asarray((few * np.arange(len(blocks))[:, np.newaxis] + within).ravel())
+
+
+def thin_marks(time: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return at most as many points as a print shows, one of each few: markers of extremes alone would look like more noise."""
+    stride = -(-len(time) // MOST_POINTS)
+    return time[::stride], values[::stride]
 
 
 def name_spans(axis: Axes, time: Floats, spans: Sequence[Span], note: str) -> None:

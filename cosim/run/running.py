@@ -262,8 +262,9 @@ def explain(failure: Failure, run: Run) -> str:
         origin = run.schedule.origin_of_nan(failure.node, run.memory) if np.isnan(value) else None
         if origin is not None:
             return (
-                f"{came} The NaN came from {origin}. A missing sample is NaN, so that a block that reads a sensor must expect "
-                "NaN, and for example hold its last output. The signals up to the step before are kept."
+                f"{came} The NaN may come from {origin}, which is NaN, too: a missing sample is NaN, so that a block that reads "
+                f"a sensor must expect NaN, and for example hold its last output. If not, check the plant's parameters and "
+                f"the step size of {h} s. The signals up to the step before are kept."
             )
         return f"{came} Check the plant's parameters and the step size of {h} s; the signals up to the step before are kept."
     external = run.instances.get(failure.node)

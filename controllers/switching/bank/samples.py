@@ -176,7 +176,10 @@ def make_learn_sensors(layout: Layout) -> Callable[..., None]:
                         part = part * memory[at + kept + i * sensor + HEALTHY]
                     sound = sound + part
                     squared = squared + part * memory[squares + h * m + i]
-            squared = not_less(squared / (sound * sample.nominal[i, i]), memory[coarse + i], sample.nominal[i, i])
+            place, nominal = i * sensor, sample.nominal[i, i]
+            squared = not_less(
+                squared / (sound * nominal), memory[coarse + i], nominal, memory, place, settings, i * row
+            )
             learn_noise(squared, sample.present[i] * sound, memory, i * sensor, settings, i * row)
             change = sample.y[i] - memory[i * sensor + LAST]
             sound = sample.present[i] * memory[i * sensor + HEALTHY]

@@ -18,6 +18,7 @@ from bayesftc.cosim.judging.panels import (
     make_panels,
     name_spans,
     thin,
+    thin_marks,
     write_names,
 )
 from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, colour_of
@@ -147,4 +148,4 @@ def _shade(axes: list[Axes], clock: _Clock, monitored: Monitored, spans: list[_S
 def _dots(axis: Axes, i: int, time: Floats, values: Floats) -> None:
     finite = np.isfinite(values)
     marker = MARKERS[i % len(MARKERS)]
-    axis.plot(*thin(time[finite], values[finite]), marker, ms=1.6, mew=0, color=colour_of(i), alpha=0.7)
+    axis.plot(*thin_marks(time[finite], values[finite]), marker, ms=1.6, mew=0, color=colour_of(i), alpha=0.7)

@@ -113,10 +113,14 @@ class Monitor:
                 )
 
     @classmethod
-    def fit(cls, recording: Recording, stretch: slice = slice(None), **settings: Any) -> tuple[Monitor, Recording]:
+    def fit(
+        cls, recording: Recording, stretch: slice = slice(None), *, gains: bool = True, **settings: Any
+    ) -> tuple[Monitor, Recording]:
         """Return a monitor with a model fitted to a recording of sensors of one quantity, and the recording for its `run`.
 
-        The returned recording has no constant biases and no gains; ``bayesftc monitor --fit`` does the same with files.
+        The returned recording has no constant biases and no gains. The monitor is for this recording, and others from `align`. It
+        does not know the files and codes of columns, nor turns of angles: to read files with it, write `as_model_file`, as
+        ``bayesftc monitor --fit`` does.
 
         Parameters
         ----------
@@ -124,6 +128,8 @@ class Monitor:
             From `align` or `recorded`.
         stretch : slice
             The steps in which the sensors are healthy; see `fit_model`.
+        gains : bool
+            Whether a sensor may have a gain other than 1; for angles give False.
         **settings
             Further ones of the monitor, such as ``alarm``.
 
@@ -145,7 +151,7 @@ class Monitor:
         >>> [(event.sensor, event.kind) for event in monitor.run(corrected).events]
         [('b', 'Offset')]
         """
-        fitted = fit_model(recording, stretch)
+        fitted = fit_model(recording, stretch, gains=gains)
         of = list(fitted.sensors.values())
         bias, gain = (np.array([getattr(sensor, name) for sensor in of]) for name in ("bias", "gain"))
         resolution = tuple(sensor.resolution / sensor.gain for sensor in of)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.cosim.judging.panels import PANEL, broken, finish, make_panels, thin
+from bayesftc.cosim.judging.panels import PANEL, broken, finish, make_panels, thin, thin_marks
 
 
 @pytest.mark.parametrize(
@@ -47,12 +47,20 @@ def test_no_exponent_stands_above_a_panel(largest, texts):
 def test_a_long_line_keeps_its_peaks_its_order_and_its_end(count):
     """Every second point of a run of 300 s was left out, and with them the alarms that the table had."""
     time, values = np.arange(count, dtype=float), np.random.default_rng(count).normal(size=count)
-    values[count // 3], values[count // 2] = 99.0, -99.0
+    values[count // 3], values[count // 2], values[-3] = 99.0, -99.0, 50.0
     values[count // 5 : count // 5 + 2000 * (count > 20_000)] = np.nan
     at, shown = thin(time, values)
     assert len(at) <= 20_000
     assert (np.diff(at) >= 0).all()
     assert np.array_equal(values[at.astype(int)], shown, equal_nan=True)
     assert (np.nanmin(shown), np.nanmax(shown)) == (-99.0, 99.0)
-    assert at[-1] >= count - 1 - count // 10_000
+    assert 50.0 in shown
     assert np.isnan(shown).any() == np.isnan(values).any()
+
+
+def test_marks_of_a_long_run_have_the_spread_of_the_samples():
+    """Those of the extremes alone looked like twice the noise."""
+    values = np.random.default_rng(0).normal(size=100_000)
+    at, shown = thin_marks(np.arange(100_000.0), values)
+    assert len(at) <= 20_000
+    assert np.std(shown) == pytest.approx(1.0, abs=0.03)

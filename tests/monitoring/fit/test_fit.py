@@ -264,6 +264,17 @@ def hold(samples, share, rng):
         samples[k] = samples[max(k - 1, 0)]
 
 
+@pytest.mark.parametrize(("begins", "lasts", "expected"), [(4000, 1900, False), (0, 700, True)])
+def test_a_slow_error_of_one_sensor_counts_if_it_recurs_and_not_if_it_is_a_fault(begins, lasts, expected):
+    """An offset of three days in thirty became a lasting error, and the drift of another sensor was blamed on a third one."""
+    rng, t = np.random.default_rng(1), 10.0 * np.arange(20_000)
+    y = 20.0 + np.cumsum(0.02 * rng.standard_normal(20_000))[:, None] + 0.1 * rng.standard_normal((20_000, 3))
+    wrong = (np.arange(20_000) % 2000 < lasts) if expected else (np.arange(20_000) // lasts == begins // lasts)
+    y[:, 2] += 0.6 * wrong
+    fitted = fit_model(recorded({name: Signal(t, y[:, i]) for i, name in enumerate("abc")}))
+    assert any("c" in errors.sensors for errors in fitted.errors) == expected
+
+
 def test_the_monitor_of_a_fit_is_that_of_the_file_that_it_writes():
     """In Python there was no way from a fit to its monitor but by a file."""
     rng, t = np.random.default_rng(3), 0.1 * np.arange(2000)

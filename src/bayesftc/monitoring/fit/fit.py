@@ -404,9 +404,10 @@ def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[
     The last number is the variance of a typical sensor if less than half of it shows in the stretch, else 0.
     A single sensor whose model has no wandering bias would be suspected when the others wander.
     """
-    (inside, _), (everywhere, times) = wander(y, FIT.usual), wander(whole, FIT.rare)
-    # What only one sensor has, and rarely or outside of the stretch, is more likely its fault.
-    most = np.minimum([noise.variance for noise in errors], np.median(everywhere))
+    (inside, _), (everywhere, times) = wander(y, FIT.usual), wander(whole, FIT.seldom)
+    most: Floats = np.array([noise.variance for noise in errors])
+    if len(y) < len(whole):  # what only one sensor has outside the stretch is more likely its fault
+        most = np.minimum(most, np.median(everywhere))
     variances = np.maximum(inside, np.minimum(everywhere, most))
     typical = float(np.median(variances))
     outside = typical if typical > 2.0 * float(np.median(inside)) else 0.0

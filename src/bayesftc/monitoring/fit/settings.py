@@ -126,6 +126,10 @@ class FitSettings:
     rare: float = chosen(
         0.9, "quantile in the whole recording, up to the noise: a fault in a tenth of it has no effect"
     )
+    seldom: float = chosen(
+        0.84,
+        "the same quantile for biases: a fault in a seventh of the recording, in up to 5 of 32 parts, has no effect",
+    )
     gain_sure: float = chosen(0.9999, "confidence of a gain's sign")
     gain_alone: float = chosen(0.7, "ratio to the largest gain below which another one is due to that")
     gain_agrees: float = chosen(

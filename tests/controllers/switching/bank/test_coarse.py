@@ -38,7 +38,7 @@ def said(move, *, noise=0.01, stated=COUNT / 12**0.5, resolution=None, fault=Non
 @pytest.mark.parametrize("resolution", [None, COUNT])
 @pytest.mark.parametrize(
     ("noise", "stated", "most"),
-    [(0.0, COUNT / 12**0.5, 0.005), (0.01, COUNT / 12**0.5, 0.005), (0.05, 0.06, 0.005), (0.01, COUNT, 0.02)],
+    [(0.0, COUNT / 12**0.5, 0.005), (0.01, COUNT / 12**0.5, 0.03), (0.05, 0.06, 0.005), (0.01, COUNT, 0.02)],
 )
 def test_healthy_coarse_sensors_are_not_blamed(move, resolution, noise, stated, most):
     """Two encoders at rest counted as frozen for all of the time, and with their resolution given as well."""
@@ -81,6 +81,35 @@ def test_at_rest_a_jump_is_that_of_the_sensor_that_jumps():
     said_of = said("rest", fault=jump)
     assert (said_of[910:, 0] > 0.9).mean() > 0.95
     assert (said_of[:, 1] > 0.5).mean() < 0.05
+
+
+@pytest.mark.parametrize("sensors", [1, 2])
+def test_a_fine_sensor_that_freezes_in_fast_motion_is_found(sensors):
+    """The smallest of its last changes was larger than its noise, so that it counted as a coarse one."""
+    model = controllers.LinearModel(
+        [[1.0, DT], [0.0, 1.0]], [[0.0], [0.0]], [[1.0, 0.0]] * sensors, np.diag([1e-12, 30.0]), 0.01, dt=DT
+    )
+    step = controllers.StateEstimator(model, initial_covariance=np.diag([1.0, 1e4])).online()
+    rng, held, found = np.random.default_rng(0), 0.0, []
+    for k in range(1000):
+        y = 100.0 * np.sin(DT * k) + 0.1 * rng.normal(size=sensors)
+        held = y[0] if k <= 628 else held
+        y[0] = held
+        found.append(step(y=y, u=[0.0]).fault_probability)
+    found = np.array(found)
+    assert (found[:628] > 0.5).mean() < 0.02
+    assert (found[635:, 0] > 0.9).all()
+    assert (found[:, 1:] > 0.5).sum() < 20
+
+
+def test_the_step_of_a_coarse_sensor_is_known_again_after_a_fault():
+    """One sample of 3e-5 beside the grid made it a fine sensor for good."""
+
+    def off(k, y):
+        y[0] += 3e-5 * (k == 300)
+
+    said_of = said("there and back", fault=off, sensors=3)
+    assert (said_of[900:] > 0.5).mean() < 0.01
 
 
 def test_a_sensor_that_is_said_never_to_repeat_itself_is_no_coarse_one():
