@@ -33,6 +33,11 @@ class DefaultTime(float):
         time.usual_step = usual_step
         return time
 
+    @property
+    def in_words(self) -> str:
+        """The time, and how few and how many samples it may be."""
+        return f"{float(self)} ({self / self.usual_step:g} to {self / FAST_STEP:g} samples)"
+
 
 def time_at(time: float, step: float) -> float:
     """Return a time for samples that are `step` seconds apart; a time from the user does not change."""

@@ -95,7 +95,7 @@ class Online:
             )  # type: ignore[arg-type]
         if isinstance(block, ExternalBlock):
             raise ModelError(f"{type(block).__name__} runs in diagrams only; step an FMU on its own with fmpy.")
-        self._block, self._step = block, step
+        self._block, self._step, self._compiled = block, step, compiled
         self._definition = checked(block, block.define(step), type(block).__name__)
         self._slots, self._initial = arrange(block, self._definition, 0)
         self._memory = self._initial.copy()
@@ -177,6 +177,47 @@ class Online:
         self._memory[:] = self._initial
         self._k = 0
 
+    def save_state(self) -> Floats:
+        """Return the state after the last step, as an array; `restore` goes on from there, also in a later process.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            To be kept as it is, such as by ``numpy.save``. It belongs to a block of these settings in this version.
+
+        Examples
+        --------
+        >>> from bayesftc import cosim
+        >>> integral = cosim.Integrator().online(dt=0.5, compiled=False)
+        >>> [integral(u=2.0).y for _ in range(3)]
+        [0.0, 1.0, 2.0]
+        >>> later = cosim.Integrator().online(dt=0.5, compiled=False)
+        >>> later.restore(integral.save_state())
+        >>> later(u=2.0).y
+        3.0
+        """
+        return np.append(self._memory, self._k)
+
+    def restore(self, state: Floats) -> None:
+        """Go on from a state that `save_state` returned, of this block or of another one with the same settings.
+
+        Raises
+        ------
+        ModelError
+            If it is the state of a block of another size.
+        """
+        kept = np.asarray(state, dtype=np.float64)
+        if kept.shape != (self._memory.size + 1,):
+            raise ModelError(
+                f"{self._title}: this state has the shape {kept.shape}; that of this block has {(self._memory.size + 1,)}. "
+                "Restore a state of a block with the same settings, saved by the same version."
+            )
+        self._memory[:], self._k = kept[:-1], int(kept[-1])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy or pickle the block and its state; the copy has step functions of its own."""
+        return _again, (type(self), self._block, self._step, self._compiled, self.save_state())
+
     @property
     def step(self) -> Fraction:
         """The sample time in seconds."""
@@ -225,6 +266,12 @@ class Online:
         if array.shape != shape:
             raise ModelError(f"{self._title}: the input {name!r} has the shape {array.shape}; it must be {shape}.")
         return array
+
+
+def _again(cls: type[Online], block: Block, step: Fraction, compiled: bool, state: Floats) -> Online:
+    copy = cls(block, step, compiled=compiled)
+    copy.restore(state)
+    return copy
 
 
 def plain_step(kernel: Kernel, slots: Slots, memory: Floats) -> Step:

@@ -38,7 +38,7 @@ class OnlineSubsystem(Online):
             raise StepSizeError(
                 f"The subsystem runs every {show(block.sample_time)} s, not every {show(rational_step(dt))} s."
             )
-        self._block, self._step = block, block.sample_time
+        self._block, self._step, self._compiled = block, block.sample_time, compiled
         diagram = Diagram(self._step)
         node = diagram.add(block)
         if external := [each.name for each in diagram.nodes if is_external(each)]:

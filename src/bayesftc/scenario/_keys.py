@@ -11,6 +11,7 @@ import re
 from dataclasses import MISSING, fields
 from typing import Any, NamedTuple, get_type_hints
 
+from bayesftc.controllers.switching.default_time import DefaultTime
 from bayesftc.scenario._schema import expected, settings
 
 SECTION = re.compile(r"(Parameters|Attributes)\n-{3,}\n(.*?)(?=\n\S[^\n]*\n-{3,}\n|\Z)", re.DOTALL)
@@ -131,6 +132,8 @@ def shown(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, str):
         return f'"{value}"'
+    if isinstance(value, DefaultTime):
+        return value.in_words
     if isinstance(value, int | float):
         return str(value)
     return f"[{', '.join(map(repr, value))}]" if isinstance(value, tuple) and value else ""

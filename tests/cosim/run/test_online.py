@@ -1,6 +1,9 @@
 """A block on its own is the block in the diagram, step by step."""
 
+import copy
+import io
 import math
+import pickle
 import threading
 
 import numpy as np
@@ -161,6 +164,54 @@ def test_each_has_its_own_state(same_bits):
     for i in range(4):
         plain = Filter().online(compiled=False)
         same_bits(rows[i], [plain(y=[k * (i + 1) * 0.1, 0.0]).u for k in range(500)])
+
+
+@pytest.mark.parametrize("how", ["copied", "pickled", "restored", "from a file"])
+def test_goes_on_from_a_saved_state(step, how, same_bits):
+    """A copy had step functions that wrote into the memory of the original."""
+    rows = [[k * 0.1, 0.0] for k in range(20)]
+    for row in rows[:10]:
+        step(y=row)
+    again = Filter().online(compiled=False)
+    if how == "copied":
+        again = copy.deepcopy(step)
+    elif how == "pickled":
+        again = pickle.loads(pickle.dumps(step))
+    elif how == "restored":
+        again.restore(step.save_state())
+    else:
+        file = io.BytesIO()
+        np.save(file, step.save_state())
+        again.restore(np.load(io.BytesIO(file.getvalue())))
+    expected = [step(y=row).u for row in rows[10:]]
+    same_bits([again(y=row).u for row in rows[10:]], expected)
+    again.reset()
+    same_bits(again(y=rows[0]).u, Filter().online(compiled=False)(y=rows[0]).u)
+
+
+def test_a_controller_and_a_subsystem_go_on_from_a_saved_state(same_bits):
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
+    inner = cosim.Diagram("0.1")
+    integral = inner.add(cosim.Integrator())
+    whole = cosim.Subsystem(inner, inputs={"u": integral["u"]}, outputs={"y": integral["y"]})
+    for block, inputs in (
+        (controllers.BayesianController(model), {"y": [0.3, 0.1], "goal": [1.0]}),
+        (whole, {"u": 2.0}),
+    ):
+        step = block.online(compiled=False)
+        for _ in range(3):
+            step(**inputs)
+        again = pickle.loads(pickle.dumps(step))
+        expected, repeated = step(**inputs), again(**inputs)
+        for name, value in expected.items():
+            same_bits(repeated[name], value)
+
+
+def test_a_state_of_another_block_is_refused(step):
+    with pytest.raises(
+        cosim.ModelError, match=r"Integrator: this state has the shape .* Restore a state of a block with"
+    ):
+        cosim.Integrator().online(dt=0.1, compiled=False).restore(step.save_state())
 
 
 def test_the_quick_form_is_a_call_with_flat_vectors():
