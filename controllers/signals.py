@@ -58,6 +58,7 @@ def port(
     applied: bool = False,
     of: Sequence[str] = (),
     elements: Sequence[str] = (),
+    numbered: Sequence[str] = (),
 ) -> Port:
     """Return the port of a signal of a controller.
 
@@ -73,9 +74,13 @@ def port(
         Names of the elements in the model, for the description.
     elements : sequence of str
         Names for the description of each element; by default `of`.
+    numbered : sequence of str
+        What the numbers 1, 2 and so on stand for, for the description.
     """
     description = "Input of the plant from this sample to the next" if applied else _SIGNALS.get(name, "")
     each = tuple(_with_names(description, [name]) for name in (elements or of))
+    if numbered:
+        description = _with_names(description, [f"{k} {name}" for k, name in enumerate(numbered, start=1)])
     if of:
         shown = [*of[:MOST_NAMES], *["..."] * (len(of) > MOST_NAMES)]
         description = _with_names(description, shown)

@@ -75,10 +75,11 @@ def add_experiment(root: ET.Element, model: Model) -> None:
 
 
 def add_annotation(parent: ET.Element, model: Model) -> None:
-    """Add the vendor annotation ``bayesftc``: the timing, and the names of the exported blocks and signals."""
+    """Add the vendor annotation ``bayesftc``: timing, names of the exported blocks and signals, a controller's traits."""
     blocks = {"blocks": " ".join(model.blocks)} if model.blocks else {}
+    traits = {"traits": model.traits} if model.traits else {}
     finite = {} if model.finite else {"finite": "false"}
-    element = ET.SubElement(parent, "bayesftc", {"timing": model.timing, **blocks, **finite})
+    element = ET.SubElement(parent, "bayesftc", {"timing": model.timing, **blocks, **traits, **finite})
     for variable in model.variables:
         if variable.origin:
             ET.SubElement(element, "Signal", {"name": variable.name, "origin": variable.origin})

@@ -181,6 +181,8 @@ class Model:
         System libraries that the C file needs, for example ``("m",)``.
     blocks : tuple of str
         Names of the exported blocks of a diagram. Written as a vendor annotation.
+    traits : str
+        What an exported controller says about itself beside its variables, as JSON. Written as a vendor annotation.
     finite : bool
         Whether a NaN in the outputs is an error, as for a plant, and not a missing sample. If not, this is written as a vendor
         annotation.
@@ -197,6 +199,7 @@ class Model:
     timing: Literal["plant", "sampled"] = "plant"
     libraries: tuple[str, ...] = ()
     blocks: tuple[str, ...] = ()
+    traits: str = ""
     finite: bool = True
 
     def __post_init__(self) -> None:

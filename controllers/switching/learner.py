@@ -344,15 +344,24 @@ class SwitchingPrecision(PrecisionLearner):
         outages = self.outages and m > 1
         layout = self._layout(model, width, settings_width, process_modes, outages)
         learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout, outages)
-        ports = [port("mode_probability", (m, 1 + len(self.modes)))]
-        ports += [port(name, (m,)) for name in ("fault_kind", "fault_size", "fault_onset")]
+        kinds = self.fault_kinds
+        ports = [port("mode_probability", (m, 1 + len(kinds)), elements=["healthy", *kinds] * m)]
+        ports += [
+            port("fault_kind", (m,), numbered=kinds),
+            *(port(f"fault_{name}", (m,)) for name in ("size", "onset")),
+        ]
         ports.append(port("log_density"))
         if layout is None:
             memory += [0.0, 0.0, *([0.0, 0.0] if outages else [])]
             return Learner(learn, np.array(memory), np.array([*settings, step]), 1, tuple(ports), report)
         if layout.actuator_modes:
-            ports.append(port("actuator_mode_probability", (layout.p, 1 + layout.actuator_modes)))
-            ports += [port(f"actuator_fault_{name}", (layout.p,)) for name in ("probability", "kind", "size")]
+            acting = tuple(type(mode).__name__ for mode in self.actuator_modes)
+            numbers = {"kind": acting}
+            ports.append(
+                port("actuator_mode_probability", (layout.p, 1 + len(acting)), elements=["healthy", *acting] * layout.p)
+            )
+            for name in ("probability", "kind", "size"):
+                ports.append(port(f"actuator_fault_{name}", (layout.p,), numbered=numbers.get(name, ())))
         if layout.process_modes:
             ports.append(port("process_mode_probability", (2 + layout.process_modes,)))
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.base.units import Unit, difference
+from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
@@ -109,6 +110,19 @@ class ControlRole:
     dt: float | None = None
 
 
+TRAITS = (
+    "fault_kinds",
+    "fault_sizes",
+    "actuator_kinds",
+    "actuator_sizes",
+    "corrected_kinds",
+    "lag",
+    "measurement_matrix",
+    "goal_matrix",
+)
+"""What a controller may say beside its ports: attributes of `LoopRoles`, and the matrices from ``x_hat`` to sensors and goal."""
+
+
 @dataclass(frozen=True)
 class LoopRoles:
     """The parts of a closed loop: names of blocks and signals, without any numbers of a run.
@@ -188,16 +202,19 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     )
     of_sensors = {name for sensor in sensors for name in sensor.faults}
     inputs = _inputs(diagram, {sensor_node.name, controller.name}, controller, of_sensors)
-    kinds = {
-        f"{of}_{what}": tuple(getattr(controller.block, f"{of}_{what}", ()))
-        for what in ("kinds", "sizes")
-        for of in ("fault", "actuator")
-    }
     readings = f"{sensor_node.name}.{read.name}"
     controls = _controls(diagram, controller)
-    kinds["corrected_kinds"] = tuple(getattr(controller.block, "corrected_kinds", ()))
-    lag = getattr(controller.block, "lag", "")
+    told = traits(controller.block)
+    kinds = {name: tuple(told.get(name, ())) for name in TRAITS if name.endswith(("kinds", "sizes"))}
+    lag = told.get("lag", "")
     return LoopRoles(controller.name, sensors, quantities, inputs, controls, **kinds, readings=readings, lag=lag)
+
+
+def traits(block: Block) -> dict[str, Any]:
+    """Return what a controller says about itself beside its ports, by the names of `TRAITS`; an exported one in its FMU."""
+    told = getattr(block, "traits", {})
+    found = {name: getattr(block, name, told.get(name)) for name in TRAITS}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def known_roles(diagram: Diagram) -> LoopRoles | None:
@@ -290,7 +307,9 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     # A controller may have matrices from its estimate x_hat to the sensors (a row of NaN: not linear) and to its goal.
     C: Floats | None
     G: Floats | None
-    C, G = (getattr(controller.block, name, None) for name in ("measurement_matrix", "goal_matrix"))
+    told = traits(controller.block)
+    C, G = (np.array(told[name]) if name in told else None for name in ("measurement_matrix", "goal_matrix"))
+    estimates = any(port.name == "x_hat" for port in controller.outputs)
     groups: dict[tuple[float, ...], list[int]] = {}
     for i, row in enumerate(rows):
         groups.setdefault(tuple(map(float, row)), []).append(i)
@@ -307,7 +326,7 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
         if weights is not None and G is not None:
             goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, weights)), None)
         reference = None if goal is None else _reference(diagram, controller, goal)
-        belief = None if weights is None else tuple(map(float, weights))
+        belief = tuple(map(float, weights)) if weights is not None and estimates else None
         roles.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal))
     return tuple(roles)
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from math import ceil
 from typing import Literal
 
+import numpy as np
+
 from bayesftc.cosim.base.units import BASE, parse
+from bayesftc.cosim.diagram.opening import OUTSIDE
+from bayesftc.cosim.diagram.roles import traits
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.export.c_file import CFile
 from bayesftc.cosim.export.dependencies import Elements, feeding, feeding_elements
@@ -114,6 +119,7 @@ def model_of(
         timing=timing,
         libraries=("m",),
         blocks=program.blocks,
+        traits=_traits(program),
         finite=bool(program.schedule.finite),
     )
 
@@ -127,6 +133,14 @@ def _outputs(program: Program, sources: Mapping[str, frozenset[str]], element_so
         initial = tuple(sorted(sources[signal.name], key=names.__getitem__))
         each = tuple(tuple(sorted(of, key=elements.__getitem__)) for of in element_sources[signal.name])
         yield _variable(signal, "output", initial, each)
+
+
+def _traits(program: Program) -> str:
+    """Return what a controller that is exported alone says about itself, as JSON; for all else nothing."""
+    blocks = [node.block for node in program.schedule.nodes if node.name != OUTSIDE]
+    known = traits(blocks[0]) if len(blocks) == 1 else {}
+    told = {name: np.asarray(value).tolist() for name, value in known.items() if len(value)}
+    return json.dumps(told) if told else ""
 
 
 def _stop_time(step: Fraction, requested: float | None) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 from bayesftc.cosim.base.units import UnitDefinition, difference
 from bayesftc.cosim.block import External, ExternalBlock
@@ -219,6 +219,11 @@ class FMU(ExternalBlock):
     def description(self) -> FMUDescription:
         """The FMU's model description."""
         return self._read()[1]
+
+    @property
+    def traits(self) -> Mapping[str, Any]:
+        """What an exported controller says about itself beside its ports."""
+        return self.description.traits
 
     def start_value(self, name: str) -> Value | None:
         """Return the value of a variable before initialization: from `parameters`, else from the model description.

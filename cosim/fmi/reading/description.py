@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import threading
 from collections.abc import Mapping, Sequence
@@ -163,6 +164,8 @@ class FMUDescription:
         Its states, derivatives and capabilities in model exchange; None if that is not supported.
     blocks : tuple of str
         Names of the blocks from which it was exported, from the vendor annotation.
+    traits : mapping of str
+        What an exported controller says about itself beside its variables, such as ``"fault_kinds"``, from the vendor annotation.
     origins : mapping of str to str
         Names in the diagram of signals that the export renamed, from the vendor annotation.
     finite : bool
@@ -188,6 +191,7 @@ class FMUDescription:
     units: Mapping[str, UnitDefinition] = field(default_factory=dict, repr=False)
     exchange: ExchangeInfo | None = field(default=None, repr=False)
     blocks: tuple[str, ...] = ()
+    traits: Mapping[str, Any] = field(default_factory=dict, repr=False)
     origins: Mapping[str, str] = field(default_factory=dict, repr=False)
     finite: bool = True
     lax: str | None = None
@@ -291,10 +295,23 @@ def _read(archive: Archive, validate: bool) -> FMUDescription:
         units={u.name: _unit(u) for u in model.unitDefinitions},
         exchange=read_exchange(model, root, variables),
         blocks=tuple(name for annotation in annotations for name in annotation.get("blocks", "").split()),
+        traits=_traits(annotations),
         lax=lax,
         finite=all(annotation.get("finite") != "false" for annotation in annotations),
         origins={s.get("name", ""): s.get("origin", "") for a in annotations for s in a.iter("Signal")},
     )
+
+
+def _traits(annotations: Sequence[Any]) -> Mapping[str, Any]:
+    """Return the traits of an exported controller; nothing if another tool has damaged them."""
+    for annotation in annotations:
+        try:
+            found = json.loads(annotation.get("traits", "{}"))
+        except ValueError:
+            continue
+        if isinstance(found, dict) and found:
+            return found
+    return {}
 
 
 def _check_identifier(archive: Archive, identifier: str) -> None:

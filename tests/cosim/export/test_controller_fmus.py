@@ -1,6 +1,7 @@
 """An exported controller in place of the controller: in a closed loop, a scenario file, and a diagram by hand."""
 
 import dataclasses
+import zipfile
 
 import numpy as np
 import pytest
@@ -114,3 +115,31 @@ def test_elements_in_another_order_stay_numbers(tmp_path, c_compiler):
     assert [port.name for port in fmu.inputs] == ["y[1]", "y[0]", "goal"]
     with pytest.raises(cosim.ModelError, match="arrays=1; it must be True or False"):
         cosim.FMU(path, arrays=1)
+
+
+def test_a_loop_with_the_fmu_has_the_same_findings_and_summary(tmp_path, c_compiler):
+    """It called faults "kind 3" and had no belief."""
+    controller = controllers.BayesianController(MODEL, initial_mean=20.0)
+    path = cosim.export_fmu(controller, tmp_path / "controller.fmu")
+    block, fmu = (loop(each).simulate(10.0, seed=1) for each in (controller, cosim.FMU(path)))
+    assert fmu.findings().equals(block.findings())
+    assert str(fmu.summary()) == str(block.summary())
+    assert "Drifting" in str(fmu.summary())
+    described = {v.name: v.description for v in cosim.FMU(path).description.variables}
+    assert "1 Frozen, 2 Offset, 3 Drifting" in described["fault_kind[1]"]
+    assert described["mode_probability[1,3]"].endswith("(Drifting)")
+
+
+def test_an_fmu_without_its_estimate_or_with_damaged_traits_still_runs(tmp_path, c_compiler):
+    controller = controllers.BayesianController(MODEL, initial_mean=20.0)
+    path = cosim.export_fmu(
+        loop(controller), tmp_path / "less.fmu", blocks="controller", outputs=["u", "fault_probability"]
+    )
+    assert "tracking of v" in str(loop(cosim.FMU(path)).simulate(2.0, seed=1).summary())
+    damaged = tmp_path / "damaged.fmu"
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(damaged, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name).replace(b'traits="{', b'traits="{{'))
+    assert dict(cosim.FMU(path).description.traits)["fault_kinds"][0] == "Frozen"
+    assert dict(cosim.FMU(damaged).description.traits) == {}
+    assert "tracking of v" in str(loop(cosim.FMU(damaged)).simulate(2.0, seed=1).summary())
