@@ -156,10 +156,17 @@ class Contents:
 
     def scalars(self) -> list[str]:
         """Return the recorded scalar signals, except the flags of active faults."""
-        faults = {
-            f"{f}.active" for chain in self.description.get("roles", {}).get("faults_of_sensors", []) for f in chain
-        }
+        faults = {f"{fault}.active" for chain in self._chains for fault in chain}
         return [name for name, (shape, _) in self.store.metadata.signals.items() if not shape and name not in faults]
+
+    def faults_of(self, sensor: int) -> list[str]:
+        """Return the names of a sensor's faults."""
+        return list(self._chains[sensor]) if sensor < len(self._chains) else []
+
+    @property
+    def _chains(self) -> list[list[str]]:
+        chains: list[list[str]] = self.description.get("roles", {}).get("faults_of_sensors", [])
+        return chains
 
     def unit(self, signal: str) -> str:
         """Return the unit of a signal in brackets, or nothing."""

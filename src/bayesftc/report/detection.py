@@ -6,17 +6,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.campaign.runs.truth import FAULTY
 from bayesftc.cosim.judging.signals import ALARM
 from bayesftc.report.scores import FAILED, HEALTHY, Found, Level, recorded_scores
 from bayesftc.report.svg import INK, error_bars, figure, legend, words
+from bayesftc.report.tables import ROWS, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from bayesftc.cosim.types import Floats
     from bayesftc.report.contents import Contents
 
+NOTE = (
+    "In brackets: the faults of the sensor. Median delay: of all faults, a missed one counts as later than all others."
+)
 LINE = 0.18
 """Height of a line of the legend in inches."""
 
@@ -49,7 +53,7 @@ def roc_figure(contents: Contents, found: Found) -> tuple[Figure, str]:
     time = contents.store.time
     step = float(time[1] - time[0]) if len(time) > 1 else 1.0
     names = {each.score_name for each in detection.values()}
-    least, alarms = 1.0, []
+    least = 1.0
     for level, each in detection.items():
         style, curve = contents.drawn()[level], roc(*each.by_seed())
         x, mean = curve.false_positive_rate, curve.true_positive_rate
@@ -65,14 +69,8 @@ def roc_figure(contents: Contents, found: Found) -> tuple[Figure, str]:
         right.plot(share, delays["median_delay"], lw=1.5, ms=2.5, **look)
         if each.is_probability:
             at = delay_curve(each.score, each.truth, step=step, thresholds=[ALARM]).iloc[0]
-            false, missed, delay = (float(at[name]) for name in ("false_share", "missed_share", "median_delay"))
-            right.plot(
-                [false], [delay], ms=8, mfc="none", clip_on=False, zorder=5, **look
-            )  # whole, also at a delay of 0
-            alarms.append(
-                f"{'' if level is None else f'{contents.name(level)}: '}alarms in {false:.2%} of the fault-free time, "
-                f"{missed:.1%} of the faults missed, median delay {_seconds(delay)}{_seen_as_missing(each)}{_blamed_most(each)}"
-            )
+            mark = [float(at["false_share"])], [float(at["median_delay"])]
+            right.plot(*mark, ms=8, mfc="none", clip_on=False, zorder=5, **look)  # whole, also at a delay of 0
     left.plot([0, 1], [0, 1], color=INK, lw=0.8, ls=":")
     left.set(xlabel="false positive rate", ylabel="true positive rate", xlim=(0, 1), ylim=(0, 1.02))
     right.set_xscale("symlog", linthresh=least)
@@ -90,8 +88,8 @@ def roc_figure(contents: Contents, found: Found) -> tuple[Figure, str]:
         f"with the AUC of all samples{seeds}; dotted: detection by chance. Right: delay of alarms over the share of "
         "fault-free time with an alarm, of all sensors together, for all thresholds; a curve ends where most faults are missed."
         + (
-            f" At a fault probability of {ALARM:g} (open mark), of all sensors together: {'; '.join(alarms)}."
-            if alarms
+            f" Open mark: a fault probability of {ALARM:g}."
+            if any(each.is_probability for each in detection.values())
             else ""
         )
         + _missing(detection)
@@ -99,13 +97,9 @@ def roc_figure(contents: Contents, found: Found) -> tuple[Figure, str]:
     )
 
 
-def _seen_as_missing(level: Level) -> str:
-    return f", {counted(level.seen_as_missing, 'fault')} seen as missing samples" if level.seen_as_missing else ""
-
-
 def _missing(detection: dict[Any, Level]) -> str:
     """Return how missing samples count, if there are faults of which nothing else is seen."""
-    if not any(each.seen_as_missing for each in detection.values()):
+    if not any(any(each.seen_as_missing) for each in detection.values()):
         return ""
     return (
         " Missing samples count in none of these figures. A fault whose samples are all missing is seen as missing samples: it "
@@ -113,19 +107,39 @@ def _missing(detection: dict[Any, Level]) -> str:
     )
 
 
-def _blamed_most(level: Level) -> str:
-    """Return which of several sensors has the largest share of its fault-free time with an alarm; nothing if none has any."""
-    score, healthy = np.concatenate(level.score), ~np.concatenate(level.truth) & ~np.isnan(np.concatenate(level.score))
-    samples, blamed = healthy.sum(axis=0), (healthy & (score >= ALARM)).sum(axis=0)
-    if score.shape[1] < 2 or not blamed.any():
-        return ""
-    shares = blamed / np.maximum(samples, 1)
-    worst = int(shares.argmax())
-    return f" (sensor {worst} is blamed most while healthy: {shares[worst]:.2%} of its fault-free time)"
+def alarm_table(contents: Contents, found: Found) -> Table | None:
+    """Return how often and how late alarms find the faults of each sensor and of all; None without probabilities."""
+    time = contents.store.time
+    step, rows = float(time[1] - time[0]) if len(time) > 1 else 1.0, []
+    unseen = any(any(each.seen_as_missing) for each in found.levels.values())
+    for level, each in found.levels.items():
+        count = each.score[0].shape[1] if each.is_probability else 0
+        for i in [None, *range(count)] if count > 1 else range(count):
+            of = slice(None) if i is None else slice(i, i + 1)
+            score, truth = ([run[:, of] for run in runs] for runs in (each.score, each.truth))
+            missing = sum(each.seen_as_missing[of])
+            name = "all" if i is None else f"{i} ({', '.join(names)})" if (names := contents.faults_of(i)) else str(i)
+            row = [] if contents.compared is None else [str(contents.name(level))]
+            rows.append([*row, name, *_alarms(score, truth, step), *([str(missing)] if unseen else [])])
+    if not rows:
+        return None
+    columns = ["sensor", "faults", "missed", "median delay (s)", "blamed while healthy"]
+    columns += ["seen as missing samples"] * unseen
+    columns = [contents.compared, *columns] if contents.compared is not None else columns
+    return Table("Alarms", columns, rows[:ROWS], NOTE)
 
 
-def _seconds(delay: float) -> str:
-    return "unknown" if delay != delay else f"{delay:.3g} s"
+def _alarms(score: list[Floats], truth: list[Any], step: float) -> list[str]:
+    """Return faults, the share of missed ones, the median delay, and the share of fault-free time with an alarm."""
+    from bayesftc.cosim.statistics import delay_curve
+
+    valid = np.isfinite(np.concatenate(score))
+    if (np.concatenate(truth) | ~valid).all():
+        return ["–"] * 4  # no fault-free sample with a score
+    at = delay_curve(score, truth, step=step, thresholds=[ALARM]).iloc[0]
+    faults, delay = int(at["faults"]), float(at["median_delay"])
+    found = [f"{at['missed_share']:.1%}", "–" if delay != delay else f"{delay:.3g}"] if faults else ["–", "–"]
+    return [str(faults), *found, f"{at['false_share']:.2%}"]
 
 
 def _chosen(detection: dict[Any, Level]) -> str:

@@ -12,7 +12,7 @@ from bayesftc.cosim.campaign.store.reading import StoredCampaign
 from bayesftc.report import comparisons, tables
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents
-from bayesftc.report.detection import reliability_figure, roc_figure, why_no_detection
+from bayesftc.report.detection import alarm_table, reliability_figure, roc_figure, why_no_detection
 from bayesftc.report.grids import over_grid
 from bayesftc.report.scores import read_detection
 from bayesftc.report.svg import to_svg
@@ -87,7 +87,7 @@ def _parts(contents: Contents) -> Iterator[Part]:
         yield _part("Over time", bands)
     detection = read_detection(contents)
     if detection:
-        yield _part("Detection", roc_figure(contents, detection))
+        yield _part("Detection", roc_figure(contents, detection), alarm_table(contents, detection))
         reliability = reliability_figure(contents, detection)
         if reliability:
             yield _part("Reliability", reliability)

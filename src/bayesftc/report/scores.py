@@ -32,7 +32,7 @@ class Level:
     truth: list[Any]
     seeds: list[int]  # one per run; runs with the same seed have the same noise
     of: int  # number of complete runs, of which at most `RUNS` are drawn
-    seen_as_missing: int  # number of faults whose samples are all missing
+    seen_as_missing: list[int]  # number of faults of each sensor whose samples are all missing
 
     @property
     def is_probability(self) -> bool:
@@ -72,7 +72,7 @@ class _Run:
     scores: dict[str, Floats]
     truth: Any
     faults: int
-    seen_as_missing: int
+    seen_as_missing: list[int]  # of each sensor
     seed: int
 
     def valid(self, score: str) -> Any:
@@ -110,7 +110,7 @@ def read_detection(contents: Contents) -> Found:
             [run.truth for run in fit],
             [run.seed for run in fit],
             good,
-            sum(run.seen_as_missing for run in fit),
+            [sum(counts) for counts in zip(*(run.seen_as_missing for run in fit), strict=True)],
         )
     return found
 
@@ -127,7 +127,7 @@ def _why_not(runs: list[_Run], score: str) -> str:
     if not valid:
         return f"the controller gives no {what}"
     faults = sum(run.faults for run in runs)
-    if faults == sum(run.seen_as_missing for run in runs):
+    if faults == sum(sum(run.seen_as_missing) for run in runs):
         return f"all faults ({faults}) are seen as missing samples, which need no detector"
     truth = np.concatenate([run.truth[where] for run, where in valid])
     if not truth.any():
@@ -167,8 +167,9 @@ def _judged(signals: dict[str, Floats], scores: list[str], seed: int) -> _Run:
     for values in ranks.values():
         if values.shape == missing.shape:
             values[missing] = np.nan
-    faults = [samples for column in zip(faulty.T, ~missing.T, strict=True) for samples in samples_in_faults(*column)]
-    return _Run(ranks, faulty, len(faults), sum(not len(samples) for samples in faults), seed)
+    faults = [samples_in_faults(*column) for column in zip(faulty.T, ~missing.T, strict=True)]
+    unseen = [sum(not len(samples) for samples in of_sensor) for of_sensor in faults]
+    return _Run(ranks, faulty, sum(map(len, faults)), unseen, seed)
 
 
 __all__ = ["FAILED", "HEALTHY", "Found", "Level", "read_detection", "recorded_scores"]

@@ -17,7 +17,7 @@ from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.errors import StoreError
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents
-from bayesftc.report.detection import reliability_figure, roc_figure
+from bayesftc.report.detection import alarm_table, reliability_figure, roc_figure
 from bayesftc.report.grids import over_grid
 from bayesftc.report.page import report
 from bayesftc.report.scores import read_detection
@@ -290,6 +290,7 @@ def test_areas_under_the_curve_are_those_of_scikit_learn(stored):
     store = precisions(stored, seeds=3, signals=signals)
     contents = Contents(store)
     made, caption = roc_figure(contents, read_detection(contents))
+    table = alarm_table(contents, read_detection(contents))
     assert "controller.fault_probability, in all 6 complete runs of each" in caption
     assert "dotted: detection by chance" in caption
     marks = [line for line in made.axes[1].get_lines() if line.get_markersize() > 5]
@@ -304,24 +305,18 @@ def test_areas_under_the_curve_are_those_of_scikit_learn(stored):
         found, low, high = map(float, re.findall(r"\d\.\d+", label))
         assert found == round(area, 3)
         assert low < found < high
-        said = re.search(
-            rf"{level}: alarms in ([\d.]+)% of the fault-free time, ([\d.]+)% of the faults missed", caption
-        )
+        said = {row[1]: row[2:] for row in table.rows if row[0] == level}
         probability, faulty = signals["controller.fault_probability"][own], truth[own]
         alarms = [
             cosim.judge_alarms(p, f > 0, threshold=0.5, step=0.5) for p, f in zip(probability, faulty, strict=True)
         ]
         pooled = sum(alarms[1:], alarms[0])
-        assert float(said[1]) == round(100 * pooled.false_share, 2)
-        assert float(said[2]) == round(100 * pooled.missed_share, 1)
-        shares = [
-            ((p >= 0.5) & ~(f > 0)).sum() / (~(f > 0)).sum() for p, f in zip(probability.T, faulty.T, strict=True)
-        ]
-        of_level = caption.partition(f"{level}: ")[2].partition(";")[0]
-        most = re.search(r"\(sensor (\d) is blamed most while healthy: ([\d.]+)% of its fault-free time\)", of_level)
-        assert int(most[1]) == np.argmax(shares)
-        assert float(most[2]) == round(100 * max(shares), 2)
-    assert "of all sensors together: " in caption
+        assert said["all"][1] == f"{pooled.missed_share:.1%}"
+        assert said["all"][3] == f"{pooled.false_share:.2%}"
+        for i, (p, f) in enumerate(zip(probability.transpose(2, 0, 1), faulty.transpose(2, 0, 1), strict=True)):
+            (of_sensor,) = (row for name, row in said.items() if name.split()[0] == str(i))
+            assert of_sensor[3] == f"{((p >= 0.5) & ~(f > 0)).sum() / (~(f > 0)).sum():.2%}"
+    assert "Open mark: a fault probability of 0.5." in caption
     assert {"Detection", "Reliability"} <= set(read(report(store)).headings)
 
 
@@ -402,12 +397,12 @@ def test_faults_that_are_seen_as_missing_samples_are_counted_apart(stored):
     signals["sensor_missing"][:, 30:33, 0] = 1.0  # the fault begins with missing samples, and is seen after them
     contents = Contents(precisions(stored, seeds=3, signals=signals))
     found = read_detection(contents)
-    assert {(each.seen_as_missing, len(each.seeds)) for each in found.levels.values()} == {(6, 6)}
+    assert {(*each.seen_as_missing, len(each.seeds)) for each in found.levels.values()} == {(0, 6, 6)}
     caption = roc_figure(contents, found)[1]
-    assert (
-        "gamma: alarms in 0.00% of the fault-free time, 0.0% of the faults missed, median delay 0 s, 6 faults seen as"
-        in caption
-    )
+    table = alarm_table(contents, found)
+    assert ["gamma", "all", "6", "0.0%", "0", "0.00%", "6"] in table.rows
+    assert [row[-1] for row in table.rows if row[0] == "gamma"] == ["6", "0", "6"]
+    assert table.columns[-1] == "seen as missing samples"
     assert "it is neither detected nor missed, as in the table of runs." in caption
 
 
