@@ -283,12 +283,25 @@ class LinearModel(Printed, NamedArguments):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of all states: of the plant, else ``x[0]``, ..; of past signals (``u[-1]``); disturbances; ``constant``."""
+        """Names of all states: of the plant, else ``x[0]``, ..; of past signals (``u[-1]``); disturbances; ``constant``.
+
+        A disturbance that only sensors read is ``sensor_error[0]``, with the number of the sensor, or of the first of several.
+        """
         plant = tuple(f"x[{i}]" for i in range(self.plant_states))
         past = () if self.delays is None else self.delays.labels
-        disturbances = tuple(f"disturbance[{i}]" for i in range(self.disturbances - self.constant))
         last = ("constant",) * self.constant
-        return (*((*plant, *past) if self.names is None else self.names.states), *disturbances, *last)
+        return (*((*plant, *past) if self.names is None else self.names.states), *self._disturbance_names(), *last)
+
+    def _disturbance_names(self) -> list[str]:
+        A, C = self.matrix("A"), self.matrix("C")
+        first, end = self.states - self.disturbances, self.states - self.constant
+        names: list[str] = []
+        for i in range(first, end):
+            only_read = C[:, i].any() and not np.delete(A[:, i], i).any()
+            name = f"sensor_error[{np.flatnonzero(C[:, i])[0]}]" if only_read else f"disturbance[{i - first}]"
+            same = sum(each.startswith(name) for each in names)  # a sensor may have several errors
+            names.append(f"{name}_{same + 1}" if same else name)
+        return names
 
     @property
     def moving(self) -> LinearModel:

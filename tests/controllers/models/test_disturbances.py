@@ -39,7 +39,7 @@ def test_the_order_of_the_methods_does_not_matter(order):
     for name in ("A", "B", "C", "process_covariance", "sensor_covariance"):
         np.testing.assert_array_equal(model.matrix(name), usual.matrix(name))
     assert model.state_names == usual.state_names
-    assert model.state_names[-4:] == ("disturbance[0]", "disturbance[1]", "disturbance[2]", "constant")
+    assert model.state_names[-4:] == ("disturbance[0]", "disturbance[1]", "sensor_error[1]", "constant")
     assert (model.disturbances, model.constant, model.operating_control) == (4, True, tuple(U))
     np.testing.assert_array_equal(model.delays.rest, usual.delays.rest)
     np.testing.assert_array_equal(model.quantities, usual.quantities)

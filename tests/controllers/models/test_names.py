@@ -43,7 +43,10 @@ def test_redundant_sensors_get_numbers_and_disturbances_names():
     model = LinearModel.from_control(SYSTEM, sensors=4, **NOISE).with_disturbance().with_sensor_errors(0.1, 10.0, [0])
     system = model.about([1.0, 2.0], [0.5], [1.0, 2.0, 1.0, 2.0]).to_control()
     assert system.output_labels == ["v[0]", "current[0]", "v[1]", "current[1]"]
-    assert system.state_labels == ["speed", "motor", "disturbance[0]", "disturbance[1]"]
+    assert system.state_labels == ["speed", "motor", "disturbance[0]", "sensor_error[0]"]
+    twice = model.with_sensor_errors(0.2, 100.0)
+    errors = ["sensor_error[0]", "sensor_error[0]_2", "sensor_error[1]", "sensor_error[2]", "sensor_error[3]"]
+    assert list(twice.state_names[3:]) == errors
 
 
 def test_a_model_without_names_has_those_of_python_control():
