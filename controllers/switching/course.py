@@ -12,7 +12,7 @@ suspicious as a noisy one. A sample's density is Student's t (Bishop 2006, exerc
 """
 
 from bayesftc.controllers.linalg.special import LOG_2_PI, squared_gamma_half_step
-from bayesftc.cosim.ops import log, maximum, select, sqrt
+from bayesftc.cosim.ops import both, log, maximum, select, sqrt
 
 ORDER = 3
 """Number of regressors."""
@@ -28,6 +28,9 @@ ROOT, REGRESSORS, SOLVED, REACHED, COURSE_SCRATCH = 0, 9, 12, 15, 18
 FORGETTING, FADING, SHAPE0, RATE0, MEANS, WEIGHTS0, EQUALS0, COUNTED0 = 0, 1, 2, 3, 4, 7, 10, 11
 """Places in the settings: the forgetting factor of the regression and of the level, the prior's shape and rate, the coefficients'
 means and precisions, the expected numbers of repetitions and of samples."""
+
+LASTS = 20.0
+"""Number of repetitions in succession from which on a course is a freeze."""
 
 LEAST_RATE = 1e-6
 """Least rate of the noise's precision, so that samples that repeat exactly do not make it infinitely precise."""
@@ -116,6 +119,16 @@ def repeats_share(equal, present, entered, memory, at, settings, first):
     memory[at + EQUALS] = equals + present * equal
     memory[at + COUNTED] = counted + present
     return equals / counted
+
+
+def stuck(memory, at, settings, first):
+    """Return 1 if the course is a freeze, because its last samples repeat (`LASTS` or more); else 0.
+
+    Where a sensor is coarse the hypothesis of a freeze may come too late: healthy ones repeat samples, too.
+    """
+    others = memory[at + COUNTED] - memory[at + EQUALS]
+    expected = settings[first + COUNTED0] - settings[first + EQUALS0]
+    return select(both(memory[at + COUNTED] >= LASTS, others - expected <= 0.5), 1.0, 0.0)
 
 
 def misfit(memory, at):

@@ -207,7 +207,7 @@ class Frozen(FaultMode):
         half = self.settings(model, sensor)[0]
         has_resolution = as_vector("The resolution of Frozen", self.resolution, model.sensors)[sensor] > 0
         share = float(as_vector("healthy_repeats of Frozen", self.healthy_repeats, model.sensors)[sensor])
-        most = share if has_resolution or share == 0 else max(MOST_REPEATS, share)
+        most = 0.0 if share == 0 else max(MOST_REPEATS, share)
         finds = float(share > 0 and not has_resolution)
         return 2.0 * half, share * REPEATS_STRENGTH, REPEATS_STRENGTH, most, finds
 

@@ -549,6 +549,7 @@ class SwitchingPrecision(PrecisionLearner):
             width_of_settings=settings,
             outages=outages,
             drops=tuple(k for k, mode in enumerate(self.modes) if type(mode).evidence is mode_kernels.drops),
+            repeats=next((k for k, mode in enumerate(self.modes) if isinstance(mode, Frozen)), -1),
         )
 
     def _jumps_alike(self, kick: NoisierProcess, step: float) -> float:

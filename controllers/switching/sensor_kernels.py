@@ -9,8 +9,8 @@ The state of a sensor is in ``memory`` from ``at`` on:
 - `NOISE`, `NOISE_SHAPE`, `NOISE_RATE`: the variance of its noise while healthy, in nominal ones, and the gamma distribution of
   its precision.
 - `REPEATS`, `SAMPLES`: numbers of repetitions and of samples while it was healthy.
-- `STEP`, `KNOWN`: the step of which its last changes from sample to sample are multiples, 0 before the first one; `FINE`,
-  `UNKNOWN` or `ON_GRID`.
+- `STEP`, `KNOWN`: the step of which its last changes from sample to sample are multiples, 0 before the first one; and how many
+  of these there were in succession, up to `ON_GRID`. At the beginning it counts from `UNKNOWN` to 0, and is then `ON_GRID`.
 - From `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of it that has just begun (`ENTERED`), its mean
   `AGE` in samples, and the mode's own numbers (``mode_kernels.py``).
 
@@ -61,15 +61,20 @@ LEAST = 5e-131
 LEAST_LOG = -380.0
 """Least log density relative to the largest one: far below `LEAST`, but their product is not subnormal, which would be slow."""
 
-COARSEST, COARSE = 12.0, 1.2
+COARSEST, COARSE = 12.0, 6.0
 """Squared steps of a sensor, in variances of its noise: if that is all due to rounding, and from which on the sensor is coarse.
 The samples of a sensor of smaller steps change with its noise, also while the plant is at rest."""
 
-GRID = 1e-4
-"""Largest distance of a change from a whole multiple of the step, in steps, if the samples lie on a grid."""
+GRID = 0.05
+"""Largest distance of a change from a whole multiple of the step, in standard deviations of the noise, on a grid. Its samples may
+be rounded further, to some decimals or to single precision."""
 
-FINE, UNKNOWN, ON_GRID = 0.0, 1.0, 2.0
-"""What the changes of a sensor tell: they are no multiples of a step, they are less than two, they are such multiples."""
+UNKNOWN, ON_GRID, TOO_FINE = -2.0, 3.0, 12.0
+"""What the changes of a sensor tell at the beginning, if they were multiples of a step often enough, and if they were so for long
+but never the step itself, so that it is too fine."""
+
+FINEST = 0.05
+"""Squared step of a grid, in variances of the noise, below which it makes no difference."""
 
 LEAST_TRUST = 1e-12
 """Least precision of a sensor in nominal ones, so that its covariance remains finite."""
@@ -93,14 +98,12 @@ def pass_mode(memory, block, healthy, settings, row):
     return ended - begun
 
 
-def not_less(squared, step, nominal, memory, at, settings, row):
+def not_less(squared, step, nominal):
     """Return the square of a sensor's noise, in nominal variances, from which to learn: not less than rounding to a ``step``.
 
-    The error of a repetition is that of the sample before: at rest it tells nothing about how large rounding errors are. Most of
-    their variance is learned while the step is presumed: noise may be stated as a whole step.
+    The error of a repetition is that of the sample before: at rest it tells nothing about how large rounding errors are.
     """
-    presumed = both(settings[row + FINDS] > 0.0, memory[at + KNOWN] <= UNKNOWN)
-    least = select(presumed, 0.8, 1.0) * (step * step / (COARSEST * nominal))
+    least = step * step / (COARSEST * nominal)
     return minimum(select(step > 0.0, maximum(squared, least), squared), FURTHEST)
 
 
@@ -116,38 +119,60 @@ def learn_noise(squared, sound, memory, at, settings, row):
     memory[at + NOISE] = maximum(minimum(rate / shape, settings[row + MOST_NOISE]), settings[row + LEAST_NOISE])
 
 
+def repeats_healthy(memory, at, settings, row):
+    """Return the share of samples that a healthy sensor repeats, as learned."""
+    return (memory[at + REPEATS] + settings[row + REPEATS0]) / (memory[at + SAMPLES] + settings[row + SAMPLES0])
+
+
 def repetition(change, nominal, memory, at, settings, row):
     """Return the factor of a repeated sample's density relative to that by the sensor's resolution; 1 for other samples.
 
     The probability of a repetition is its share while the sensor was healthy. The width over which that share has the typical
-    density of the noise replaces the resolution, if it is larger. The log density of the samples is divided by the factor again:
-    that is always by the resolution, so that the densities of two learners, or of two moments, can be compared.
+    density of the noise, or the step of the sensor's grid, replaces the resolution, if it is larger. The log density of the
+    samples is divided by the factor again: that is always by the resolution, so that the densities of two learners, or of two
+    moments, can be compared.
     """
-    share = (memory[at + REPEATS] + settings[row + REPEATS0]) / (memory[at + SAMPLES] + settings[row + SAMPLES0])
-    share = minimum(share, settings[row + MOST_REPEATS])
-    width = maximum(share * sqrt(TYPICAL * nominal * memory[at + NOISE]), settings[row + WIDTH])
+    share = minimum(repeats_healthy(memory, at, settings, row), settings[row + MOST_REPEATS])
+    grid = select(
+        either(memory[at + KNOWN] < 0.0, memory[at + KNOWN] >= ON_GRID), settings[row + FINDS] * memory[at + STEP], 0.0
+    )
+    width = maximum(maximum(share * sqrt(TYPICAL * nominal * memory[at + NOISE]), grid), settings[row + WIDTH])
     return select(absolute(change) <= 0.5 * settings[row + WIDTH], settings[row + WIDTH] / width, 1.0)
 
 
 def is_fine(nominal, memory, at):
-    """Return 1 if a sensor's samples lie on no grid, or on one that is finer than its noise; else 0, also before two changes."""
-    step, known = memory[at + STEP], memory[at + KNOWN]
-    finer = both(known > UNKNOWN, step * step < COARSE * (nominal * memory[at + NOISE]))
-    return select(either(known < UNKNOWN, finer), 1.0, 0.0)
+    """Return 1 if a sensor's samples lie on no grid, or on one that is finer than its noise; else 0, also at the beginning."""
+    finer = memory[at + STEP] * memory[at + STEP] < COARSE * (nominal * memory[at + NOISE])
+    return select(both(memory[at + KNOWN] >= 0.0, either(memory[at + KNOWN] < ON_GRID, finer)), 1.0, 0.0)
 
 
 def indifferent(change, nominal, presumed, memory, at, settings, row):
-    """Return the largest error with which a repeated sample of a coarse sensor says nothing; -1 for all others.
+    """Return the largest error with which a repeated sample of a coarse sensor tells of no freeze; -1 for all others.
 
-    It is a step of the sensor, because a coarse sensor repeats its sample until the plant has moved by a step. Before the second
-    change the sensor is ``presumed`` to be as coarse as its noise or its first change allows (1), or not to be coarse (0).
+    It is a step of the sensor, because a coarse sensor repeats its sample until the plant has moved by a step. At the beginning
+    the sensor is ``presumed`` to be as coarse as its noise or its first change allows (1), or not to be coarse (0).
     """
     noise, step, known = nominal * memory[at + NOISE], memory[at + STEP], memory[at + KNOWN]
     first = presumed * select(step > 0.0, step, sqrt(COARSEST * noise))
-    step = select(known > UNKNOWN, step, select(known < UNKNOWN, 0.0, first))
+    step = select(known >= ON_GRID, step, select(known < 0.0, first, 0.0))
     step = maximum(settings[row + FINDS] * step, settings[row + WIDTH])
     says_nothing = both(absolute(change) <= 0.5 * settings[row + WIDTH], step * step >= COARSE * noise)
     return select(says_nothing, step, -1.0)
+
+
+def at_rest(step, nominal, memory, at, settings, row):
+    """Return the largest probability with which a healthy coarse sensor repeats a sample: that in the middle of a step, at rest.
+
+    Noise of half a step or more changes samples at rest, too. It is the noise without the rounding error; the error function is
+    Winitzki's approximation. At the beginning, when noise and step are presumed, it is 1.
+    """
+    square = step * step
+    noise = maximum(nominal * memory[at + NOISE] - square / COARSEST, 1e-6 * square)
+    z = square / (8.0 * noise)
+    part = 0.147 * z
+    inside = sqrt(1.0 - exp(-z * (1.2732395447351628 + part) / (1.0 + part)))
+    learned = repeats_healthy(memory, at, settings, row)
+    return select(both(settings[row + FINDS] > 0.0, memory[at + KNOWN] < 0.0), 1.0, maximum(inside, learned))
 
 
 def as_coarse(logp, normal, e, variance, step):
@@ -164,25 +189,33 @@ def off_grid(longer, shorter):
     return absolute(longer - shorter * floor(longer / shorter + 0.5))
 
 
-def learn_step(change, sound, memory, at, settings, row):
+def learn_step(change, sound, nominal, memory, at, settings, row):
     """Learn the step of a sensor while it is healthy, from the last step and another change: their greatest common measure.
 
     The remainder of 3 and 2 steps is one step. The changes of a sensor with noise have no common measure; then the last change is
-    the next candidate, so that a few changes after a fault the step is known again.
+    the next candidate, so that a few changes after a fault the step is known again. After a single sample beside
+    the grid the measure may be too fine for ever; therefore it is no longer believed if no change was the step itself for long.
     """
     by, step, known = absolute(change), memory[at + STEP], memory[at + KNOWN]
+    noise = nominal * memory[at + NOISE]
+    near = GRID * sqrt(noise)
     longer, shorter = maximum(by, step), maximum(minimum(by, step), 1e-300)
-    left = off_grid(longer, shorter)
-    exact = left <= GRID * shorter
-    measure = select(exact, shorter, left)
-    common = either(exact, off_grid(shorter, maximum(left, 1e-300)) <= GRID * left)
+    times = floor(longer / shorter + 0.5)
+    left = absolute(longer - shorter * times)
+    exact = left <= near
+    measure = select(exact, longer / times, left)
+    common = both(either(exact, off_grid(shorter, maximum(left, 1e-300)) <= near), measure * measure >= FINEST * noise)
     changed = both(sound > 0.5, by > 0.5 * settings[row + WIDTH])
     later = both(changed, step > 0.0)
-    memory[at + KNOWN] = select(later, select(common, ON_GRID, FINE), known)
+    more = select(known < 0.0, select(known + 1.0 < 0.0, known + 1.0, ON_GRID), known + 1.0)
+    more = select(both(known >= ON_GRID, by < 1.5 * measure), ON_GRID, more)
+    measure = select(more >= TOO_FINE, by, measure)
+    more = select(more >= TOO_FINE, ON_GRID, more)
+    memory[at + KNOWN] = select(later, select(common, more, 0.0), known)
     memory[at + STEP] = select(later, select(common, measure, by), select(changed, by, step))
 
 
-def learn_repeats(change, sound, memory, at, settings, row):
+def learn_repeats(change, sound, nominal, memory, at, settings, row):
     """Count the repetitions of a sensor with the weight ``sound``, the probability of present and healthy; learn its step.
 
     Those before its first change are not counted: the sensor may have been frozen from the beginning.
@@ -191,7 +224,7 @@ def learn_repeats(change, sound, memory, at, settings, row):
     counts = select(both(both(equal, settings[row + FINDS] > 0.0), memory[at + STEP] <= 0.0), 0.0, sound)
     memory[at + REPEATS] = memory[at + REPEATS] + select(equal, counts, 0.0)
     memory[at + SAMPLES] = memory[at + SAMPLES] + counts
-    learn_step(change, sound, memory, at, settings, row)
+    learn_step(change, sound, nominal, memory, at, settings, row)
 
 
 def share_of(logp, most):

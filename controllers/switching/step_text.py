@@ -55,8 +55,7 @@ logp{k} = select(present > 0.5, logp{k}, 0.0)\
 """
 
 _REPEATS = """
-logp{k} = select(step > 0.0, as_coarse(logp, sound, e, variance, step), logp{k})
-repeats{k} = select(step > 0.0, 1.0, repeats)\
+logp{k} = select(step > 0.0, as_coarse(logp, sound, e, variance, step), logp{k})\
 """
 
 _LEARN = """
@@ -71,15 +70,16 @@ for i in range(sample.y.shape[0]):
     error = held(sample.e[i], variance)
     repeats = repetition(change, sample.nominal[i, i], memory, at, settings, row)
     step = indifferent(change, sample.nominal[i, i], 1.0, memory, at, settings, row)
+    frozen = select(step > 0.0, 1.0 / at_rest(step, sample.nominal[i, i], memory, at, settings, row), repeats)
     doubt = 0.5 / memory[at + NOISE_SHAPE]
-    logp = logp + weigh(error, {present}, variance, noise, doubt, change, repeats, step, memory, at, settings, row)
+    logp = logp + weigh(error, {present}, variance, noise, doubt, change, frozen, step, memory, at, settings, row)
     logp = logp + log(memory[at + DENSITY] / repeats)
     part = noise / variance
     squared = part * (part * error * error + sample.spread[i, i])
     counts = sample.present[i] * memory[at + HEALTHY]{counts}
-    squared = not_less(squared / sample.nominal[i, i], step, sample.nominal[i, i], memory, at, settings, row)
+    squared = not_less(squared / sample.nominal[i, i], step, sample.nominal[i, i])
     learn_noise(squared, counts, memory, at, settings, row)
-    learn_repeats(change, counts, memory, at, settings, row)
+    learn_repeats(change, counts, sample.nominal[i, i], memory, at, settings, row)
     memory[at + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[at + LAST])
     trust.fault_probability[i] = failed(memory, at, WIDTH, FAULTS)
     use_trust(memory, LENGTH, i, sample, trust)
@@ -153,7 +153,7 @@ def sensor_functions(
                 if k in telling
                 else "",
                 share=f"share_of(logp{k}, most)" if k in telling else "share",
-                times=f" * repeats{k}" if evidence[k] is mode_kernels.freezes else "",
+                times=" * repeats" if evidence[k] is mode_kernels.freezes else "",
                 missing=missing.format("settings[place + MODE_MISSING]"),
             )
             for k in of

@@ -135,7 +135,7 @@ def make_weigh_modes(layout: Layout, weigh_sensor: Callable[..., float]) -> Call
             sample.nominal[i, i] * memory[i * sensor + NOISE],
             0.5 / memory[i * sensor + NOISE_SHAPE],
             sample.y[i] - memory[i * sensor + LAST],
-            memory[repeated + i],
+            memory[repeated + 2 * m + i],
             memory[repeated + m + i],
             memory,
             place,

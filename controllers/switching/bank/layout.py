@@ -80,6 +80,8 @@ class Layout:
         The sensors' modes without samples.
     outages : bool
         Whether a step without any sample may be an outage.
+    repeats : int
+        The sensors' mode of a sample that repeats; -1: none.
     """
 
     n: int
@@ -104,6 +106,7 @@ class Layout:
     width_of_settings: int
     drops: tuple[int, ...] = ()
     outages: bool = False
+    repeats: int = -1
 
     @property
     def fresh(self) -> tuple[bool, ...]:
@@ -320,13 +323,13 @@ class Layout:
 
     @property
     def repeated(self) -> int:
-        """Place of each sensor's density factor of a repeated sample, then of its `indifferent` error."""
+        """Place of each sensor's density factor of a repeated sample, of its `indifferent` error, of a freeze's factor."""
         return self.squares + self.hypotheses * self.m
 
     @property
     def readings(self) -> int:
         """Place of each hypothesis's reading of one sensor: variance without and with noise, error, vectors of `correct`."""
-        return self.repeated + 2 * self.m
+        return self.repeated + 3 * self.m
 
     @property
     def reading(self) -> int:

@@ -23,7 +23,7 @@ from bayesftc.controllers.switching.bank.layout import (
     WORKS,
     Layout,
 )
-from bayesftc.controllers.switching.course import follow, misfit, repeats_share
+from bayesftc.controllers.switching.course import follow, misfit, repeats_share, stuck
 from bayesftc.controllers.switching.mode_kernels import AGE, SIZE, TRUST, WEIGHT, log_density
 from bayesftc.controllers.switching.sensor_kernels import (
     FIRST,
@@ -39,6 +39,7 @@ from bayesftc.controllers.switching.sensor_kernels import (
     TRUSTED,
     WIDTH,
     as_coarse,
+    at_rest,
     held,
     indifferent,
     is_fine,
@@ -90,11 +91,13 @@ def make_weigh(
             memory[repeated + i] = repetition(change, nominal, memory, place, settings, row)
             presumed = 1.0 + 0.0 * nominal
             for j in range(m):
-                if (
-                    quantity[j] == quantity[i]
-                ):  # beside a fine one a sensor that never changes is not presumed to be coarse
-                    presumed = presumed * (1.0 - is_fine(sample.nominal[j, j], memory, j * sensor))
-            memory[repeated + m + i] = indifferent(change, nominal, presumed, memory, place, settings, row)
+                if quantity[j] == quantity[i]:  # beside a fine one like it, a sensor is not presumed to be coarse
+                    like = select(sample.nominal[j, j] == nominal, 1.0, 0.0)
+                    presumed = presumed * (1.0 - like * is_fine(sample.nominal[j, j], memory, j * sensor))
+            coarse = indifferent(change, nominal, presumed, memory, place, settings, row)
+            memory[repeated + m + i] = coarse
+            once = at_rest(coarse, nominal, memory, place, settings, row)
+            memory[repeated + 2 * m + i] = select(coarse > 0.0, 1.0 / once, memory[repeated + i])
         for i in range(m):
             condition(i, sample, C, memory, settings)
             if U > 0:
@@ -176,14 +179,12 @@ def make_learn_sensors(layout: Layout) -> Callable[..., None]:
                         part = part * memory[at + kept + i * sensor + HEALTHY]
                     sound = sound + part
                     squared = squared + part * memory[squares + h * m + i]
-            place, nominal = i * sensor, sample.nominal[i, i]
-            squared = not_less(
-                squared / (sound * nominal), memory[coarse + i], nominal, memory, place, settings, i * row
-            )
+            nominal = sample.nominal[i, i]
+            squared = not_less(squared / (sound * nominal), memory[coarse + i], nominal)
             learn_noise(squared, sample.present[i] * sound, memory, i * sensor, settings, i * row)
             change = sample.y[i] - memory[i * sensor + LAST]
             sound = sample.present[i] * memory[i * sensor + HEALTHY]
-            learn_repeats(change, sound, memory, i * sensor, settings, i * row)
+            learn_repeats(change, sound, nominal, memory, i * sensor, settings, i * row)
             memory[i * sensor + LAST] = select(sample.present[i] > 0.5, sample.y[i], memory[i * sensor + LAST])
 
     return learn_sensors
@@ -262,6 +263,7 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
     the expected squared distance from the goal. In the latter a hypothesis counts as far as the control is effective in it, so
     that a stuck actuator gets no control.
     """
+    repeats, row_length, width_of_settings = layout.repeats, layout.row, layout.width_of_settings
     n, m, p, H, L, judged = layout.n, layout.m, layout.p, layout.hypotheses, layout.actuator_modes, layout.judged
     sensor, modes, width = layout.sensor, layout.modes, layout.width
     none, stride, kept, N = layout.first, layout.length, layout.kept, layout.n + 2
@@ -313,11 +315,17 @@ def make_summarise(layout: Layout) -> Callable[..., None]:
                         age = age + memory[at] * memory[at + OFFSET_AGE]
                         weight = weight + memory[at]
                 for u in range(U):
-                    if lost[u] == k:
-                        at = none + (first_lost + i * U + u) * stride
-                        size = size + memory[at] * misfit(memory, courses + (i * U + u) * course + 1)
-                        age = age + memory[at] * memory[at + OFFSET_AGE]
-                        weight = weight + memory[at]
+                    if lost[u] == k or repeats == k:
+                        at, taken = none + (first_lost + i * U + u) * stride, courses + (i * U + u) * course + 1
+                        part = memory[at]
+                        if repeats >= 0:
+                            place_of = i * row_length + FIRST_SETTINGS + lost[u] * width_of_settings + OWN_SETTINGS
+                            freeze = stuck(memory, taken, settings, place_of)
+                            part = part * freeze if repeats == k else part * (1.0 - freeze)
+                        size = size + part * misfit(memory, taken)
+                        age = age + part * memory[at + OFFSET_AGE]
+                        weight = weight + part
+                weight = maximum(weight, LEAST)
                 memory[block + WEIGHT] = weight
                 memory[block + SIZE] = size / weight
                 memory[block + AGE] = age / weight

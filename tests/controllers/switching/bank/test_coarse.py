@@ -14,8 +14,15 @@ MOVES = {
 }
 
 
-def said(move, *, noise=0.01, stated=COUNT / 12**0.5, resolution=None, fault=None, sensors=2, process=0.02):
-    """Return the fault probabilities (samples x sensors) of encoders of an angle in 16 s; by default any motion is expected."""
+def said(move, **settings):
+    """Return the fault probabilities (samples x sensors) of `watched`."""
+    return np.array([out.fault_probability for out in watched(move, **settings)])
+
+
+def watched(
+    move, *, noise=0.01, stated=COUNT / 12**0.5, count=COUNT, resolution=None, fault=None, sensors=2, process=0.02
+):
+    """Return the outputs of an estimator of encoders of an angle in 16 s; by default any motion is expected."""
     model = controllers.LinearModel(
         [[1.0, DT], [0.0, 1.0]], [[0.0], [0.0]], [[1.0, 0.0]] * sensors, np.diag([1e-12, process]), stated**2, dt=DT
     )
@@ -24,21 +31,21 @@ def said(move, *, noise=0.01, stated=COUNT / 12**0.5, resolution=None, fault=Non
         frozen = controllers.Frozen(resolution=resolution)
         learner = controllers.SwitchingPrecision([frozen, *learner.modes[1:]])
     step = controllers.StateEstimator(model, learner, initial_covariance=np.diag([1.0, 1.0])).online()
-    rng, probabilities = np.random.default_rng(0), []
+    rng, outs = np.random.default_rng(0), []
     truth = MOVES[move](DT * np.arange(1600))
     for k, x in enumerate(truth):
-        y = np.round((x + noise * rng.normal(size=sensors)) / COUNT) * COUNT
+        y = np.round((x + noise * rng.normal(size=sensors)) / count) * count
         if fault is not None:
             fault(k, y)
-        probabilities.append(step(y=y, u=[0.0]).fault_probability)
-    return np.array(probabilities)
+        outs.append(step(y=y, u=[0.0]))
+    return outs
 
 
 @pytest.mark.parametrize("move", list(MOVES))
 @pytest.mark.parametrize("resolution", [None, COUNT])
 @pytest.mark.parametrize(
     ("noise", "stated", "most"),
-    [(0.0, COUNT / 12**0.5, 0.005), (0.01, COUNT / 12**0.5, 0.03), (0.05, 0.06, 0.005), (0.01, COUNT, 0.02)],
+    [(0.0, COUNT / 12**0.5, 0.005), (0.01, COUNT / 12**0.5, 0.005), (0.05, 0.06, 0.005), (0.01, COUNT, 0.06)],
 )
 def test_healthy_coarse_sensors_are_not_blamed(move, resolution, noise, stated, most):
     """Two encoders at rest counted as frozen for all of the time, and with their resolution given as well."""
@@ -102,14 +109,68 @@ def test_a_fine_sensor_that_freezes_in_fast_motion_is_found(sensors):
     assert (found[:, 1:] > 0.5).sum() < 20
 
 
-def test_the_step_of_a_coarse_sensor_is_known_again_after_a_fault():
-    """One sample of 3e-5 beside the grid made it a fine sensor for good."""
+@pytest.mark.parametrize("beside", [3e-5, COUNT / 4, COUNT / 5, COUNT / 10, COUNT / 100])
+def test_the_step_of_a_coarse_sensor_is_known_again_after_a_fault(beside):
+    """One sample beside the grid made it a fine sensor for good."""
 
     def off(k, y):
-        y[0] += 3e-5 * (k == 300)
+        y[0] += beside * (k == 300)
 
     said_of = said("there and back", fault=off, sensors=3)
     assert (said_of[900:] > 0.5).mean() < 0.01
+
+
+@pytest.mark.parametrize(
+    "rounded", [lambda y: np.float32(y), lambda y: np.round(y, 3)], ids=["single precision", "decimals"]
+)
+def test_samples_on_a_grid_may_be_rounded_further(rounded):
+    """An encoder of 1024 counts a turn, in degrees, with three decimals, was blamed for a fifth of the time."""
+    count = 360 / 1024
+
+    def round_again(k, y):
+        y[:] = rounded(y)
+
+    settings = {"noise": 0.1 * count, "stated": count / 12**0.5, "count": count, "process": 0.02 * (10 * count) ** 2}
+    assert (said("there and back", fault=round_again, **settings) > 0.5).mean() < 0.005
+
+
+@pytest.mark.parametrize(("count", "latest"), [(0.1, 20), (0.15, 30), (0.2, 60)])
+def test_noise_of_half_a_step_shows_a_freeze_also_at_rest(count, latest):
+    """A repetition was said to tell nothing of a freeze, and the healthy sensor was blamed instead."""
+    settings = {"noise": 0.1, "stated": (0.01 + count**2 / 12) ** 0.5, "count": count}
+    said_of = said("sine", fault=freeze, **settings)
+    assert (said_of[:900] > 0.5).mean() < 0.005
+    assert (said_of[900 + latest :, 0] > 0.5).all()
+    assert (said_of[900:, 1] > 0.5).mean() < 0.05
+
+
+def test_the_freeze_of_a_coarse_sensor_has_its_name():
+    """It was `Unmodelled`: the hypothesis of a freeze came too late."""
+    model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 4e-4, [6e-5, 6e-5, 4e-4], dt=0.02)
+    step = controllers.StateEstimator(model).online()
+    rng, x, held, last = np.random.default_rng(1), 0.0, 0.0, None
+    for k in range(1000):
+        x += 0.02 * rng.normal()
+        y = np.array([*np.round((x + 0.005 * rng.normal(size=2)) / 0.02) * 0.02, x + 0.02 * rng.normal()])
+        held = y[0] if k < 600 else held
+        y[0] = held
+        last = step(y=y, u=[0.0])
+    assert last.mode_probability[0, 1] > 0.99
+    assert 595 < last.fault_onset[0] / 0.02 < 610
+    assert (last.fault_probability[1:] < 0.1).all()
+
+
+def test_encoders_at_rest_beside_a_fine_sensor_of_another_kind_are_not_blamed():
+    """It had shown that it is fine; so they were no longer presumed to be coarse."""
+    model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0]] * 3, 1e-5, [3.4e-5, 3.4e-5, 1e-4], dt=0.02)
+    blamed = 0
+    for seed in range(20):
+        step = controllers.StateEstimator(model).online()
+        rng = np.random.default_rng(seed)
+        for _ in range(100):
+            out = step(y=[0.0, 0.0, 0.01 * rng.normal()], u=[0.0])
+            blamed += (out.fault_probability[:2] > 0.5).sum()
+    assert blamed == 0
 
 
 def test_a_sensor_that_is_said_never_to_repeat_itself_is_no_coarse_one():
