@@ -77,7 +77,7 @@ def add_experiment(root: ET.Element, model: Model) -> None:
 def add_annotation(parent: ET.Element, model: Model) -> None:
     """Add the vendor annotation ``bayesftc``: timing, names of the exported blocks and signals, a controller's traits."""
     blocks = {"blocks": " ".join(model.blocks)} if model.blocks else {}
-    traits = {"traits": model.traits} if model.traits else {}
+    traits = {"traits": model.traits} if model.traits not in {"", "{}"} else {}
     finite = {} if model.finite else {"finite": "false"}
     element = ET.SubElement(parent, "bayesftc", {"timing": model.timing, **blocks, **traits, **finite})
     for variable in model.variables:

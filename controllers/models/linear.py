@@ -285,7 +285,7 @@ class LinearModel(Printed, NamedArguments):
     def state_names(self) -> tuple[str, ...]:
         """Names of all states: of the plant, else ``x[0]``, ..; of past signals (``u[-1]``); disturbances; ``constant``.
 
-        A disturbance that only sensors read is ``sensor_error[0]``, with the number of the sensor, or of the first of several.
+        A disturbance that only sensors read is ``sensor_error[0]``, with the numbers of these sensors.
         """
         plant = tuple(f"x[{i}]" for i in range(self.plant_states))
         past = () if self.delays is None else self.delays.labels
@@ -297,8 +297,9 @@ class LinearModel(Printed, NamedArguments):
         first, end = self.states - self.disturbances, self.states - self.constant
         names: list[str] = []
         for i in range(first, end):
-            only_read = C[:, i].any() and not np.delete(A[:, i], i).any()
-            name = f"sensor_error[{np.flatnonzero(C[:, i])[0]}]" if only_read else f"disturbance[{i - first}]"
+            readers = ",".join(map(str, np.flatnonzero(C[:, i])))
+            only_read = readers and not np.delete(A[:, i], i).any()
+            name = f"sensor_error[{readers}]" if only_read else f"disturbance[{sum('dist' in each for each in names)}]"
             same = sum(each.startswith(name) for each in names)  # a sensor may have several errors
             names.append(f"{name}_{same + 1}" if same else name)
         return names

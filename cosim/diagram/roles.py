@@ -110,16 +110,8 @@ class ControlRole:
     dt: float | None = None
 
 
-TRAITS = (
-    "fault_kinds",
-    "fault_sizes",
-    "actuator_kinds",
-    "actuator_sizes",
-    "corrected_kinds",
-    "lag",
-    "measurement_matrix",
-    "goal_matrix",
-)
+KINDS = ("fault_kinds", "fault_sizes", "actuator_kinds", "actuator_sizes", "corrected_kinds")
+MATRICES = ("measurement_matrix", "goal_matrix")
 """What a controller may say beside its ports: attributes of `LoopRoles`, and the matrices from ``x_hat`` to sensors and goal."""
 
 
@@ -205,16 +197,32 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     readings = f"{sensor_node.name}.{read.name}"
     controls = _controls(diagram, controller)
     told = traits(controller.block)
-    kinds = {name: tuple(told.get(name, ())) for name in TRAITS if name.endswith(("kinds", "sizes"))}
-    lag = told.get("lag", "")
+    kinds, lag = {name: told.get(name, ()) for name in KINDS}, told.get("lag", "")
     return LoopRoles(controller.name, sensors, quantities, inputs, controls, **kinds, readings=readings, lag=lag)
 
 
 def traits(block: Block) -> dict[str, Any]:
-    """Return what a controller says about itself beside its ports, by the names of `TRAITS`; an exported one in its FMU."""
-    told = getattr(block, "traits", {})
-    found = {name: getattr(block, name, told.get(name)) for name in TRAITS}
-    return {name: value for name, value in found.items() if value is not None}
+    """Return what a controller says about itself beside its ports; an exported one says it in its FMU.
+
+    These are the `KINDS`, ``lag`` and the `MATRICES`. What has another form, in a block or a file of somebody else, is left out.
+    """
+    told = getattr(block, "traits", None)
+    told = told if isinstance(told, Mapping) else {}
+    given = {name: getattr(block, name, told.get(name)) for name in (*KINDS, "lag", *MATRICES)}
+    found: dict[str, Any] = {"lag": given["lag"]} if isinstance(given["lag"], str) else {}
+    for name in KINDS:
+        of = given[name]
+        if isinstance(of, list | tuple) and all(isinstance(each, str) for each in of):
+            found[name] = tuple(of)
+    sizes = {port.name: port.size for port in (*block.inputs, *block.outputs)}
+    for name, rows in zip(MATRICES, ("y", "goal"), strict=True):
+        try:
+            matrix = np.array(given[name], dtype=np.float64)  # None, as JSON has no NaN, becomes NaN
+        except (TypeError, ValueError):
+            continue
+        if matrix.ndim == 2 and matrix.shape == (sizes.get(rows), sizes.get("x_hat", matrix.shape[1])):
+            found[name] = matrix
+    return found
 
 
 def known_roles(diagram: Diagram) -> LoopRoles | None:
@@ -308,7 +316,7 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     C: Floats | None
     G: Floats | None
     told = traits(controller.block)
-    C, G = (np.array(told[name]) if name in told else None for name in ("measurement_matrix", "goal_matrix"))
+    C, G = (told.get(name) for name in MATRICES)
     estimates = any(port.name == "x_hat" for port in controller.outputs)
     groups: dict[tuple[float, ...], list[int]] = {}
     for i, row in enumerate(rows):

@@ -144,9 +144,14 @@ def with_peaks(values: Floats) -> NDArray[np.intp]:
 
 
 def thin_marks(time: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return at most as many points as a print shows, one of each few: markers of extremes alone would look like more noise."""
-    stride = -(-len(time) // MOST_POINTS)
-    return time[::stride], values[::stride]
+    """Return about as many points as a print shows: one of each few, and outliers; extremes alone would look like more noise."""
+    if len(time) <= MOST_POINTS or not np.isfinite(values).any():
+        return time[:MOST_POINTS], values[:MOST_POINTS]
+    low, high = np.nanquantile(values, [0.02, 0.98])
+    beyond = np.flatnonzero(np.abs(values - 0.5 * (low + high)) > 2.0 * (high - low))
+    few = np.arange(0, len(time), -(-len(time) // MOST_POINTS))
+    kept = np.union1d(few, beyond[:: 1 + len(beyond) // MOST_POINTS])
+    return time[kept], values[kept]
 
 
 def name_spans(axis: Axes, time: Floats, spans: Sequence[Span], note: str) -> None:

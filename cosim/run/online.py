@@ -204,15 +204,21 @@ class Online:
         Raises
         ------
         ModelError
-            If it is the state of a block of another size.
+            If it is no state of such a block with these settings.
         """
-        kept = np.asarray(state, dtype=np.float64)
-        if kept.shape != (self._memory.size + 1,):
+        try:
+            kept = np.asarray(state, dtype=np.float64)
+        except (TypeError, ValueError):
+            kept = np.zeros(0)
+        count, fixed = kept[-1] if kept.ndim == 1 and kept.size else -1.0, self._fixed
+        if kept.shape != (self._memory.size + 1,) or not (count >= 0 and count == int(count)):
+            raise ModelError(f"{self._title}: this is no state of such a block; give what save_state() returned.")
+        if not np.array_equal(kept[fixed], self._memory[fixed], equal_nan=True):
             raise ModelError(
-                f"{self._title}: this state has the shape {kept.shape}; that of this block has {(self._memory.size + 1,)}. "
-                "Restore a state of a block with the same settings, saved by the same version."
+                f"{self._title}: this state belongs to a block with other settings. Restore it in one with the same settings, or "
+                "begin anew."
             )
-        self._memory[:], self._k = kept[:-1], int(kept[-1])
+        self._memory[:], self._k = kept[:-1], int(count)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle the block and its state; the copy has step functions of its own."""
@@ -232,6 +238,11 @@ class Online:
     def outputs(self) -> dict[str, Port]:
         """The ports of the outputs, by name."""
         return {name: port for name, (port, _) in self._outputs.items()}
+
+    @property
+    def _fixed(self) -> Any:
+        """The numbers of those elements of the memory that are settings."""
+        return np.arange(self._slots.start["parameters"], self._slots.start["inputs"])
 
     @cached_property
     def _places(self) -> tuple[Any, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -64,6 +64,12 @@ class OnlineSubsystem(Online):
             for port in block.outputs
         }
         self._k = 0
+        self._of_nodes = tuple(schedule.slots)
+
+    @property
+    def _fixed(self) -> Any:
+        spans = [np.arange(slots.start["parameters"], slots.start["inputs"]) for slots in self._of_nodes]
+        return np.concatenate([np.arange(0), *spans])
 
     def _call(self, schedule: Schedule, call: Call, compiled: bool) -> Step:
         """Return one call of the schedule: it copies inputs, then runs the step function, in the steps in which it is due."""

@@ -307,7 +307,7 @@ def _traits(annotations: Sequence[Any]) -> Mapping[str, Any]:
     for annotation in annotations:
         try:
             found = json.loads(annotation.get("traits", "{}"))
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
         if isinstance(found, dict) and found:
             return found

@@ -126,19 +126,20 @@ def alarm_table(contents: Contents, found: Found) -> Table | None:
     columns = ["sensor", "faults", "missed", "median delay (s)", "blamed while healthy"]
     columns += ["seen as missing samples"] * unseen
     columns = [contents.compared, *columns] if contents.compared is not None else columns
-    return Table("Alarms", columns, rows[:ROWS], NOTE)
+    cut = f" The first {ROWS} of {len(rows)} rows are shown." if len(rows) > ROWS else ""
+    return Table("Alarms", columns, rows[:ROWS], NOTE + cut)
 
 
 def _alarms(score: list[Floats], truth: list[Any], step: float) -> list[str]:
     """Return faults, the share of missed ones, the median delay, and the share of fault-free time with an alarm."""
     from bayesftc.cosim.statistics import delay_curve
 
-    valid = np.isfinite(np.concatenate(score))
-    if (np.concatenate(truth) | ~valid).all():
-        return ["–"] * 4  # no fault-free sample with a score
+    valid = [np.isfinite(each) for each in score]
+    if all((faulty | ~seen).all() for faulty, seen in zip(truth, valid, strict=True)):
+        return ["–"] * 4  # no fault-free sample with a score, by which alarms could be judged
     at = delay_curve(score, truth, step=step, thresholds=[ALARM]).iloc[0]
     faults, delay = int(at["faults"]), float(at["median_delay"])
-    found = [f"{at['missed_share']:.1%}", "–" if delay != delay else f"{delay:.3g}"] if faults else ["–", "–"]
+    found = [f"{at['missed_share']:.1%}", "most missed" if delay != delay else f"{delay:.3g}"] if faults else ["–", "–"]
     return [str(faults), *found, f"{at['false_share']:.2%}"]
 
 

@@ -1,6 +1,7 @@
 """An exported controller in place of the controller: in a closed loop, a scenario file, and a diagram by hand."""
 
 import dataclasses
+import re
 import zipfile
 
 import numpy as np
@@ -130,16 +131,61 @@ def test_a_loop_with_the_fmu_has_the_same_findings_and_summary(tmp_path, c_compi
     assert described["mode_probability[1,3]"].endswith("(Drifting)")
 
 
-def test_an_fmu_without_its_estimate_or_with_damaged_traits_still_runs(tmp_path, c_compiler):
-    controller = controllers.BayesianController(MODEL, initial_mean=20.0)
-    path = cosim.export_fmu(
-        loop(controller), tmp_path / "less.fmu", blocks="controller", outputs=["u", "fault_probability"]
-    )
-    assert "tracking of v" in str(loop(cosim.FMU(path)).simulate(2.0, seed=1).summary())
-    damaged = tmp_path / "damaged.fmu"
-    with zipfile.ZipFile(path) as old, zipfile.ZipFile(damaged, "w") as new:
+DAMAGED = [
+    "{{",
+    '{"fault_kinds": 5, "lag": 0.1}',
+    '{"fault_kinds": [1, 2], "fault_sizes": "unit"}',
+    '{"measurement_matrix": 7, "goal_matrix": "abc"}',
+    '{"measurement_matrix": [[1.0], [1.0, 2.0]], "goal_matrix": [[1.0, 2.0]]}',
+    "[" * 100_000,
+]
+
+
+@pytest.fixture(scope="module")
+def without_estimate(tmp_path_factory, c_compiler):
+    block = controllers.BayesianController(MODEL, initial_mean=20.0)
+    path = tmp_path_factory.mktemp("less") / "less.fmu"
+    return cosim.export_fmu(loop(block), path, blocks="controller", outputs=["u", "fault_probability", "fault_kind"])
+
+
+def test_an_fmu_without_its_estimate_still_runs(without_estimate):
+    traits = cosim.FMU(without_estimate).description.traits
+    assert traits["fault_kinds"][0] == "Frozen"
+    assert traits["measurement_matrix"] == [[1.0], [1.0]]
+    assert "tracking of v" in str(loop(cosim.FMU(without_estimate)).simulate(2.0, seed=1).summary())
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("damaged", DAMAGED, ids=range(len(DAMAGED)))
+def test_traits_of_another_form_are_left_out(tmp_path, without_estimate, damaged):
+    """A file is of somebody else: it was a TypeError of the figures."""
+    path = tmp_path / "damaged.fmu"
+    with zipfile.ZipFile(without_estimate) as old, zipfile.ZipFile(path, "w") as new:
         for name in old.namelist():
-            new.writestr(name, old.read(name).replace(b'traits="{', b'traits="{{'))
-    assert dict(cosim.FMU(path).description.traits)["fault_kinds"][0] == "Frozen"
-    assert dict(cosim.FMU(damaged).description.traits) == {}
-    assert "tracking of v" in str(loop(cosim.FMU(damaged)).simulate(2.0, seed=1).summary())
+            text = damaged.replace('"', "&quot;").encode()
+            new.writestr(name, re.sub(rb'traits="[^"]*"', b'traits="' + text + b'"', old.read(name)))
+    result = loop(cosim.FMU(path)).simulate(4.0, seed=1)
+    assert "tracking of v" in str(result.summary())
+    assert set(result.findings()["kind"]) <= {"kind 3", "kind 2", "kind 4"}
+    result.plot()
+
+
+def peak(u, y, gain):
+    y[0] = gain[0] * u[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class Lagged(cosim.Block):
+    """A block whose settings have the names of traits, but are none."""
+
+    lag: float = 0.1
+    traits: tuple[str, ...] = ("a",)
+    inputs = (cosim.Port("u"),)
+    outputs = (cosim.Port("y"),)
+
+    def define(self, step):
+        return cosim.Definition(peak, parameters={"gain": self.lag})
+
+
+def test_other_blocks_have_no_traits(tmp_path, c_compiler):
+    assert dict(cosim.FMU(cosim.export_fmu(Lagged(), tmp_path / "lagged.fmu", dt=0.1)).description.traits) == {}

@@ -64,3 +64,16 @@ def test_marks_of_a_long_run_have_the_spread_of_the_samples():
     at, shown = thin_marks(np.arange(100_000.0), values)
     assert len(at) <= 20_000
     assert np.std(shown) == pytest.approx(1.0, abs=0.03)
+
+
+def test_outliers_among_markers_remain_and_no_marker_is_no_error():
+    """Of 50 spikes 7 were drawn; a sensor without any sample was an error."""
+    values = np.random.default_rng(0).standard_normal(100_000)
+    spikes = np.arange(1001, 100_000, 2000)
+    values[spikes] = 60.0
+    at, shown = thin_marks(np.arange(100_000.0), values)
+    assert set(spikes) <= set(at)
+    assert len(at) <= 20_050
+    assert (shown == values[at.astype(int)]).all()
+    for empty in (np.zeros(0), np.full(100_000, np.nan)):
+        assert len(thin_marks(np.arange(float(len(empty))), empty)[0]) == min(len(empty), 20_000)

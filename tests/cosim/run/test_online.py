@@ -207,11 +207,38 @@ def test_a_controller_and_a_subsystem_go_on_from_a_saved_state(same_bits):
             same_bits(repeated[name], value)
 
 
+def changed(step, place, value):
+    state = step.save_state()
+    state[place] = value
+    return state
+
+
 def test_a_state_of_another_block_is_refused(step):
-    with pytest.raises(
-        cosim.ModelError, match=r"Integrator: this state has the shape .* Restore a state of a block with"
-    ):
-        cosim.Integrator().online(dt=0.1, compiled=False).restore(step.save_state())
+    """With other settings the old ones would be restored, silently."""
+    integral = cosim.Integrator().online(dt=0.1, compiled=False)
+    wrong = [step.save_state(), changed(integral, -1, np.nan), changed(integral, -1, -3.5), changed(integral, -1, 0.5)]
+    for state in (*wrong, "abc", {}, None, 3.0):
+        with pytest.raises(
+            cosim.ModelError, match="Integrator: this is no state of such a block; give what save_state"
+        ):
+            integral.restore(state)
+    with pytest.raises(cosim.ModelError, match="Integrator: this state belongs to a block with other settings"):
+        integral.restore(cosim.Integrator().online(dt=0.5, compiled=False).save_state())
+    gains = [controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 0.001, noise, dt=0.1) for noise in (0.04, 4.0)]
+    one, other = (controllers.StateEstimator(model).online(compiled=False) for model in gains)
+    with pytest.raises(cosim.ModelError, match="StateEstimator: this state belongs to a block with other settings"):
+        one.restore(other.save_state())
+    assert integral(u=1.0).y == 0.0
+
+
+def test_a_subsystems_state_of_other_settings_is_refused():
+    def made(factor):
+        inside = cosim.Diagram(dt=0.1)
+        gain = inside.add(cosim.Gain(factor), "gain")
+        return cosim.Subsystem(inside, inputs={"e": ["gain.u"]}, outputs={"u": gain["y"]}).online(compiled=False)
+
+    with pytest.raises(cosim.ModelError, match="Subsystem: this state belongs to a block with other settings"):
+        made(2.0).restore(made(5.0).save_state())
 
 
 def test_the_quick_form_is_a_call_with_flat_vectors():
