@@ -150,11 +150,10 @@ class Frozen(FaultMode):
         Standard deviation of the dither, in units of the sensor's noise.
     resolution : float or sequence of float
         Resolution of the sensors in their unit, for all or for each. A healthy sensor of coarse resolution also repeats itself.
-        With 0 it is learned, from the smallest changes of a sensor whose changes are as large as its noise.
+        With 0 it is learned, as the greatest common measure of the sensor's changes.
     healthy_repeats : float or sequence of float
         Expected share of the samples that a healthy sensor repeats exactly, for all sensors or for each. It is learned while the
-        sensor is healthy; the expected share counts as ten samples. If a resolution is given, at most this share is learned,
-        because the resolution explains the rest. With 0 nothing is learned.
+        sensor is healthy; the expected share counts as ten samples. With 0 nothing is learned.
 
     Examples
     --------

@@ -707,3 +707,21 @@ def test_sensors_without_a_gain_error_get_no_gain(seed, sensors):
     fitted, text = fitted_file(*flows(seed, sensors, 1.0))
     assert all(sensor.gain == 1.0 for sensor in fitted.sensors.values())
     assert "gain" not in text
+
+
+@pytest.mark.parametrize("count", [0.2, 0.5])
+@pytest.mark.parametrize("fault", ["none", "drift", "offset"])
+def test_rounding_errors_last_until_the_quantity_has_moved_by_a_step(count, fault):
+    """Healthy thermometers with coarse steps had an alarm every few minutes."""
+    rng, n = np.random.default_rng(0), 8000
+    level = 20.0 + np.cumsum(0.016 * rng.standard_normal(n))
+    y = level[:, None] + [0.05, 0.08, 0.12] * rng.standard_normal((n, 3))
+    y[5000:, 1] += {"none": 0.0, "drift": 0.002 * np.arange(n - 5000), "offset": 2.0}[fault]
+    y = np.round(y / count) * count
+    signals = {name: Signal(np.arange(float(n)), y[:, i]) for i, name in enumerate("abc")}
+    monitor, corrected = Monitor.fit(recorded(signals))
+    events = monitor.run(corrected).events
+    assert {event.sensor for event in events} == (set() if fault == "none" else {"b"})
+    assert all(event.start >= 5000 for event in events)
+    rounding = [error for error in monitor.errors if error.sensors == ["a"]]
+    assert rounding[0].std == pytest.approx(count / 12**0.5)

@@ -274,6 +274,7 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
         std = float(max(single[i].white, widths[i] ** 2 / 12)) ** 0.5
         sensors[name] = FittedSensor(std, float(bias[i]), *_samples(recording, i, stretch, y[:, i]))
         lasting = [*single[i].lasting, *([(slow[i], times[i])] if i in counted else [])]
+        lasting += _rounding(recording.resolution[i], single[i].white, plant, rate, dt, len(whole))
         errors += [
             SensorErrors(float(variance) ** 0.5, constant * dt, [name]) for variance, constant in lasting if variance
         ]
@@ -291,6 +292,20 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
     return FittedModel(
         plant, sensors, tuple(errors), motion.seen, middle, spread, rate, changes=by_name, outside=elsewhere
     )
+
+
+def _rounding(
+    resolution: float, white: float, plant: RandomWalk | ConstantRate, rate: float, dt: float, steps: int
+) -> list[tuple[float, float]]:
+    """Return variance and time constant in steps of a rounding error, which lasts until the quantity has moved by a step.
+
+    Noise of more than half a step makes it white.
+    """
+    if not resolution or white >= (0.25 + 1 / 12) * resolution**2:
+        return []
+    seconds = (resolution / plant.std) ** 2 if isinstance(plant, RandomWalk) else resolution / rate
+    lasts = min(seconds / dt, float(steps))
+    return [(resolution**2 / 12, lasts)] if lasts > FIT.lasting else []
 
 
 def _half(apart: Floats) -> float:

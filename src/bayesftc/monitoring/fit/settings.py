@@ -33,6 +33,8 @@ class FitSettings:
     collide: float = chosen(
         0.1, "share of samples that may belong to the step of a later one: jittering times need short steps"
     )
+    # Rounding errors.
+    lasting: float = chosen(3.0, "steps from which on a rounding error is a lasting one: a shorter one is nearly white")
     # Codes of missing samples.
     code: float = chosen(0.02, "least share of a sensor's samples that have the value of a code")
     code_times: int = chosen(
