@@ -280,7 +280,10 @@ def _of_linear(
     at: Mapping[str, float | Sequence[float]],
 ) -> Linearization:
     if at:
-        raise ModelError("A linear system does not depend on the operating point; leave at= out.")
+        raise ModelError(
+            "A linear system does not depend on the operating point; leave at= out. If an input has a constant value that the "
+            "controller is to learn, such as a load, give disturbance= with a large initial_spread=."
+        )
     a, b, c, d = system.matrices()
     columns, into = chosen(inputs, system.input_names, "input")
     rows, out = chosen(outputs, system.output_names, "output")

@@ -381,7 +381,8 @@ def _another(unlike: Sequence[str], stored: Plan, given: Plan) -> str:
             f"seeds={before} to go on."
         )
     more = f" (and {len(unlike) - 3} more)" if len(unlike) > 3 else ""
-    return f"is another one: {'; '.join(unlike[:3])}{more}. Choose another folder, or use the settings of the stored campaign."
+    advice = "Choose another folder, or use the settings of the stored campaign. To read its results, open runs.parquet there."
+    return f"is another one: {'; '.join(unlike[:3])}{more}. {advice}"
 
 
 def _overlap(a: Piece, b: Piece) -> range:

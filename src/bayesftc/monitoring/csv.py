@@ -180,6 +180,8 @@ class Tables:
             remedy = f"Write dates in the form of ISO 8601, such as {iso_of(date)}."
         else:
             remedy = f"Write times as seconds, such as {form}, or as dates, such as 2026-05-01T10:00:12.5."
+        if wrong.tolist() == [0]:
+            remedy += f" If line {line} has units or other texts below the names, remove that line."
         raise RecordingError(
             f"{fspath(file)}: {str(cells.iloc[wrong[0]])!r} in line {line}, column {name!r}, is no number. {remedy}"
         )
