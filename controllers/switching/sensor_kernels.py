@@ -69,7 +69,7 @@ GRID = 0.05
 """Largest distance of a change from a whole multiple of the step, in standard deviations of the noise, on a grid. Its samples may
 be rounded further, to some decimals or to single precision."""
 
-UNKNOWN, ON_GRID, TOO_FINE = -2.0, 3.0, 12.0
+UNKNOWN, ON_GRID, TOO_FINE = -5.0, 6.0, 15.0
 """What the changes of a sensor tell at the beginning, if they were multiples of a step often enough, and if they were so for long
 but never the step itself, so that it is too fine."""
 
