@@ -124,18 +124,18 @@ def repeats_healthy(memory, at, settings, row):
     return (memory[at + REPEATS] + settings[row + REPEATS0]) / (memory[at + SAMPLES] + settings[row + SAMPLES0])
 
 
-def repetition(change, nominal, memory, at, settings, row):
+def repetition(change, nominal, presumed, memory, at, settings, row):
     """Return the factor of a repeated sample's density relative to that by the sensor's resolution; 1 for other samples.
 
     The probability of a repetition is its share while the sensor was healthy. The width over which that share has the typical
-    density of the noise, or the step of the sensor's grid, replaces the resolution, if it is larger. The log density of the
+    density of the noise, or the step of the sensor's grid (as known or `indifferent` presumes), replaces the resolution, if it is
+    larger. The log density of the
     samples is divided by the factor again: that is always by the resolution, so that the densities of two learners, or of two
     moments, can be compared.
     """
     share = minimum(repeats_healthy(memory, at, settings, row), settings[row + MOST_REPEATS])
-    grid = select(
-        either(memory[at + KNOWN] < 0.0, memory[at + KNOWN] >= ON_GRID), settings[row + FINDS] * memory[at + STEP], 0.0
-    )
+    known = memory[at + KNOWN]
+    grid = select(known < 0.0, presumed, select(known >= ON_GRID, 1.0, 0.0)) * settings[row + FINDS] * memory[at + STEP]
     width = maximum(maximum(share * sqrt(TYPICAL * nominal * memory[at + NOISE]), grid), settings[row + WIDTH])
     return select(absolute(change) <= 0.5 * settings[row + WIDTH], settings[row + WIDTH] / width, 1.0)
 

@@ -68,7 +68,7 @@ for i in range(sample.y.shape[0]):
     pass_time(memory, at, settings, row)
     change = sample.y[i] - memory[at + LAST]
     error = held(sample.e[i], variance)
-    repeats = repetition(change, sample.nominal[i, i], memory, at, settings, row)
+    repeats = repetition(change, sample.nominal[i, i], 1.0, memory, at, settings, row)
     step = indifferent(change, sample.nominal[i, i], 1.0, memory, at, settings, row)
     frozen = select(step > 0.0, 1.0 / at_rest(step, sample.nominal[i, i], memory, at, settings, row), repeats)
     doubt = 0.5 / memory[at + NOISE_SHAPE]

@@ -88,12 +88,12 @@ def make_weigh(
         for i in range(m):
             place, change = i * sensor, sample.y[i] - memory[i * sensor + LAST]
             row, nominal = i * row_length, sample.nominal[i, i]
-            memory[repeated + i] = repetition(change, nominal, memory, place, settings, row)
             presumed = 1.0 + 0.0 * nominal
             for j in range(m):
                 if quantity[j] == quantity[i]:  # beside a fine one like it, a sensor is not presumed to be coarse
                     like = select(sample.nominal[j, j] == nominal, 1.0, 0.0)
                     presumed = presumed * (1.0 - like * is_fine(sample.nominal[j, j], memory, j * sensor))
+            memory[repeated + i] = repetition(change, nominal, presumed, memory, place, settings, row)
             coarse = indifferent(change, nominal, presumed, memory, place, settings, row)
             memory[repeated + m + i] = coarse
             once = at_rest(coarse, nominal, memory, place, settings, row)
