@@ -128,10 +128,9 @@ def repetition(change, nominal, presumed, memory, at, settings, row):
     """Return the factor of a repeated sample's density relative to that by the sensor's resolution; 1 for other samples.
 
     The probability of a repetition is its share while the sensor was healthy. The width over which that share has the typical
-    density of the noise, or the step of the sensor's grid (as known or `indifferent` presumes), replaces the resolution, if it is
-    larger. The log density of the
-    samples is divided by the factor again: that is always by the resolution, so that the densities of two learners, or of two
-    moments, can be compared.
+    density of the noise, or the step of the sensor's grid (at the beginning as `indifferent` presumes), replaces the resolution,
+    if it is larger. The log density of the samples is divided by the factor again: that is always by the resolution, so that the
+    densities of two learners, or of two moments, can be compared.
     """
     share = minimum(repeats_healthy(memory, at, settings, row), settings[row + MOST_REPEATS])
     known = memory[at + KNOWN]
