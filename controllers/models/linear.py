@@ -299,7 +299,11 @@ class LinearModel(Printed, NamedArguments):
         for i in range(first, end):
             readers = ",".join(map(str, np.flatnonzero(C[:, i])))
             only_read = readers and not np.delete(A[:, i], i).any()
-            name = f"sensor_error[{readers}]" if only_read else f"disturbance[{sum('dist' in each for each in names)}]"
+            name = (
+                f"sensor_error[{readers}]"
+                if only_read
+                else f"disturbance[{sum(n.startswith('disturbance') for n in names)}]"
+            )
             same = sum(each.startswith(name) for each in names)  # a sensor may have several errors
             names.append(f"{name}_{same + 1}" if same else name)
         return names

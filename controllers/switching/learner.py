@@ -355,13 +355,10 @@ class SwitchingPrecision(PrecisionLearner):
             memory += [0.0, 0.0, *([0.0, 0.0] if outages else [])]
             return Learner(learn, np.array(memory), np.array([*settings, step]), 1, tuple(ports), report)
         if layout.actuator_modes:
-            acting = tuple(type(mode).__name__ for mode in self.actuator_modes)
-            numbers = {"kind": acting}
-            ports.append(
-                port("actuator_mode_probability", (layout.p, 1 + len(acting)), elements=["healthy", *acting] * layout.p)
-            )
-            for name in ("probability", "kind", "size"):
-                ports.append(port(f"actuator_fault_{name}", (layout.p,), numbered=numbers.get(name, ())))
+            kinds, p = tuple(type(mode).__name__ for mode in self.actuator_modes), layout.p
+            ports.append(port("actuator_mode_probability", (p, 1 + len(kinds)), elements=["healthy", *kinds] * p))
+            ports.append(port("actuator_fault_probability", (p,)))
+            ports += [port("actuator_fault_kind", (p,), numbered=kinds), port("actuator_fault_size", (p,))]
         if layout.process_modes:
             ports.append(port("process_mode_probability", (2 + layout.process_modes,)))
         kept = np.array([*memory, 0.0, 0.0, *layout.start(np.asarray(memory))])

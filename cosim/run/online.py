@@ -211,7 +211,7 @@ class Online:
         except (TypeError, ValueError):
             kept = np.zeros(0)
         count, fixed = kept[-1] if kept.ndim == 1 and kept.size else -1.0, self._fixed
-        if kept.shape != (self._memory.size + 1,) or not (count >= 0 and count == int(count)):
+        if kept.shape != (self._memory.size + 1,) or not (count >= 0 and float(count).is_integer()):
             raise ModelError(f"{self._title}: this is no state of such a block; give what save_state() returned.")
         if not np.array_equal(kept[fixed], self._memory[fixed], equal_nan=True):
             raise ModelError(

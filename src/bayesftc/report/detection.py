@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from bayesftc.report.contents import Contents
 
 NOTE = (
-    "In brackets: the faults of the sensor. Median delay: of all faults, a missed one counts as later than all others."
+    f"Alarms: a fault probability of {ALARM:g} or more. In brackets: the faults of the sensor. Median delay: of all faults, a "
+    "missed one counts as later than all others. –: nothing to count."
 )
 LINE = 0.18
 """Height of a line of the legend in inches."""

@@ -403,6 +403,7 @@ def test_faults_that_are_seen_as_missing_samples_are_counted_apart(stored):
     assert ["gamma", "all", "6", "0.0%", "0", "0.00%", "6"] in table.rows
     assert [row[-1] for row in table.rows if row[0] == "gamma"] == ["6", "0", "6"]
     assert table.columns[-1] == "seen as missing samples"
+    assert table.note.startswith("Alarms: a fault probability of 0.5 or more.")
     assert "it is neither detected nor missed, as in the table of runs." in caption
 
 

@@ -216,7 +216,13 @@ def changed(step, place, value):
 def test_a_state_of_another_block_is_refused(step):
     """With other settings the old ones would be restored, silently."""
     integral = cosim.Integrator().online(dt=0.1, compiled=False)
-    wrong = [step.save_state(), changed(integral, -1, np.nan), changed(integral, -1, -3.5), changed(integral, -1, 0.5)]
+    wrong = [
+        step.save_state(),
+        changed(integral, -1, np.nan),
+        changed(integral, -1, -3.5),
+        changed(integral, -1, np.inf),
+        changed(integral, -1, 0.5),
+    ]
     for state in (*wrong, "abc", {}, None, 3.0):
         with pytest.raises(
             cosim.ModelError, match="Integrator: this is no state of such a block; give what save_state"

@@ -45,10 +45,12 @@ def watched(
 @pytest.mark.parametrize("resolution", [None, COUNT])
 @pytest.mark.parametrize(
     ("noise", "stated", "most"),
-    [(0.0, COUNT / 12**0.5, 0.005), (0.01, COUNT / 12**0.5, 0.005), (0.05, 0.06, 0.005), (0.01, COUNT, 0.06)],
+    [(0.0, COUNT / 12**0.5, 0.005), (0.01, COUNT / 12**0.5, 0.005), (0.05, 0.06, 0.005), (0.01, COUNT, 0.02)],
 )
 def test_healthy_coarse_sensors_are_not_blamed(move, resolution, noise, stated, most):
     """Two encoders at rest counted as frozen for all of the time, and with their resolution given as well."""
+    if (move, resolution, stated) == ("slow", None, COUNT):
+        most = 0.06  # of all these cases the one of the page: noise stated as a whole step, whose size is not known
     assert (said(move, noise=noise, stated=stated, resolution=resolution) > 0.5).mean() < most
 
 
