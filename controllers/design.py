@@ -39,6 +39,9 @@ from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
 
+LOAD_STEP = 0.01
+"""How far the load of ``disturbance=True`` moves in a sample: this share of each control's scale (a standard deviation)."""
+
 
 @with_named_arguments
 def design(
@@ -53,7 +56,7 @@ def design(
     sensors: int | Sequence[int] | None = None,
     sensor_std: float | Sequence[float] = 0.01,
     noise: Mapping[str, float | Sequence[float]] | None = None,
-    disturbance: Matrix | None = None,
+    disturbance: Matrix | bool | None = None,
     acceptable_error: float | Sequence[float] = 0.1,
     acceptable_control: float | Sequence[float] | None = None,
     goal_covariance: Matrix | None = None,
@@ -106,10 +109,13 @@ def design(
         that lasts, as a gust, is a state of the plant that such noise drives. By default each control has noise of 5 % of half
         the range between its limits, or of `acceptable_control`. State it if you know better: if the plant moves far less at
         random, equal sensors seem unequal. `describe()` prints it.
-    disturbance : number, vector or matrix, optional
+    disturbance : bool, number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
-        model would leave. If further outputs are measured, and the load acts elsewhere than the control, an error remains: make
-        such a load a state of the plant, and give its `noise`.
+        model would leave, and healthy sensors are blamed far less for it. True: the load moves in each sample by 1 % of
+        `acceptable_control`, or else of half the range of the limits (a standard deviation). With three or more sensors of a
+        quantity this costs hardly anything; of two it is then less certain which one drifts. If further outputs are measured,
+        and the load acts elsewhere than the control, an error remains: make such a load a state of the plant, and give its
+        `noise`.
 
         `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`. A `LinearModel`
         contains all but the last: leave them out with one. Only the default of `noise` differs.
@@ -190,8 +196,9 @@ def design(
         model, H = plant, _goal_rows(plant, goal)
         at_rest = plant.operating_state
         mean = np.zeros(plant.states - plant.disturbances) if at_rest is None else np.asarray(at_rest, float)
-        if disturbance is not None and disturbance is not False:
-            model = plant.with_disturbance(disturbance)
+        load = _load(disturbance, acceptable_control, _half_range(u_min, u_max, plant.controls))
+        if load is not None:
+            model = plant.with_disturbance(load)
             H = np.insert(H, [len(mean)] * (model.states - plant.states), 0.0, axis=1)
     else:
         check_plant(plant)
@@ -203,7 +210,7 @@ def design(
         # Here and not below, because the linearisation may take seconds.
         into, out = _ports(plant, driven, list(dict.fromkeys([*sensed, *goals])), dt, at)
         p, g = len(places_of(driven, into, "input")), len(places_of(goals, out, "output"))
-        _half_range(u_min, u_max, p)
+        load = _load(disturbance, acceptable_control, _half_range(u_min, u_max, p))
         _squares("acceptable_error", acceptable_error, g)
         _squares("acceptable_control", 1.0 if acceptable_control is None else acceptable_control, p)
         as_number("initial_spread", initial_spread, least=0)
@@ -225,9 +232,7 @@ def design(
             steady_size = np.maximum(np.abs(linear.u[columns]), 1.0)
             usual = INPUT_NOISE * np.where(np.isnan(scale), steady_size, scale)
             noise = {linear.inputs[j]: float(std) for j, std in zip(columns, usual, strict=True)}
-        model = linear.model(
-            sensed, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=disturbance
-        )
+        model = linear.model(sensed, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=load)
         rows, mean = linear.rows(goals), linear.start
         H = np.zeros((len(rows), model.states))
         H[:, : len(mean)] = linear.C[rows]
@@ -334,6 +339,21 @@ def _half_range(u_min: object, u_max: object, size: int) -> Floats:
         )
     span = (high - low) / 2
     return np.where(np.isfinite(span), span, np.nan)
+
+
+def _load(disturbance: Matrix | bool | None, acceptable: float | Sequence[float] | None, half: Floats) -> Matrix | None:
+    """Return the covariance per sample of the load; of True from the scale of each control. None: there is no load."""
+    if disturbance is None or disturbance is False:
+        return None
+    if disturbance is not True:
+        return disturbance  # type: ignore[return-value]
+    scale = half if acceptable is None else _positive("acceptable_control", acceptable, len(half))
+    if np.isnan(scale).any():
+        raise ModelError(
+            "disturbance=True takes the size of the load from acceptable_control, or from u_min and u_max. Give one of them, or "
+            "the load's covariance per sample."
+        )
+    return (LOAD_STEP * scale) ** 2  # type: ignore[no-any-return]
 
 
 def _refuse_out_of_range(linear: Linearization, driven: Sequence[str], u_min: object, u_max: object) -> None:

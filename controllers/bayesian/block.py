@@ -25,6 +25,7 @@ from bayesftc.controllers.models.checks import (
 from bayesftc.controllers.models.delays import extended_covariance, extended_rows
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner
 from bayesftc.controllers.precision.held import hold_precision
+from bayesftc.controllers.precision.kinds import InfersFaults
 from bayesftc.controllers.signals import named, port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
@@ -64,7 +65,7 @@ def known_constant(model: Any, covariance: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class BayesianBlock(Block, ABC):
+class BayesianBlock(InfersFaults, Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
 
     The docstrings of the controllers describe the settings ``model, precision, goal_on, goal_covariance, control_covariance,
@@ -167,29 +168,9 @@ class BayesianBlock(Block, ABC):
         return extended_mean(self.model, values, mean)
 
     @property
-    def corrects_offsets(self) -> bool:
-        """Whether samples minus an inferred offset still inform the state, as in the joint form of `SwitchingPrecision`."""
-        return self._learner().infer is not None
-
-    @property
-    def corrected_kinds(self) -> tuple[str, ...]:
-        """Names of those of `fault_kinds` whose inferred offset is subtracted from the samples, which still inform the state."""
-        return self.precision.offset_kinds if self.corrects_offsets else ()
-
-    @property
     def lag(self) -> str:
         """A sentence about how far the control law is by itself behind a moving reference; empty if it is not."""
         return "The controller steers the state to it one step later."
-
-    @property
-    def fault_kinds(self) -> tuple[str, ...]:
-        """Names of the kinds of sensor faults that the precision learner distinguishes."""
-        return self.precision.fault_kinds
-
-    @property
-    def fault_sizes(self) -> tuple[str, ...]:
-        """What the size of each of `fault_kinds` is in; see `PrecisionLearner.fault_sizes`."""
-        return self.precision.fault_sizes
 
     @property
     def goal_matrix(self) -> Floats:

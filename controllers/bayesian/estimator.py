@@ -16,6 +16,7 @@ from bayesftc.controllers.models.delays import extended_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner, made_once
 from bayesftc.controllers.precision.held import hold_precision
+from bayesftc.controllers.precision.kinds import InfersActuatorFaults
 from bayesftc.controllers.signals import named, port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
@@ -26,7 +27,7 @@ from bayesftc.cosim.types import Floats
 
 
 @dataclass(frozen=True, eq=False)
-class StateEstimator(Block):
+class StateEstimator(InfersActuatorFaults, Block):
     """Infers the state and each sensor's precision from redundant and possibly faulty sensors, without control.
 
     This is the estimator of `BayesianController` without the control: for recorded data, and for a plant that a person or
@@ -121,11 +122,6 @@ class StateEstimator(Block):
     def measurement_matrix(self) -> Floats:
         """Matrix that maps ``x_hat`` to what each sensor measures, without the sensor's error (m x n)."""
         return self.model.quantities
-
-    @property
-    def corrects_offsets(self) -> bool:
-        """Whether samples minus an inferred offset still inform the state, as in the joint form of `SwitchingPrecision`."""
-        return self._learner().infer is not None
 
     @property
     def default_name(self) -> str:

@@ -20,6 +20,7 @@ from bayesftc.controllers.estimation.belief import ESTIMATION, advance, estimati
 from bayesftc.controllers.estimation.filter import Aim, Decision, FoldingSpace, Limits, decide, limit
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import Learner, PrecisionLearner, made_once
+from bayesftc.controllers.precision.kinds import InfersActuatorFaults
 from bayesftc.controllers.switching.actuator_settings import warn_of_small_faults
 from bayesftc.cosim.base.html import Lines
 from bayesftc.cosim.base.warnings_shown import warn_user
@@ -114,7 +115,7 @@ def target_goal(goal, x_hat, actuators, control):
 
 
 @dataclass(frozen=True, eq=False)
-class BayesianController(BayesianBlock):
+class BayesianController(InfersActuatorFaults, BayesianBlock):
     """Infers the state and the control that brings the next state to the goal, from redundant and possibly faulty sensors.
 
     At every sample the controller computes the joint posterior of the state x_t, the control u_t and the next state x_t+1 in
@@ -206,16 +207,6 @@ class BayesianController(BayesianBlock):
         self._learner()  # raises now, not in the loop, for settings that do not fit the model
         warn_of_small_faults(self._precision.actuator_modes, self.model, self.u_min, self.u_max)  # type: ignore[arg-type]
         self._warn_if_unstable()
-
-    @property
-    def actuator_kinds(self) -> tuple[str, ...]:
-        """Names of the kinds of actuator faults that the precision learner distinguishes."""
-        return tuple(type(mode).__name__ for mode in self._precision.actuator_modes)
-
-    @property
-    def actuator_sizes(self) -> tuple[str, ...]:
-        """What the size of each of `actuator_kinds` is in: the control's ``"unit"``, or a share of its ``"effect"``."""
-        return tuple("unit" if mode.absolute else "effect" for mode in self._precision.actuator_modes)
 
     @property
     def _precision(self) -> PrecisionLearner:

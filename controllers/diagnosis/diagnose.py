@@ -32,7 +32,7 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.wiring import find_controller
+from bayesftc.cosim.diagram.wiring import find_inference
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from bayesftc.controllers.estimation.observers import Observers
+    from bayesftc.cosim.diagram.roles import LoopRoles
     from bayesftc.cosim.types import Floats
 
 MOST_SAMPLES = 5_000
@@ -203,13 +204,16 @@ def diagnose(
     'sign'
     """
     if isinstance(controller, Diagram):
-        node = find_controller(controller)
+        node = find_inference(controller)
         controller, name = node.block, node.name
     model = checked_model(controller)
     if model is None:
         raise ModelError(f"A diagnosis needs a model, but this {type(controller).__name__} has none.")
     suspect, reader = f"{name}.model_suspect", "The diagnosis"
-    check_recorded(signals, reader, suspect if isinstance(model, NonlinearModel) else f"{name}.u")
+    roles = getattr(signals, "roles", None)
+    roles = None if roles is None or roles.controller != name else roles
+    sent = [f"{name}.u"] if roles is None else sorted({x.sent[0] if x.sent else f"{name}.u" for x in roles.controls})
+    check_recorded(signals, reader, *([suspect] if isinstance(model, NonlinearModel) else sent))
     if getattr(signals, "decimation", 1) != 1:
         raise ModelError("The diagnosis needs every step, but the run has a decimation; run with decimation=1.")
     raised = suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM
@@ -218,12 +222,11 @@ def diagnose(
         return ModelFinding("unknown", words) if raised else None
     samples = samples_of(signals, y, name, reader)
     inferred = _inferred(signals, controller, name)
-    roles = getattr(signals, "roles", None)
+    u = signals[f"{name}.u"] if roles is None else _applied(signals, roles)
     units = ([x.unit for x in roles.sensors], [x.unit for x in roles.controls]) if roles is not None else ((), ())
 
     def found(samples: Floats) -> ModelFinding | None:
-        u, mean = signals[f"{name}.u"], controller.initial_mean
-        return _finding(model, samples, u, mean, alone=raised, inferred=inferred, units=units)
+        return _finding(model, samples, u, controller.initial_mean, alone=raised, inferred=inferred, units=units)
 
     result = found(samples)
     if result is None and raised:
@@ -235,10 +238,17 @@ def diagnose(
             shares = blamed[blamed.sum(axis=1) > 1].mean(axis=0)
             named = np.flatnonzero(shares > OFTEN) if np.sum(shares > OFTEN) > 1 else np.sort(np.argsort(-shares)[:2])
             result = ModelFinding("sensors", several_sensors(named.tolist()))
-    if result is None or result.kind == "nonlinear" or roles is None or roles.controller != name:
+    if result is None or result.kind == "nonlinear" or roles is None:
         return result
     far = far_goal(model, signals_of(roles, signals, drawn=False))  # type: ignore[arg-type]
     return replace(result, sentence=f"{far}{result.sentence}")
+
+
+def _applied(signals: Mapping[str, Any], roles: LoopRoles) -> Floats:
+    """Return the controls, a column for each: outputs of the controller, or what an estimator received."""
+    places = [role.sent or (f"{roles.controller}.u", j) for j, role in enumerate(roles.controls)]
+    columns = [np.reshape(signals[signal], (len(signals[signal]), -1))[:, j] for signal, j in places]
+    return np.stack(columns, axis=1)
 
 
 def _blamed_together(signals: Mapping[str, Any], samples: Floats, name: str) -> NDArray[np.bool_] | None:

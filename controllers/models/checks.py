@@ -103,7 +103,10 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
     ModelError
         If it is not symmetric or not positive (semi-)definite.
     """
-    array = as_numbers(name, value, "it must be a number, a list of numbers for a diagonal, or rows of numbers")
+    example = "it must be a number, a list of numbers for a diagonal, or rows of numbers"
+    if isinstance(value, bool):
+        raise ModelError(f"{name} is {value}; {example}.")
+    array = as_numbers(name, value, example)
     if array.ndim == 0:
         array = array * np.eye(size)
     elif array.ndim == 1 and array.shape == (size,):

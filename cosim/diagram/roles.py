@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from bayesftc.cosim.diagram.wiring import (
     faults_before,
     faults_right_before,
     find_controller,
+    find_inference,
     find_sensors,
     label_of,
     preview_time,
@@ -98,7 +99,7 @@ class ControlRole:
     """One control: the first input of the plant that it feeds, its limits (None: unlimited), the faults in between.
 
     ``rate`` is the limit of its change per second, and ``dt`` the seconds between two of its values; None in files of earlier
-    versions.
+    versions. ``sent`` is its signal; None if it is the output ``u`` of the controller.
     """
 
     name: str
@@ -108,6 +109,7 @@ class ControlRole:
     faults: tuple[str, ...]
     rate: float | None = None
     dt: float | None = None
+    sent: Place | None = None
 
 
 KINDS = ("fault_kinds", "fault_sizes", "actuator_kinds", "actuator_sizes", "corrected_kinds")
@@ -168,14 +170,14 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     ----------
     diagram : Diagram
         A diagram with one `Sensors` block and one controller, a block with inputs ``y`` and ``goal`` and the output ``u``:
-        from `closed_loop`, or connected by hand in the same way.
+        from `closed_loop`, or connected by hand in the same way. Or one `StateEstimator` and a law that is no such block.
 
     Raises
     ------
     ModelError
         If the diagram is not such a loop.
     """
-    sensor_node, controller = find_sensors(diagram), find_controller(diagram)
+    sensor_node, controller = find_sensors(diagram), find_inference(diagram)
     y = controller.port("y")
     quantities = _quantities(diagram, sensor_node, controller)
     units = {i: quantity.unit for quantity in quantities for i in quantity.sensors}
@@ -193,9 +195,10 @@ def find_roles(diagram: Diagram) -> LoopRoles:
         for i in range(y.size)
     )
     of_sensors = {name for sensor in sensors for name in sensor.faults}
-    inputs = _inputs(diagram, {sensor_node.name, controller.name}, controller, of_sensors)
+    sent = _sent(diagram, controller)
+    inputs = _inputs(diagram, {sensor_node.name, controller.name}, sent, of_sensors)
     readings = f"{sensor_node.name}.{read.name}"
-    controls = _controls(diagram, controller)
+    controls = _controls(diagram, controller, sent)
     told = traits(controller.block)
     kinds, lag = {name: told.get(name, ()) for name in KINDS}, told.get("lag", "")
     return LoopRoles(controller.name, sensors, quantities, inputs, controls, **kinds, readings=readings, lag=lag)
@@ -214,7 +217,7 @@ def traits(block: Block) -> dict[str, Any]:
         of = given[name]
         if isinstance(of, list | tuple) and all(isinstance(each, str) for each in of):
             found[name] = tuple(of)
-    sizes = {port.name: port.size for port in (*block.inputs, *block.outputs)}
+    sizes: dict[str, int] = {port.name: port.size for port in (*block.inputs, *block.outputs)}
     for name, rows in zip(MATRICES, ("y", "goal"), strict=True):
         try:
             matrix = np.array(given[name], dtype=np.float64)  # None, as JSON has no NaN, becomes NaN
@@ -255,8 +258,20 @@ def _reference(diagram: Diagram, controller: Node, goal: int) -> Place | None:
     return f"{node.name}.{source[0].port.name}", source[1]
 
 
+def _sent(diagram: Diagram, controller: Node) -> list[Place | None]:
+    """Return the signal of each control: an output of the controller, or what an estimator receives from the law."""
+    if (u := _port(controller.outputs, "u")) is not None:
+        return [(f"{controller.name}.u", j) for j in range(u.size)]
+    u = _port(controller.inputs, "u")
+    return [] if u is None else [_source(diagram, controller, u, j) for j in range(u.size)]
+
+
+def _port(ports: Iterable[Port], name: str) -> Port | None:
+    return next((port for port in ports if port.name == name), None)
+
+
 def _inputs(
-    diagram: Diagram, others: Container[str], controller: Node, of_sensors: Container[str]
+    diagram: Diagram, others: Container[str], controls: Sequence[Place | None], of_sensors: Container[str]
 ) -> tuple[InputRole, ...]:
     """Return the inputs that are fed through faults, except for those of the named blocks, and faults of sensors.
 
@@ -270,14 +285,15 @@ def _inputs(
             first, element = chain[0]
             sent = _source(diagram, first, first.port("u"), element)
             received = _source(diagram, node, port, i)
-            control = sent[1] if sent and sent[0] == f"{controller.name}.u" else None
+            control = controls.index(sent) if sent in controls and sent else None
             names = tuple(fault.name for fault, _ in chain)
             roles.append(InputRole(element_name(port, i), port.unit, sent, received, names, control))
     return tuple(roles)
 
 
-def _controls(diagram: Diagram, controller: Node) -> tuple[ControlRole, ...]:
-    count = controller.port("u").size
+def _controls(diagram: Diagram, controller: Node, controls_sent: Sequence[Place | None]) -> tuple[ControlRole, ...]:
+    count = len(controls_sent)
+    own = f"{controller.name}.u"
     low, high, rate = (_limits(controller, name, count) for name in ("u_min", "u_max", "u_rate"))
     targets: dict[int, tuple[str, str | None, tuple[str, ...]]] = {}
     for node, port, i in elements(diagram, {controller.name}):
@@ -287,14 +303,17 @@ def _controls(diagram: Diagram, controller: Node) -> tuple[ControlRole, ...]:
             if chain
             else _source(diagram, node, port, i)
         )
-        if sent is not None and sent[0] == f"{controller.name}.u":
-            targets.setdefault(sent[1], (element_name(port, i), port.unit, tuple(fault.name for fault, _ in chain)))
+        if sent is not None and sent in controls_sent:
+            targets.setdefault(
+                controls_sent.index(sent), (element_name(port, i), port.unit, tuple(fault.name for fault, _ in chain))
+            )
     controls = []
     for j in range(count):
         name, unit, faults = targets.get(j, (f"control {j}", None, ()))
-        controls.append(
-            ControlRole(name, unit, low[j], high[j], faults, rate[j], float(diagram.step * controller.every))
-        )
+        place = controls_sent[j]
+        signal = None if place is None or place[0] == own else place
+        period = float(diagram.step * controller.every)
+        controls.append(ControlRole(name, unit, low[j], high[j], faults, rate[j], period, signal))
     return tuple(controls)
 
 
@@ -322,7 +341,8 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     for i, row in enumerate(rows):
         groups.setdefault(tuple(map(float, row)), []).append(i)
     inputs = [_source(diagram, sensor_node, sensor_node.port("u"), j) for j in range(block.signals)]
-    goals = controller.port("goal").size
+    given = _port(controller.inputs, "goal")
+    goals = 0 if given is None else given.size
     roles = []
     for number, (row, members) in enumerate(groups.items()):
         used = [(weight, place) for weight, place in zip(row, inputs, strict=True) if weight and place is not None]
@@ -439,9 +459,9 @@ def unit_of_goal(diagram: Diagram) -> Units:
     A source of the goal has no unit, so that no connection passes one on.
     """
     roles = known_roles(diagram)
-    if roles is None:
+    if roles is None or (goal := _port(diagram[roles.controller].inputs, "goal")) is None:
         return {}
-    size = diagram[roles.controller].port("goal").size
+    size = goal.size
     units = {quantity.goal: quantity.unit for quantity in roles.quantities}
     first = units.get(0)
     return {(roles.controller, "goal"): first} if first and all(units.get(i) == first for i in range(size)) else {}

@@ -56,6 +56,18 @@ def find_controller(diagram: Diagram) -> Node:
     return nodes[0]
 
 
+def find_inference(diagram: Diagram) -> Node:
+    """Return the node that infers the state from the samples: the controller, or the only estimator where there is none."""
+    estimators = [node for node in diagram.nodes if _is_estimator(node)]
+    alone = len(estimators) == 1 and not any(map(is_controller, diagram.nodes))
+    return estimators[0] if alone else find_controller(diagram)
+
+
+def _is_estimator(node: Node) -> bool:
+    """Return whether a block has the ports of a state estimator: the input ``y``, and the outputs ``x_hat`` and its noise."""
+    return "y" in {p.name for p in node.inputs} and {"x_hat", "precision"} <= {p.name for p in node.outputs}
+
+
 def faults_before(diagram: Diagram, controller: Node, sensor: int) -> list[str]:
     """Return the names of the faults between the sensors and one element of the controller's ``y``, in their order.
 

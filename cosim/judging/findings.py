@@ -15,6 +15,7 @@ from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.judging.metrics import false_alarm_rate, figures, periods
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
+from bayesftc.cosim.run.result import ESTIMATE_A_LOAD
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ LOOK_AT_MODEL = (
     "Look at the model first: gain, time constants and delay of the plant, an input that it lacks, a constant offset of other "
     "sensors (such as gyros), noise that is larger than process_covariance or sensor_covariance, or a process_covariance (noise= "
     "in design) that is several times too large. After a longer run without faults, controllers.diagnose(result, controller) may "
-    "name the error."
+    f"name the error. {ESTIMATE_A_LOAD}"
 )
 """What to do where a healthy sensor is blamed often, and nothing else says why."""
 

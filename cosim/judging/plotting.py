@@ -101,9 +101,9 @@ def _panels_of_elements(roles: LoopRoles) -> dict[Place, str]:
             places.append((f"{roles.controller}.x_hat", quantity.belief.index(1.0)))
         for place in places:
             panels[place] = quantity.unit or f"{place[0]}\n{quantity.name}"
-    signal = f"{roles.controller}.u"
     for j, control in enumerate(roles.controls):
-        panels[signal, j] = control.unit or f"{signal}\n{control.name}"
+        place = control.sent or (f"{roles.controller}.u", j)
+        panels[place] = control.unit or f"{place[0]}\n{control.name}"
     return panels
 
 

@@ -33,7 +33,7 @@ def loop_signals(diagram: Diagram, result: Result, *, drawn: bool = True) -> Loo
     ----------
     diagram : Diagram
         A diagram with one `Sensors` block and one controller, a block with inputs ``y`` and ``goal`` and the output ``u``: from
-        `closed_loop`, or connected by hand in the same way.
+        `closed_loop`, or connected by hand in the same way. Or one `StateEstimator` and a law that is no such block.
     result : Result
         A run of it. Signals that were not recorded become None.
     drawn : bool
@@ -189,7 +189,10 @@ def _actuators(reader: _Reader, roles: LoopRoles, drawn: bool) -> tuple[Actuator
 
 def _controls(reader: _Reader, roles: LoopRoles) -> tuple[ControlSignals, ...]:
     """Return the controls that were recorded."""
-    sent = reader.columns("u", len(roles.controls))
+    own = reader.columns("u", len(roles.controls))
+    sent = [
+        values if role.sent is None else reader.at(role.sent) for role, values in zip(roles.controls, own, strict=True)
+    ]
     return tuple(
         ControlSignals(role.name, role.unit, values, role.low, role.high, role.rate, role.dt)
         for role, values in zip(roles.controls, sent, strict=True)

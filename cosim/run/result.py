@@ -46,6 +46,10 @@ _TABLES = frozenset({".csv", ".tsv", ".xlsx", ".parquet", ".json", ".mat"})
 
 DIAGNOSE = "controllers.diagnose(result, loop)"
 """The call that looks for an error of the model; its room is above this one, and it takes seconds."""
+ESTIMATE_A_LOAD = (
+    "An estimated load (disturbance=True in design, model.with_disturbance) takes up many errors of a model."
+)
+"""What often helps where nobody knows the error."""
 
 # What NumPy, zip and JSON raise for damaged files.
 _DAMAGE = (
@@ -280,7 +284,9 @@ class Result(Mapping[str, Floats]):
         model, start, often = (
             [f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("model", "start", "often")
         )
-        cause = f"Sensors may be blamed because of it. {DIAGNOSE} looks for the cause."
+        cause = (
+            f"If it is wrong, sensors may be blamed because of it. {DIAGNOSE} looks for the cause. {ESTIMATE_A_LOAD}"
+        )
         blamed = [] if wrong else [f"{text} {self._advice}" for text in often]
         limited = [f"The {note}. {advice}" for note, advice in self._limited]
         return [*notes, *(f"{text} {cause}" for text in wrong or model), *start, *blamed, *limited]
@@ -298,15 +304,22 @@ class Result(Mapping[str, Floats]):
         return rows
 
     def _or_sensors(self, block: str, k: int) -> str:
-        """Return the other explanation of contradicting sensors: a few faulty ones leave the check too few healthy ones.
+        """Return the other explanation of what speaks against the model: faults that the check cannot tell from a wrong model.
 
-        If all are blamed, the model is the simpler explanation.
+        These are faults of several sensors, and one of the only sensor of a quantity. If all sensors are blamed, the model is the
+        simpler explanation.
         """
         from bayesftc.cosim.judging.signals import ALARM
 
         probability = np.ravel(self.get(f"{block}.fault_probability", np.zeros((k + 1, 0)))[k])
-        several = 1 < np.count_nonzero(probability >= ALARM) < len(probability)
-        return ", or several sensors are faulty," if several else ""
+        blamed = np.flatnonzero(probability >= ALARM).tolist()
+        if not blamed or len(blamed) == len(probability) > 1:
+            return ""
+        if len(blamed) > 1:
+            return ", or several sensors are faulty,"
+        quantities = () if self.roles is None or self.roles.controller != block else self.roles.quantities
+        alone = any(quantity.sensors == (blamed[0],) for quantity in quantities)
+        return f", or sensor {blamed[0]}, the only one of its quantity, is faulty," if alone else ""
 
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from html import escape
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.base.units import with_unit
@@ -149,8 +150,10 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
             )
             for what in ("tracking", "belief")
             for name, errors in numbers[what].items()
+            if what == "belief" or _known(errors)  # a quantity without a goal has no tracking error
         ]
-        remark = f"{TRACKING} {numbers.get('law', '')}".rstrip()
+        tracked = any(map(_known, numbers["tracking"].values()))
+        remark = f"{TRACKING} {numbers.get('law', '')}".rstrip() if tracked else ""
         yield FiguresTable("errors", ERRORS, tuple(PHASES.values()), tuple(rows), remark)
     sensors, inferred, step = numbers["sensors"], numbers.get("findings"), numbers.get("step")
     if inferred:
@@ -170,6 +173,11 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
             rows = [(label, tuple(each[name] for each in found), form) for label, name, form in _timed(listed, step)]
             columns = tuple(with_unit(each["name"], each["unit"]) for each in found)
             yield FiguresTable(key, heading, columns, tuple(rows), remark)
+
+
+def _known(errors: Mapping[str, Any]) -> bool:
+    """Return whether there is an error in any phase of the run."""
+    return any(value is not None and isfinite(value) for value in errors.values())
 
 
 def _blamed_before(sensor: Mapping[str, Any]) -> bool:

@@ -596,7 +596,7 @@ def test_a_wrong_argument_gets_similar_names_and_warnings_the_line_of_the_user()
 
 def test_the_belief_about_a_model_of_values_begins_at_its_operating_point():
     about = LinearModel([[0.95]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1).about([350.0], [175.0], [350.0, 350.0])
-    for model, settings in ((about, {}), (about, {"disturbance": True}), (about.with_disturbance(True), {})):
+    for model, settings in ((about, {}), (about, {"disturbance": 1.0}), (about.with_disturbance(1.0), {})):
         assert controllers.design(model, **settings).initial_mean[0] == 350.0
     assert controllers.design(about, input_delays=1).initial_mean[:2].tolist() == [350.0, 175.0]
     assert controllers.design(about, initial_mean=340.0).initial_mean[0] == 340.0

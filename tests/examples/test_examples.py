@@ -20,6 +20,7 @@ from bayesftc.examples.cruise_control import (
 from bayesftc.examples.design_from_fmu import four_plants
 from bayesftc.examples.goals_ahead import study as goals_ahead
 from bayesftc.examples.python_control_style import cruise_control as in_python_control
+from bayesftc.examples.wrong_motor import study as wrong_motor
 from bayesftc.scenario import load_scenario, shipped_scenarios
 
 FOLDER = Path(bayesftc.examples.__path__[0]) / "cruise_control"
@@ -139,6 +140,17 @@ def test_a_servo_that_knows_its_goals_does_not_lag(capsys):
     errors = goals_ahead.main(runs=1, previews=(0, 20), cases=goals_ahead.CASES[1:2])
     assert errors["sine", 20] < 0.15 * errors["sine", 0]
     assert "sine" in capsys.readouterr().out
+
+
+def test_a_load_takes_up_what_the_model_of_a_motor_lacks(capsys):
+    """Healthy sensors are not blamed for a weaker motor, and the belief is as good as with the right model."""
+    reached = wrong_motor.main(2, ["3"], ["as modelled", "20 % weaker"], ["healthy", "drift"])
+    for fault in ("healthy", "drift"):
+        wrong, load = (reached["3", "20 % weaker", fault, load] for load in wrong_motor.LOADS)
+        assert load.belief < 0.5 < wrong.belief
+        assert load.blamed < 0.5 * wrong.blamed
+    assert reached["3", "as modelled", "drift", True].belief < 0.5
+    assert "20 % weaker    drift" in capsys.readouterr().out
 
 
 @pytest.mark.slow

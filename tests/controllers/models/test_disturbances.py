@@ -96,3 +96,26 @@ def test_a_second_load_is_refused():
         changed(["load", "error", "point"]).with_disturbance()
     with pytest.raises(ModelError, match="already estimates"):
         design(changed(["load"]), goal=[0, 2], disturbance=1e-3)
+
+
+def test_a_load_of_true_moves_by_a_share_of_the_acceptable_control_or_of_the_limits():
+    model = changed(["point"])
+    of_scale = design(
+        model, goal=[0, 2], disturbance=True, acceptable_control=[2.0, 5.0], precision=FixedPrecision()
+    ).model
+    of_limits = design(model, goal=[0, 2], disturbance=True, u_min=-8.0, u_max=12.0, precision=FixedPrecision()).model
+    for found, scale in ((of_scale, [2.0, 5.0]), (of_limits, [10.0, 10.0])):
+        walks = np.diag(found.matrix("process_covariance"))[
+            [found.state_names.index(f"disturbance[{j}]") for j in range(2)]
+        ]
+        np.testing.assert_allclose(walks, (0.01 * np.array(scale)) ** 2)
+    assert (
+        design(model, goal=[0, 2], disturbance=False, precision=FixedPrecision()).model.state_names == model.state_names
+    )
+
+
+def test_a_load_of_true_needs_a_scale_and_no_covariance_is_true():
+    with pytest.raises(ModelError, match="disturbance=True takes the size of the load from acceptable_control"):
+        design(changed(["point"]), goal=[0, 2], disturbance=True)
+    with pytest.raises(ModelError, match="The disturbance's covariance is True; it must be a number"):
+        changed(["point"]).with_disturbance(True)

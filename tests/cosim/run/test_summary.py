@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from bayesftc import controllers, cosim
+from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.findings import numbers_of
@@ -112,10 +112,75 @@ def test_a_wrong_model_is_said_above_the_faults_that_it_may_cause(tmp_path):
     result = cosim.Result.load(result.save(tmp_path / "run.npz"))
     since = result.time[np.argmax(result["controller.model_suspect"] >= 0.5)]
     sentence = f"The model of controller is suspect from t = {since:g} s."
-    cause = "Sensors may be blamed because of it. controllers.diagnose(result, loop) looks for the cause."
+    cause = (
+        "If it is wrong, sensors may be blamed because of it. controllers.diagnose(result, loop) looks for the cause."
+    )
+    cause = f"{cause} An estimated load (disturbance=True in design, model.with_disturbance) takes up many errors of a model."
     assert repr(result.summary()).startswith(f"{sentence} {cause}\n\n")
     assert result.summary()._repr_html_().startswith(f"<p>{sentence}")
     assert controllers.diagnose(result, wrong).kind == "sign"  # the call that it names
+
+
+def test_the_only_sensor_of_a_quantity_is_named_beside_the_model():
+    """Its jump contradicts each set of sensors, as a wrong model does."""
+    wheel = control.ss([[0, 1], [0, -2]], [[0], [2]], np.eye(2), 0, inputs=["u"], outputs=["position", "speed"])
+    settings = {"measured": ["position", "speed"], "sensors": [1, 3], "sensor_std": [0.01] + [0.05] * 3}
+    loop = cosim.closed_loop(
+        wheel,
+        controllers.design(wheel, actuated="u", goal="position", noise={"u": 0.05}, dt=0.02, **settings),
+        control="u",
+        measured=["position", "speed"],
+        sensors=cosim.Sensors([1, 3], settings["sensor_std"]),
+        reference=0.2,
+        faults=[cosim.Bias(sensor=0, start=3.0, magnitude=0.5)],
+    )
+    result = loop.simulate(8.0, seed=1)
+    named = "model of controller suspect, or sensor 0, the only one of its quantity, is faulty, from t ="
+    assert result.notes[0].startswith(named)
+    errors = repr(result.summary())
+    assert "tracking of position" in errors
+    assert "tracking of speed" not in errors
+
+
+def test_an_estimator_beside_a_law_has_the_findings_of_a_loop(tmp_path):
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1], [1]], 1e-3, 1.0, dt=0.02)
+    diagram = cosim.Diagram(dt=0.02)
+    names = {
+        "car": cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}),
+        "sensors": cosim.Sensors(count=2, std=1.0),
+        "drift": cosim.Drift(sensor=0, start=5.0, slope=1.0, channels=2),
+        "estimator": controllers.StateEstimator(model, initial_mean=20.0),
+        "mine": controllers.PID(500.0, integral_gain=100.0),
+        "goal": cosim.Constant(22.0),
+    }
+    blocks = {name: diagram.add(block, name) for name, block in names.items()}
+    for source, target in (
+        (("car", "v"), ("sensors", "u")),
+        (("sensors", "y"), ("drift", "u")),
+        (("drift", "y"), ("estimator", "y")),
+        (("estimator", "x_hat"), ("mine", "x_hat")),
+        (("goal", "y"), ("mine", "goal")),
+        (("mine", "u"), ("car", "force")),
+        (("mine", "u"), ("estimator", "u")),
+    ):
+        diagram.connect(blocks[source[0]][source[1]], blocks[target[0]][target[1]])
+    result = diagram.simulate(12.0, seed=1)
+    result = cosim.Result.load(result.save(tmp_path / "run.npz"))
+    assert result.findings()[["where", "kind", "unit"]].values.tolist() == [["sensor 0", "Drifting", "m/s"]]
+    text = repr(result.summary())
+    assert "belief of v (m/s)" in text
+    assert "tracking" not in text.split("\n", 1)[1]
+    labels = [axis.get_ylabel() for axis in result.plot().axes]
+    assert "force (N)" in labels
+    assert "v (m/s)" in labels
+    assert controllers.diagnose(result, diagram) is None
+    reversed_model = controllers.LinearModel([[0.999]], [[-2e-4]], [[1], [1]], 1e-3, 1.0, dt=0.02)
+    assert (
+        controllers.diagnose(
+            result, controllers.StateEstimator(reversed_model, initial_mean=20.0), name="estimator"
+        ).kind
+        == "sign"
+    )
 
 
 def test_faults_of_inputs_have_a_table(loop):

@@ -1,0 +1,1 @@
+"""A wheel whose motor differs from the model: what `disturbance=True` gains and costs."""
