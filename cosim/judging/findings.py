@@ -523,7 +523,10 @@ def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str
             and active in signals
             and not signals[active].any()
         ):
-            yield f"The fault {node.name!r} did not occur: it begins on the condition {block.start}."
+            begins = (
+                f"on the condition {block.start}" if block.start.signal else "when its input start_signal is set to 1"
+            )
+            yield f"The fault {node.name!r} did not occur: it begins {begins}."
 
 
 __all__ = [

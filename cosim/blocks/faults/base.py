@@ -17,7 +17,7 @@ from bayesftc.cosim.base.numbers import check_count, real
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.faults import kernels
-from bayesftc.cosim.blocks.faults.conditions import When, Window, conditional
+from bayesftc.cosim.blocks.faults.conditions import BY_HAND, HAND, When, Window, conditional
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Kernel
@@ -46,7 +46,7 @@ class Fault(Block):
         Seconds: the fault can be present while start <= t < stop. Or conditions on a signal, such as ``"plant.v > 22"``, which
         stands for ``cosim.when("plant.v", ">", 22.0)``: it can be present from the step at which the start is fulfilled, until
         the one at which the stop is. It can begin again each time the start is fulfilled anew. A stop that is fulfilled
-        prevents it.
+        prevents it. Or start="by hand": it is present while its input ``start_signal`` is set to 1, as by `Session.set`.
     duration : float
         Seconds from the start to the end of the fault, rounded to whole steps, at least one; a stop may end it before.
     latching : bool
@@ -100,10 +100,13 @@ class Fault(Block):
         for which in ("start", "stop"):
             if isinstance(text := getattr(self, which), str):
                 if (condition := When.read(text)) is None:
-                    raise ModelError(
-                        f"{kind} has {which}={text!r}; it must be seconds, or a condition such as 'plant.v > 22'."
+                    ways = (
+                        ", a condition such as 'plant.v > 22', or 'by hand'" if which == "start" else ", or a condition"
                     )
+                    raise ModelError(f"{kind} has {which}={text!r}; it must be seconds{ways}.")
                 object.__setattr__(self, which, condition)
+        if self.stop == BY_HAND:
+            raise ModelError(f"{kind} has stop={HAND!r}; give start={HAND!r}, which ends the fault by hand, too.")
         if not (real(self.sensor) >= 0 and real(self.sensor).is_integer()):
             raise ModelError(f"{kind} has sensor={brief(self.sensor)}; it must be the number of a channel, from 0.")
         if self.channels is not None and not (real(self.channels) >= 1 and real(self.channels).is_integer()):
@@ -193,6 +196,7 @@ class Fault(Block):
             Port(
                 f"{name}_signal",
                 feedthrough=not condition.delayed,
+                default=None if condition.signal else 0.0,
                 description=f"The signal that decides on the {name}",
             )
             for name, condition in self._conditions.items()
@@ -207,7 +211,7 @@ class Fault(Block):
     @property
     def named_sources(self) -> Mapping[str, str]:
         """See `Block.named_sources`: the signals of conditions."""
-        return {f"{name}_signal": condition.signal for name, condition in self._conditions.items()}
+        return {f"{name}_signal": each.signal for name, each in self._conditions.items() if each.signal}
 
     @property
     def _conditions(self) -> dict[str, When]:
@@ -218,7 +222,7 @@ class Fault(Block):
     def _window(self) -> Window:
         if not self._conditions and self.duration == inf:
             return Window(kernels.scheduled, {"window": self.times})
-        return conditional(self._conditions, self.times, self.duration, self.latching)
+        return conditional(self._conditions, self.times, self.duration, self.latching and self.start != BY_HAND)
 
     @property
     def times(self) -> tuple[float, float]:

@@ -68,6 +68,8 @@ class When:
     after: float = field(default=0.0, metadata={"unit": "s"})
 
     def __post_init__(self) -> None:
+        if self.signal == "":  # an input of the fault, which somebody sets
+            return
         if not isinstance(self.signal, str) or not all(self.signal.partition(".")):
             raise ModelError(
                 f"A condition has signal={brief(self.signal)}; it must be the name of a signal with its block, such as 'plant.v'."
@@ -90,7 +92,7 @@ class When:
             )
 
     def __str__(self) -> str:
-        return f"{self.signal} {self.relation} {self.value:g}"
+        return HAND if not self.signal else f"{self.signal} {self.relation} {self.value:g}"
 
     @classmethod
     def read(cls, text: str, *, delayed: bool = False) -> When | None:
@@ -103,12 +105,19 @@ class When:
         delayed : bool
             Whether the signal of the step before is compared.
         """
+        if text == HAND:
+            return BY_HAND
         parts = re.fullmatch(r"\s*([^\s<>=!]+)\s*([<>=!]=|[<>])\s*([^\s<>=!]+)\s*", text)
         try:
             value = float(parts[3]) if parts else None
         except ValueError:
             return None
         return None if parts is None or value is None else cls(parts[1], parts[2], value, delayed)
+
+
+HAND = "by hand"
+"""The start of a fault that is present while its input ``start_signal`` is above one half."""
+BY_HAND = When("", ">", 0.5)
 
 
 def when(signal: str, relation: str | None = None, value: float | None = None, *, delayed: bool = False) -> When:

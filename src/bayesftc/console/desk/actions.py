@@ -127,7 +127,7 @@ def _add_fault(content: dict[str, Any], action: Action, t: float) -> None:
         table["start"] = t
     elif isinstance(start, str):
         condition = When.read(start)
-        if condition is None:
+        if condition is None or not condition.signal:
             raise ModelError(
                 f"The start of the fault is {brief(start)}; give seconds, or a condition such as 'plant.v > 22'."
             )

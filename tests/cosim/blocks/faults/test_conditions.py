@@ -239,6 +239,38 @@ def test_a_live_run_is_saved_within_a_fault(same_bits):
     same_bits(end["controller.u"], whole["controller.u"][-len(end.time) :])
 
 
+@pytest.mark.parametrize(
+    "kind", [cosim.Bias(magnitude=5.0, start="by hand"), cosim.Freeze(start="by hand", duration=0.5)]
+)
+def test_by_hand_it_is_present_while_its_input_is_set(kind):
+    loop, name = car(faults=kind), kind.default_name
+    with loop.start(seed=1) as session:
+        pieces = [session.advance(0)]
+        for present in (0.0, 1.0, 0.0, 1.0):
+            session.set(f"{name}.start_signal", present)
+            pieces.append(session.advance(1.0))
+    active = np.concatenate([piece[f"{name}.active"] for piece in pieces])
+    steps = round(min(1.0, kind.duration) / DT)
+    expected = [first + k for first in (51, 151) for k in range(steps)]  # a value counts from the next step on
+    assert np.flatnonzero(active).tolist() == expected
+
+
+def test_by_hand_nothing_begins_by_itself(same_bits):
+    loop = car(faults=cosim.Freeze(start="by hand"))
+    result = loop.simulate(2.0, seed=1)
+    assert not result["freeze_0.active"].any()
+    assert list(never_began(loop, result)) == [
+        "The fault 'freeze_0' did not occur: it begins when its input start_signal is set to 1."
+    ]
+    early = {"freeze_0.start": 1.0}
+    same_bits(
+        cosim.varied(loop, early).simulate(2.0)["controller.u"],
+        car(faults=cosim.Freeze(start=1.0)).simulate(2.0)["controller.u"],
+    )
+    with pytest.raises(ModelError, match="Freeze has stop='by hand'; give start='by hand'"):
+        cosim.Freeze(stop="by hand")
+
+
 def test_a_condition_is_varied(same_bits):
     loop = car(faults=cosim.Freeze(start=1.0))
     for changes in (
@@ -259,7 +291,7 @@ def test_a_condition_is_varied(same_bits):
 def test_a_text_is_a_condition():
     fault = cosim.Freeze(start="plant.v > 22", stop="plant.v <= 20")
     assert fault == cosim.Freeze(start=WHEN, stop=cosim.when("plant.v", "<=", 20.0))
-    with pytest.raises(cosim.ModelError, match="Freeze has start='soon'; it must be seconds, or a condition"):
+    with pytest.raises(cosim.ModelError, match="Freeze has start='soon'; it must be seconds, a condition"):
         cosim.Freeze(start="soon")
 
 
@@ -360,7 +392,7 @@ def test_a_fault_that_never_began_is_noted():
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"start": "plant.v => 22"}, r"start='plant.v => 22'; it must be seconds, or a condition"),
+        ({"start": "plant.v => 22"}, r"start='plant.v => 22'; it must be seconds, a condition"),
         ({"start": WHEN, "stop": 0.0}, "stop=0.0"),
         ({"start": WHEN, "stop": nan}, "stop=nan"),
         ({"start": nan, "stop": WHEN}, "start=nan"),
