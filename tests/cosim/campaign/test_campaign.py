@@ -327,7 +327,7 @@ def test_pieces_have_each_run_once(counts, size):
         ({"grid": {"injection_0.magnitude[0]": [1.0]}}, r"there is no element \[0\]"),
         (
             {"grid": {"injection_0.start": ["late"]}},
-            "Injection has start='late'; it must be seconds, or a condition",
+            "Injection has start='late'; it must be seconds, a condition",
         ),
         ({"grid": {"sensors.count": [3]}}, "has size 3 instead of 2. To change sizes, write a function"),
         ({"grid": {"controller.model.dt": [0.04]}}, "must run every 0.04 s, but the diagram runs it every 0.02 s"),
