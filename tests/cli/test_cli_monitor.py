@@ -308,8 +308,8 @@ def test_several_files_are_fitted_together(drive, tmp_path):
     [
         ([], 2, "with --fit"),
         (["--from", "3"], 2, "with --fit"),
-        (["--fit", "--from", "100"], 16, "no samples between --from and --to"),
-        (["--fit", "--from", "3", "--to", "2"], 16, "--from is later than --to"),
+        (["--fit", "--from", "100"], 16, "no samples between the start (--from) and the end (--to)"),
+        (["--fit", "--from", "3", "--to", "2"], 16, "The start (--from) is later than the end (--to)"),
         (["--fit", "--from", "3", "--to", "5"], 16, "samples in the stretch; a fit needs 200"),
         (["--fit", "--sensor", "d"], 16, "no column 'd' with numbers"),
         (["--fit", "--sensor", "a"], 16, "two or more sensors"),

@@ -122,13 +122,13 @@ def test_a_stretch_is_named_by_dates_or_seconds(table, tmp_path, moment):
             None,
             "2026-03-29",
             16,
-            "--to is a date, but the times of the recording are 0 to 2995 s. Give --to in seconds.",
+            "The end (--to) is a date, but the times of the recording are 0 to 2995 s. Give seconds.",
         ),
         (
             "2026-03-29T08:00:00",
             "2026-03-29T08:20Z",
             16,
-            "--to has a time zone, but the dates of the recording, 2026-03-29",
+            "The end (--to) has a time zone, but the dates of the recording, 2026-03-29",
         ),
         (
             "2026-03-29T08:00:00",

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,12 +28,16 @@ from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
 from bayesftc.monitoring.csv import Tables, warn_of_changes
+from bayesftc.monitoring.fit.columns import recorded, stretch_of
 from bayesftc.monitoring.fit.fit import fit_model
 from bayesftc.monitoring.fit.units import in_unit
 from bayesftc.monitoring.models import PlantModel
 from bayesftc.monitoring.precision import default_precision
 from bayesftc.monitoring.recording import Recording, Signal, align
 from bayesftc.monitoring.run import Monitored, monitor_recording
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FLAT = 10.0
 """Ratio of the initial belief's standard deviation to that of the first samples, from which it is computed: so they do not
@@ -114,7 +119,12 @@ class Monitor:
 
     @classmethod
     def fit(
-        cls, recording: Recording, stretch: slice = slice(None), *, gains: bool = True, **settings: Any
+        cls,
+        recording: Recording | Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str],
+        stretch: slice | tuple[float | datetime | None, float | datetime | None] = slice(None),
+        *,
+        gains: bool = True,
+        **settings: Any,
     ) -> tuple[Monitor, Recording]:
         """Return a monitor with a model fitted to a recording of sensors of one quantity, and the recording for its `run`.
 
@@ -124,10 +134,11 @@ class Monitor:
 
         Parameters
         ----------
-        recording : Recording
-            From `align` or `recorded`.
-        stretch : slice
-            The steps in which the sensors are healthy; see `fit_model`.
+        recording : Recording, mapping of str to Signal, DataFrame or path
+            From `align`, or anything that `recorded` makes a recording of: a table with a column for each sensor, or a CSV file.
+        stretch : slice or pair of times
+            In which the sensors are healthy: the steps, or the first and the last time (seconds of the recording, or dates; None:
+            from the beginning or to the end); see `fit_model`.
         gains : bool
             Whether a sensor may have a gain other than 1; for angles give False.
         **settings
@@ -136,21 +147,33 @@ class Monitor:
         Raises
         ------
         RecordingError
-            As for `fit_model`.
+            As for `recorded` and `fit_model`.
+        ModelError
+            If ``stretch`` or ``gains`` is something else.
 
         Examples
         --------
         >>> import numpy as np
+        >>> import pandas as pd
         >>> from bayesftc import monitoring
         >>> rng, t = np.random.default_rng(0), 0.1 * np.arange(1000)
         >>> level = 20.0 + np.cumsum(0.05 * rng.standard_normal(1000))
         >>> y = level[:, None] + 0.1 * rng.standard_normal((1000, 3)) + [0.0, 0.0, 2.0]
         >>> y[700:, 1] += 1.5
-        >>> signals = {name: monitoring.Signal(t, y[:, i]) for i, name in enumerate("abc")}
-        >>> monitor, corrected = monitoring.Monitor.fit(monitoring.recorded(signals))
+        >>> monitor, corrected = monitoring.Monitor.fit(pd.DataFrame(y, columns=["a", "b", "c"], index=t))
         >>> [(event.sensor, event.kind) for event in monitor.run(corrected).events]
         [('b', 'Offset')]
         """
+        if not isinstance(recording, Recording):
+            recording = recorded(recording)
+        if isinstance(stretch, tuple | list) and len(stretch) == 2:
+            stretch = stretch_of(recording, *stretch)
+        if not isinstance(stretch, slice):
+            raise ModelError(
+                f"stretch is {brief(stretch)}; give a slice of steps, or the first and the last time, as (0.0, 60.0)."
+            )
+        if not isinstance(gains, bool):
+            raise ModelError(f"gains is {brief(gains)}; it must be True or False.")
         fitted = fit_model(recording, stretch, gains=gains)
         of = list(fitted.sensors.values())
         bias, gain = (np.array([getattr(sensor, name) for sensor in of]) for name in ("bias", "gain"))

@@ -6,6 +6,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
@@ -294,6 +295,67 @@ def test_the_monitor_of_a_fit_is_that_of_the_file_that_it_writes():
     assert Monitor.fit(recorded(signals), alarm=Alarm(threshold=0.5))[0].alarm.threshold == 0.5
     with pytest.raises(ModelError, match=r"'a' of Monitor is FittedSensor.*Monitor\.fit makes"):
         Monitor(0.1, monitor.plant, fit_model(recorded(signals)).sensors)
+
+
+def three_of_a_level(steps=400):
+    rng, t = np.random.default_rng(5), 0.5 * np.arange(steps)
+    level = 3.0 + np.cumsum(0.01 * rng.standard_normal(steps))
+    y = (level[:, None] + 0.05 * rng.standard_normal((steps, 3))).round(4)
+    y[30:40, 2] = np.nan  # no samples
+    return t, y
+
+
+@pytest.mark.parametrize("kind", ["seconds", "dates", "zone", "durations", "column", "file"])
+def test_a_table_and_its_file_are_recordings(kind, tmp_path):
+    t, y = three_of_a_level()
+    usual = recorded({name: Signal(t, y[:, i]) for i, name in enumerate("abc")})
+    table = pd.DataFrame(y, columns=list("abc"), index=pd.Index(t, name="time (s)"))
+    start = pd.Timestamp("2026-05-01 08:00", tz="Europe/Berlin" if kind == "zone" else None)
+    if kind in {"dates", "zone", "durations"}:
+        table.index = pd.to_timedelta(t, unit="s") + (pd.Timedelta(0) if kind == "durations" else start)
+    if kind == "column":
+        table = table.reset_index()
+    if kind == "file":
+        table.to_csv(tmp_path / "level.csv")
+    recording = recorded(tmp_path / "level.csv" if kind == "file" else table)
+    assert recording.sensors == ("a", "b", "c")
+    assert recording.origin == (start if kind in {"dates", "zone"} else None)
+    np.testing.assert_array_equal(recording.y, usual.y)
+    assert recording.dt == usual.dt
+
+
+def test_a_stretch_is_steps_or_times():
+    t, y = three_of_a_level(800)
+    table = pd.DataFrame(y, columns=list("abc"), index=t)
+    by_steps = Monitor.fit(table, slice(0, 501))[0]
+    by_times = Monitor.fit(table, (0.0, 250.0))[0]
+    table.index = pd.Timestamp("2026-05-01 08:00") + pd.to_timedelta(t, unit="s")
+    by_dates = Monitor.fit(table, (None, "2026-05-01 08:04:10"))[0]
+    assert by_steps.sensors == by_times.sensors == by_dates.sensors
+    assert by_steps.plant == by_times.plant == by_dates.plant
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (({"a": [1.0, 2.0]},), "A recording is made of signals by name"),
+        (([1.0, 2.0],), "a pandas table or a CSV file, not of"),
+        (({},), "There is no sensor to monitor"),
+        ((pd.DataFrame({"a": [1.0, 0.5, 2.0], "b": 0.0}),), "The table has no column of times"),
+        ((None, "day 1"), "stretch is 'day 1'; give a slice of steps, or the first and the last time"),
+        ((None, ("noon", None)), "The start .--from. is 'noon'; give a number of seconds, or a date"),
+        ((None, (0.0, [1])), "The stretch has the end .--to.=.1.; it must be a finite number"),
+        ((None, (9.0, 2.0)), "The start .--from. is later than the end .--to."),
+        ((None, (0.0, "2026-05-01")), "The end .--to. is a date, but the times of the recording are 0 to 199"),
+    ],
+)
+def test_what_is_no_recording_or_stretch_is_refused(arguments, sentence):
+    t, y = three_of_a_level()
+    first = pd.DataFrame(y, columns=list("abc"), index=t) if arguments[0] is None else arguments[0]
+    with pytest.raises((RecordingError, ModelError), match=sentence):
+        Monitor.fit(first, *arguments[1:])
+    with pytest.raises(ModelError, match="gains is 'no'; it must be True or False"):
+        Monitor.fit(pd.DataFrame(y, columns=list("abc"), index=t), gains="no")
 
 
 @pytest.mark.sampled(1)

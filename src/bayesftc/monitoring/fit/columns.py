@@ -8,21 +8,27 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.controllers.models.checks import as_number
 from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
 from bayesftc.cosim.base.recordings.day_first import iso_of
 from bayesftc.cosim.base.recordings.held import is_held
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.base.recordings.turns import find_period
-from bayesftc.cosim.errors import RecordingError, did_you_mean
+from bayesftc.cosim.errors import RecordingError, brief, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables, warn_of_changes
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.fit.units import check_one_unit, in_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -217,15 +223,17 @@ def _short(value: float) -> Fraction:
     return next((n for n in numbers if abs(float(n) - value) < 1e-4 * value), Fraction(f"{value:.9e}"))
 
 
-def stretch_of(recording: Recording, start: float | datetime | None, stop: float | datetime | None) -> slice:
+def stretch_of(
+    recording: Recording, start: float | datetime | str | None, stop: float | datetime | str | None
+) -> slice:
     """Return the steps between two times.
 
     Parameters
     ----------
     recording : Recording
         The recording.
-    start, stop : float, datetime or None
-        Times in seconds, or dates if those of the recording are; None for the recording's start or end.
+    start, stop : float, datetime, str or None
+        Times in seconds, or dates if those of the recording are, also as ISO 8601 texts; None for the recording's start or end.
 
     Returns
     -------
@@ -247,45 +255,50 @@ def stretch_of(recording: Recording, start: float | datetime | None, stop: float
     slice(10, 21, None)
     """
     time = recording.time
-    first = 0 if start is None else int(np.searchsorted(time, _seconds(recording, "--from", start)))
-    last = len(time) if stop is None else int(np.searchsorted(time, _seconds(recording, "--to", stop), side="right"))
+    begin, end = (_seconds(recording, *given) for given in (("start (--from)", start), ("end (--to)", stop)))
+    first = 0 if begin is None else int(np.searchsorted(time, begin))
+    last = len(time) if end is None else int(np.searchsorted(time, end, side="right"))
     if first >= last:
-        if (
-            start is not None
-            and stop is not None
-            and _seconds(recording, "--from", start) > _seconds(recording, "--to", stop)
-        ):
-            raise RecordingError("--from is later than --to. Exchange the two times.")
+        if begin is not None and end is not None and begin > end:
+            raise RecordingError("The start (--from) is later than the end (--to). Exchange the two times.")
         raise RecordingError(
-            f"The recording, from {span_text(time[0], time[-1], recording.origin)}, has no samples between --from and --to. "
-            "Choose times in it."
+            f"The recording, from {span_text(time[0], time[-1], recording.origin)}, has no samples between the start "
+            "(--from) and the end (--to). Choose times in it."
         )
     return slice(first, last)
 
 
-def _seconds(recording: Recording, option: str, moment: float | datetime) -> float:
-    """Return a time in seconds of the recording."""
+def _seconds(recording: Recording, which: str, moment: float | datetime | str | None) -> float | None:
+    """Return a time in seconds of the recording; None stays None."""
+    if isinstance(moment, str):
+        try:
+            moment = datetime.fromisoformat(moment)
+        except ValueError:
+            raise RecordingError(
+                f"The {which} is {moment!r}; give a number of seconds, or a date such as '2026-05-01T10:00:12'."
+            ) from None
+    if moment is None:
+        return None
     if not isinstance(moment, datetime):
-        return moment
+        return as_number(f"The stretch has the {which}", moment)
     span = span_text(recording.time[0], recording.time[-1], recording.origin)
     if recording.origin is None:
-        raise RecordingError(
-            f"{option} is a date, but the times of the recording are {span}. Give {option} in seconds."
-        )
+        raise RecordingError(f"The {which} is a date, but the times of the recording are {span}. Give seconds.")
     if recording.origin.tzinfo is None and moment.tzinfo is not None:
         raise RecordingError(
-            f"{option} has a time zone, but the dates of the recording, {span}, have none. Leave it out."
+            f"The {which} has a time zone, but the dates of the recording, {span}, have none. Leave it out."
         )
     return seconds_of(moment, recording.origin)
 
 
-def recorded(signals: Mapping[str, Signal]) -> Recording:
+def recorded(source: Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str]) -> Recording:
     """Bring signals to common steps of about their own interval; see `align`.
 
     Parameters
     ----------
-    signals : mapping of str to Signal
-        All of them sensors.
+    source : mapping of str to Signal, DataFrame or path
+        All of them sensors. Of a table, or a CSV file as in `redundant_signals`, all columns but the times. A table's times are
+        its index (seconds or dates), or if that only counts the rows a column, such as ``time``.
 
     Returns
     -------
@@ -295,7 +308,7 @@ def recorded(signals: Mapping[str, Signal]) -> Recording:
     Raises
     ------
     RecordingError
-        As for `align`, or if a signal has only one sample.
+        As for `align`, if a signal has only one sample, or if the source is none of these.
 
     Examples
     --------
@@ -307,7 +320,43 @@ def recorded(signals: Mapping[str, Signal]) -> Recording:
     >>> float(recording.dt), np.isfinite(recording.y).sum(axis=0).tolist()
     (0.02, [50, 10])
     """
+    if isinstance(source, str | os.PathLike):
+        signals: Mapping[str, Signal] = redundant_signals(source)[1]
+    elif hasattr(source, "to_csv"):
+        signals = _of_table(source)  # type: ignore[arg-type]
+    elif isinstance(source, Mapping) and all(isinstance(signal, Signal) for signal in source.values()):
+        signals = source
+    else:
+        raise RecordingError(
+            f"A recording is made of signals by name, as {{'left': Signal(times, values)}}, a pandas table or a CSV file, not of "
+            f"{brief(source)}."
+        )
+    if not signals:
+        raise RecordingError("There is no sensor to monitor. Name at least one.")
     for name, signal in signals.items():
         if len(np.asarray(signal.time)) < 2:
             raise RecordingError(f"The sensor {name!r} has only one sample. Leave it out.")
     return align(signals, {}, sample_time(signals))
+
+
+def _of_table(table: pd.DataFrame) -> dict[str, Signal]:
+    """Return the signals of a table. It is read as its file would be, so that both have the same rules and results."""
+    import pandas as pd
+
+    origin, index = None, table.index
+    if isinstance(index, pd.DatetimeIndex) and len(index):
+        origin = index[0].to_pydatetime()
+        index = index - index[0]
+    if isinstance(index, pd.TimedeltaIndex):
+        table = table.set_axis(index.total_seconds())
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "table.csv")
+        if isinstance(index, pd.RangeIndex):
+            table.to_csv(file, index=False)
+        else:
+            table.to_csv(file, index_label=str(index.name or TIMES[0]))
+        try:
+            signals = redundant_signals(file)[1]
+        except RecordingError as error:
+            raise RecordingError(str(error).replace(os.fspath(file), "The table")) from None
+    return {name: replace(signal, origin=origin or signal.origin) for name, signal in signals.items()}
