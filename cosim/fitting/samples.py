@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.base.recordings.dates import other_date
-from bayesftc.cosim.base.recordings.day_first import iso_of
+from bayesftc.cosim.base.recordings.local_dates import iso_of
 from bayesftc.cosim.base.recordings.table_files import find_times
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.base.warnings_shown import warn_user

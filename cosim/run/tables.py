@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesftc.cosim.base.recordings.columns import column_called
 from bayesftc.cosim.base.recordings.dates import are_dates, other_date
-from bayesftc.cosim.base.recordings.day_first import iso_of
+from bayesftc.cosim.base.recordings.local_dates import iso_of
 from bayesftc.cosim.base.recordings.table_files import TIMES, read_table_file, times_in
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean

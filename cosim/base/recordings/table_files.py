@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.csv_form import ENCODING, form_of, lines_above
+from bayesftc.cosim.base.recordings.csv_form import form_of, lines_above
 from bayesftc.cosim.base.recordings.dates import ISO, are_dates, as_seconds
-from bayesftc.cosim.base.recordings.day_first import with_iso_dates
+from bayesftc.cosim.base.recordings.local_dates import with_iso_dates
 from bayesftc.cosim.base.recordings.split_times import joined_times
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
@@ -179,10 +179,10 @@ def _read_csv(path: str | PathLike[str]) -> pd.DataFrame:
     form = form_of(path)
     table: pd.DataFrame = pd.read_csv(
         path,
-        encoding=ENCODING,
+        encoding=form.encoding,
         sep=form.separator,
         decimal=form.decimal,
-        skiprows=lines_above(path, form.separator),
+        skiprows=lines_above(path, form),
         **exact_numbers(),
     )
     return table
@@ -222,7 +222,7 @@ def read_table_file(path: str | PathLike[str]) -> pd.DataFrame:
 
     try:
         table = pd.read_parquet(path) if Path(path).suffix == ".parquet" else _read_csv(path)
-        table, _ = joined_times(table, list(table.columns))
+        table, _ = joined_times(table, list(table.columns), str(path))
         return _with_seconds(_with_iso_dates(table, path), path)
     except (OSError, ValueError, ImportError) as error:  # pandas without a package for Parquet raises the last
         message = getattr(error, "strerror", None) or str(error).strip().rstrip(".")

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.invalid import invalid_values, numbers_of
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
-from bayesftc.cosim.base.recordings.csv_form import ENCODING, CsvForm, cells_of, form_of
+from bayesftc.cosim.base.recordings.csv_form import CsvForm, cells_of, form_of
 from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_seconds, other_date
-from bayesftc.cosim.base.recordings.day_first import iso_of, with_iso_dates
 from bayesftc.cosim.base.recordings.held import least_change
+from bayesftc.cosim.base.recordings.local_dates import iso_of, with_iso_dates
 from bayesftc.cosim.base.recordings.split_times import joined_times
 from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds, since_1970
 from bayesftc.cosim.errors import RecordingError, did_you_mean
@@ -171,7 +171,7 @@ class Tables:
         wrong = np.flatnonzero(missing & cells.notna().to_numpy())
         if not len(wrong):
             return
-        line, _ = next(islice(cells_of(file, self._forms[file].separator), int(wrong[0]) + 1, None))
+        line, _ = next(islice(cells_of(file, self._forms[file]), int(wrong[0]) + 1, None))
         sign, form = ("point", "12.5") if self._forms[file].decimal == "." else ("comma", "12,5")
         if not signal.startswith("the times"):
             remedy = f"An empty cell is a missing sample. {_remedy(cells.iloc[wrong])}"
@@ -199,7 +199,7 @@ class Tables:
                     header=None,
                     skiprows=begin,
                     index_col=False,
-                    encoding=ENCODING,
+                    encoding=form.encoding,
                     sep=form.separator,
                     decimal=form.decimal,
                     **exact_numbers(),
@@ -215,7 +215,7 @@ class Tables:
                 raise RecordingError(
                     f"{fspath(file)} is no CSV table with commas and a first row of names: {reason}."
                 ) from None
-            table, kept = joined_times(table, header)
+            table, kept = joined_times(table, header, fspath(file))
             table.columns, header = pd.RangeIndex(len(kept)), [header[i] for i in kept]
             if form.decimal != ".":  # pandas leaves decimal commas in a column with a text
                 for column in table.select_dtypes(exclude=["number", "bool"]).columns:
@@ -256,7 +256,7 @@ def _check(file: Path, form: CsvForm) -> tuple[list[str], int]:
 
     pandas would fill a row that is too short. If all rows are too long, it would use the first columns as an index.
     """
-    rows = cells_of(file, form.separator)
+    rows = cells_of(file, form)
     begin, cells = next(rows, (0, []))
     names = [cell.strip() for cell in cells]
     if not names:

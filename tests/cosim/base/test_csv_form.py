@@ -174,7 +174,7 @@ def test_a_date_that_is_none_is_named(tmp_path):
 
 @pytest.mark.parametrize("name", ["Zeit", "t"])
 def test_dates_in_another_form_are_refused_with_the_right_one(name, tmp_path):
-    dates = ["03/29/2026 08:00:00", "03/29/2026 08:01:00", "03/29/2026 08:02:00", "03/29/2026 08:03:00"]
+    dates = [f"03/29/2026 08:0{minute}:00 +01:00" for minute in range(4)]
     file = tmp_path / "drive.csv"
     rows = [f"{date};{left};{left}" for date, left in zip(dates, LEFT, strict=True)]
     file.write_text("\n".join([f"{name};left;right", *rows]))

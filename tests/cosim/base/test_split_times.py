@@ -13,7 +13,7 @@ from bayesftc.cosim.base.recordings.table_files import find_times, read_table_fi
 @given(whole=st.lists(st.integers(0, 2**31), min_size=1, max_size=20), rest=st.integers(0, 10**9 - 1))
 def test_the_nanoseconds_are_added_to_the_seconds(whole, rest):
     table = pd.DataFrame({"x": 0.0, "stamp.nanosec": rest, "stamp.sec": whole})
-    joined, kept = joined_times(table, list(table.columns))
+    joined, kept = joined_times(table, list(table.columns), "a file")
     assert list(joined.columns) == ["x", "stamp.sec"]
     assert kept == [0, 2]
     np.testing.assert_allclose(joined["stamp.sec"], np.array(whole) + rest * 1e-9, rtol=1e-15)
@@ -26,7 +26,7 @@ def test_the_nanoseconds_are_added_to_the_seconds(whole, rest):
 )
 def test_the_usual_pairs_of_names_are_known(whole, rest):
     table = pd.DataFrame({whole: [1, 2], rest: [5, 6]})
-    assert list(joined_times(table, list(table.columns))[0].columns) == [whole]
+    assert list(joined_times(table, list(table.columns), "a file")[0].columns) == [whole]
 
 
 @pytest.mark.parametrize(
@@ -41,7 +41,7 @@ def test_the_usual_pairs_of_names_are_known(whole, rest):
 )
 def test_other_columns_stay_as_they_are(names, rest):
     table = pd.DataFrame(dict(zip(names, ([1, 2], rest), strict=True)))
-    joined, kept = joined_times(table, names)
+    joined, kept = joined_times(table, names, "a file")
     pd.testing.assert_frame_equal(joined, table)
     assert kept == [0, 1]
 
@@ -49,7 +49,7 @@ def test_other_columns_stay_as_they_are(names, rest):
 def test_rows_without_a_message_have_no_time():
     """As in a table of several messages, each with its own times: the rest of the second was left out of all rows."""
     table = pd.DataFrame({"a.sec": [1.0, np.nan, 2.0], "a.nanosec": [250_000_000, np.nan, 500_000_000]})
-    joined, _ = joined_times(table, list(table.columns))
+    joined, _ = joined_times(table, list(table.columns), "a file")
     np.testing.assert_array_equal(joined["a.sec"], [1.25, np.nan, 2.5])
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from bayesftc.controllers.models.checks import as_number
 from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
-from bayesftc.cosim.base.recordings.day_first import iso_of
 from bayesftc.cosim.base.recordings.held import is_held
+from bayesftc.cosim.base.recordings.local_dates import iso_of
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import RecordingError, brief, did_you_mean

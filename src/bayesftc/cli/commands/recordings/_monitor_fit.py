@@ -18,7 +18,7 @@ from bayesftc.cli import output
 from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.recordings.columns import column_called
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
-from bayesftc.cosim.base.recordings.day_first import day_first_date
+from bayesftc.cosim.base.recordings.local_dates import day_first_date
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.base.timebase import spoken
 from bayesftc.cosim.errors import RecordingError, ResultFileError
