@@ -335,6 +335,32 @@ def test_a_stretch_is_steps_or_times():
     assert by_steps.plant == by_times.plant == by_dates.plant
 
 
+def thermometers(rng, steps=6000):
+    """Two thermometers outdoors, and one in a shelter that lags; the second is off for a part of the second half."""
+    t = 60.0 * np.arange(steps)
+    air = 12 + 6 * np.sin(2 * np.pi * t / 86400) + np.cumsum(0.02 * rng.standard_normal(steps))
+    shelter = air.copy()
+    for k in range(1, steps):
+        shelter[k] = shelter[k - 1] + (air[k] - shelter[k - 1]) / 10
+    y = np.stack([air, air, shelter], axis=1) + 0.1 * rng.standard_normal((steps, 3))
+    y[3600:4800, 1] += 1.0
+    return pd.DataFrame(y, columns=["north", "roof", "shelter"], index=t)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_fault_outside_of_a_long_stretch_does_not_count(seed):
+    """With the noise and lasting errors of the whole recording healthy sensors had 11 to 42 alarms in ten days."""
+    table = thermometers(np.random.default_rng(seed))
+    monitor, corrected = Monitor.fit(table, slice(0, 3000))
+    assert {event.sensor for event in monitor.run(corrected).events} == {"roof"}
+    alone = fit_model(recorded(table[:3000]))
+    part = fit_model(recorded(table), slice(0, 3000))
+    assert not part.borrows
+    for name, sensor in part.sensors.items():
+        assert sensor.std == pytest.approx(alone.sensors[name].std)
+    assert fit_model(recorded(table), slice(0, 500)).borrows
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

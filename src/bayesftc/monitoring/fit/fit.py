@@ -90,6 +90,8 @@ class FittedModel:
         Wandering biases that show only outside of the stretch: they are in `errors`, but may be faults there.
     coded : bool
         Whether samples were left out, because a value that repeats seems to stand for no sample.
+    borrows : bool
+        Whether errors come from outside of the stretch, too, because it is short, or the quantity moves far less in it.
     level, spread : float
         Mean and standard deviation of the quantity, in its unit.
     rate : float
@@ -119,6 +121,7 @@ class FittedModel:
     changes: Mapping[str, Change] = field(default_factory=dict)
     outside: SensorErrors | None = None
     coded: bool = False
+    borrows: bool = False
 
     @property
     def joint(self) -> bool:
@@ -153,9 +156,10 @@ def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool
     recording : Recording
         Two or more sensors, with at least 200 samples each.
     stretch : slice
-        Steps in which the sensors are healthy; by default all. Biases come from it. Motion comes from the whole recording: a calm
-        stretch does not show it, and no fault of a single sensor looks like it. Noise, up to twice that of the stretch, and
-        wandering biases, up to the size of the noise and to those of most sensors, also come from the whole recording.
+        Steps in which the sensors are healthy; by default all. Errors and biases come from it. Motion comes from the whole
+        recording, because no fault of a single sensor looks like it. A stretch of less than 1000 steps, or one in which the
+        quantity hardly moves, tells too little of errors (`FittedModel.borrows`): then noise, up to twice that of the stretch,
+        and wandering biases, up to the size of the noise and to those of most sensors, also come from the whole recording.
     gains : bool
         Whether a sensor may have a gain other than 1. It has one if it moves more or less than the others in both halves of the
         stretch, and all others follow each other. Of two sensors, it is the second one. For angles give False.
@@ -257,8 +261,10 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
     apart = {lag: disagreement(whole, lag) for lag in _lags(whole)}
     noise = {lag: max(_half(pairs), floor) for lag, (pairs, _) in apart.items()}
     plant, motion, rate = _plant(whole, noise, dt)
-    single, shared = _errors(apart)
-    if len(y) < len(whole):
+    part = len(y) < len(whole)
+    alone = part and len(y) >= FIT.enough and not _calm(y, whole, noise)
+    single, shared = _errors({lag: disagreement(y, lag) for lag in _lags(y)} if alone else apart)
+    if part and not alone:
         of_stretch, _ = _errors({lag: disagreement(y, lag) for lag in _lags(y)})
         single = [
             everywhere.within(here.variance, FIT.louder**2) for everywhere, here in zip(single, of_stretch, strict=True)
@@ -267,7 +273,7 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
     kept = unmoved(whole, moved, stretch)
     y = np.where(np.isfinite(kept[stretch]), y, np.nan)
     bias = biases(y)
-    slow, times, outside = _wandering(y - bias, kept - bias, single)
+    slow, times, outside = _wandering(y - bias, (y if alone else kept) - bias, single)
     counted = [i for i in range(len(single)) if slow[i] > FIT.wanders * single[i].variance]
     sensors, errors = {}, []
     for i, name in enumerate(recording.sensors):
@@ -290,8 +296,23 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
         SensorErrors(outside**0.5, times[0] * dt) if outside and any(slow[i] == outside for i in counted) else None
     )
     return FittedModel(
-        plant, sensors, tuple(errors), motion.seen, middle, spread, rate, changes=by_name, outside=elsewhere
+        plant,
+        sensors,
+        tuple(errors),
+        motion.seen,
+        middle,
+        spread,
+        rate,
+        changes=by_name,
+        outside=elsewhere,
+        borrows=part and not alone,
     )
+
+
+def _calm(y: Floats, whole: Floats, noise: dict[int, float]) -> bool:
+    """Return whether the quantity moves far less in the stretch than elsewhere, so that it shows no errors that motion causes."""
+    lag, motion = _motion(whole, noise, 1)
+    return motion.seen and (2 * lag >= len(y) or common(y, lag, 1, noise[lag]).variance < FIT.calm * motion.variance)
 
 
 def _rounding(

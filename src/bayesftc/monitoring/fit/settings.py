@@ -3,7 +3,8 @@
 They were made with the recorded drive of ``docs/tutorials/monitor.md`` in view: a wheel that fails in braking at 31.5 s, and
 a stretch of five calm seconds (`louder`, `rare`). Those for codes and for sensors that do not follow were made with simulated
 flights of ten minutes at 10 Hz; of the wheels of the recorded drive, healthy and faulty, they name none. The one for turns
-(`abrupt`) was made with simulated headings of a ship, 20 minutes at 1 Hz. The others were not tested on other recordings.
+(`abrupt`) was made with simulated headings of a ship, 20 minutes at 1 Hz, and those for long stretches (`calm`, `enough`) with
+simulated thermometers, 10 days of a sample each minute. The others were not tested on other recordings.
 """
 
 from __future__ import annotations
@@ -119,6 +120,10 @@ class FitSettings:
     louder: float = chosen(
         2.0, "largest ratio of the noise elsewhere to that in the stretch: calm seconds are too quiet"
     )
+    calm: float = chosen(
+        0.25, "least ratio of the squared motion in the stretch to that elsewhere, for errors from the stretch alone"
+    )
+    enough: int = chosen(1000, "least steps of such a stretch: fewer do not tell white noise from errors that last")
     # Biases.
     blocks: int = chosen(32, "parts of a recording whose typical differences are compared")
     least_block: int = chosen(16, "least steps in one part, for a reliable median")

@@ -399,10 +399,12 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     )
     if part.start is not None or part.stop is not None:
         say(
-            "Biases, repeats and missing come from the stretch between --from and --to. The motion comes from the whole "
-            "recording: a calm stretch shows too little of it. The noise comes from the whole recording as well, but is at most "
-            "twice that of the stretch. Lasting errors outside the stretch count only if most sensors have them. To fit the "
-            "stretch alone, put its rows into a file of their own."
+            "All but the motion, which is that of the whole recording, comes from the stretch between --from and --to."
+            if not fitted.borrows
+            else "Biases, repeats and missing come from the stretch between --from and --to. It is short, or calm, and tells too "
+            "little of motion and noise: they come from the whole recording; the noise is at most twice that of the stretch. "
+            "Lasting errors outside the stretch count if most sensors have them. To fit the stretch alone, put its rows into a "
+            "file of their own."
         )
     if gaps := _gaps(recording):
         say(gaps)
