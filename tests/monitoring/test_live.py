@@ -334,3 +334,17 @@ def test_a_gap_of_a_stream_needs_the_usual_interval():
     gap = [k for k, begin in enumerate(since) if begin is not None]
     assert gap == list(range(80, 120))
     assert {since[k] for k in gap} == {50}
+
+
+def test_a_step_by_hand_has_a_sample_or_none_of_each_sensor():
+    sensors = {name: Sensor(std=0.1, resolution=0.0) for name in "abc"}
+    stepper = MonitorStepper(Monitor(0.1, RandomWalk(std=0.1), sensors), compiled=False)
+    with pytest.raises(ModelError, match=r"Call prepare\(\) before the first advance"):
+        stepper.advance([1.0, 2.0, 3.0])
+    stepper.prepare()
+    with pytest.raises(ModelError, match=r"A step of the monitor has 3 samples \(a, b, c\), not 2"):
+        stepper.advance([1.0, 2.0])
+    for _ in range(30):
+        out = stepper.advance([20.0, None, 20.1])
+        out = stepper.advance([20.0, 20.1, 20.1])
+    assert out[stepper.output_places("fault_probability")].max() < 0.5

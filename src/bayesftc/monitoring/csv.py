@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 import json
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from itertools import islice
 from os import PathLike, fspath
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +41,37 @@ MOST_COLUMNS = 10_000
 
 MOST_TEXTS = 5
 """Most texts of a column that an error names."""
+
+
+@contextmanager
+def file_of(table: pd.DataFrame, time: str) -> Iterator[tuple[Path, datetime | None]]:
+    """Give a table as a CSV file, so that both have the same rules, and the instant of time 0 if its index has dates.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Its times are its index, in seconds, dates or durations; or one of its columns if the index only counts the rows.
+    time : str
+        The name of an index without one.
+    """
+    import pandas as pd
+
+    origin, index = None, table.index
+    if isinstance(index, pd.DatetimeIndex) and len(index):
+        origin = index[0].to_pydatetime()
+        index = index - index[0]
+    if isinstance(index, pd.TimedeltaIndex):
+        table = table.set_axis(index.total_seconds())
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "table.csv")
+        if isinstance(index, pd.RangeIndex):
+            table.to_csv(file, index=False)
+        else:
+            table.to_csv(file, index_label=str(table.index.name or time))
+        try:
+            yield file, origin
+        except RecordingError as error:
+            raise RecordingError(str(error).replace(fspath(file), "The table")) from None
 
 
 class Tables:

@@ -90,6 +90,7 @@ class MonitorStepper(Stepper):
                 )
         self.step = rational_step(monitor.dt, "The monitor's sample time")
         self.inputs = {name: Port(name, unit=column.unit or None) for name, column in columns.items()}
+        self.outputs: Mapping[str, Port] = {}
         self.began: float | None = None
         self.estimator = monitor.estimator(self._recording(monitor, np.zeros((1, len(monitor.sensors)))))
         self._monitor, self._compiled = monitor, compiled
@@ -109,7 +110,7 @@ class MonitorStepper(Stepper):
         online = self.estimator.online(compiled=self._compiled)
         self._step_of(online, np.full(len(self._monitor.sensors), np.nan), np.zeros(self.estimator.model.controls))
         names = signal_names(self.estimator.precision)
-        self.outputs: Mapping[str, Port] = {name: online.outputs[name] for name in names}
+        self.outputs = {name: online.outputs[name] for name in names}
         self._judged = judged_names(self.estimator.precision)
 
     def bears_missing(self, name: str) -> bool:
@@ -148,7 +149,20 @@ class MonitorStepper(Stepper):
         return {name: sum(bool(np.isfinite(y[i])) for y, _ in self._opening) for i, name in enumerate(names)}
 
     def advance(self, inputs: Floats) -> Floats:
-        """Judge the samples of a step."""
+        """Judge the samples of a step: those of all sensors, then the inputs; NaN or None is a missing one.
+
+        Raises
+        ------
+        ModelError
+            If there are more or fewer, or `prepare` was not called.
+        """
+        if not isinstance(inputs, np.ndarray):
+            inputs = np.array([np.nan if value is None else value for value in inputs], dtype=np.float64)
+        if inputs.shape != self._bias.shape:
+            names = ", ".join(self.inputs)
+            raise ModelError(f"A step of the monitor has {len(self._bias)} samples ({names}), not {len(inputs)}.")
+        if not self.outputs:
+            raise ModelError("The monitor's steps are not made yet. Call prepare() before the first advance().")
         self._k += 1
         values = (inputs - self._bias) / self._gain
         for i, invalid in enumerate(self._invalid):
@@ -211,6 +225,8 @@ class MonitorStepper(Stepper):
             resolution=tuple(find_resolution(y[:, i]) if r is None else r for i, r in enumerate(given)),
             replaced=(0,) * len(sensors),
             units=tuple(sensor.unit for sensor in sensors.values()),
+            bias=tuple(sensor.bias for sensor in sensors.values()),
+            gain=tuple(sensor.gain for sensor in sensors.values()),
         )
 
     def _judge(self, online: Online, y: Floats, u: Floats) -> Floats:

@@ -27,8 +27,8 @@ from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
-from bayesftc.monitoring.csv import Tables, warn_of_changes
-from bayesftc.monitoring.fit.columns import recorded, stretch_of
+from bayesftc.monitoring.csv import Tables, file_of, warn_of_changes
+from bayesftc.monitoring.fit.columns import Place, placed, stretch_of
 from bayesftc.monitoring.fit.fit import fit_model
 from bayesftc.monitoring.fit.units import in_unit
 from bayesftc.monitoring.models import PlantModel
@@ -128,9 +128,8 @@ class Monitor:
     ) -> tuple[Monitor, Recording]:
         """Return a monitor with a model fitted to a recording of sensors of one quantity, and the recording for its `run`.
 
-        The returned recording has no constant biases and no gains. The monitor is for this recording, and others from `align`. It
-        does not know the files and codes of columns, nor turns of angles: to read files with it, write `as_model_file`, as
-        ``bayesftc monitor --fit`` does.
+        The monitor is for this recording and for later ones, from files or tables with the same columns; `run` subtracts the
+        biases that the fit has found. `as_model_file` writes a model file, as ``bayesftc monitor --fit`` does.
 
         Parameters
         ----------
@@ -164,8 +163,9 @@ class Monitor:
         >>> [(event.sensor, event.kind) for event in monitor.run(corrected).events]
         [('b', 'Offset')]
         """
+        places: dict[str, Place] = {}
         if not isinstance(recording, Recording):
-            recording = recorded(recording)
+            places, recording = placed(recording)
         if isinstance(stretch, tuple | list) and len(stretch) == 2:
             stretch = stretch_of(recording, *stretch)
         if not isinstance(stretch, slice):
@@ -175,17 +175,30 @@ class Monitor:
         if not isinstance(gains, bool):
             raise ModelError(f"gains is {brief(gains)}; it must be True or False.")
         fitted = fit_model(recording, stretch, gains=gains)
-        of = list(fitted.sensors.values())
-        bias, gain = (np.array([getattr(sensor, name) for sensor in of]) for name in ("bias", "gain"))
-        resolution = tuple(sensor.resolution / sensor.gain for sensor in of)
-        corrected = replace(recording, y=(recording.y - bias) / gain, resolution=resolution)
-        sensors = {
-            name: Sensor(std=s.std, resolution=s.resolution, repeats=s.repeats, bias=s.bias, gain=s.gain)
-            for name, s in fitted.sensors.items()
-        }
+        files = {place.file for place in places.values()}
+        sensors = {}
+        for (name, s), unit in zip(fitted.sensors.items(), recording.units, strict=True):
+            place = places.get(name, Place("", name, "t"))
+            sensors[name] = Sensor(
+                file=place.file if len(files) > 1 else None,
+                column=place.column if place.column != name else None,
+                time=place.time if len(files) > 1 else None,
+                bias=s.bias,
+                invalid=place.invalid,
+                gain=s.gain,
+                std=s.std,
+                resolution=s.resolution,
+                repeats=s.repeats,
+                period=place.period,
+                held=place.held,
+                unit=unit,
+            )
+        if places:
+            settings = {"time": next(iter(places.values())).time, **settings}
         mean, std = fitted.belief or (None, None)
         given = {"errors": fitted.errors, "joint": fitted.joint, "initial_mean": mean, "initial_std": std, **settings}
-        return cls(recording.dt, fitted.plant, sensors, **given), corrected
+        monitor = cls(recording.dt, fitted.plant, sensors, **given)
+        return monitor, monitor.recording(recording)
 
     @property
     def _input_errors(self) -> bool:
@@ -222,6 +235,36 @@ class Monitor:
             chosen = None if errors.sensors is None else [order.index(name) for name in errors.sensors]
             model = model.with_sensor_errors(errors.std, errors.time_constant, chosen, common=errors.common)
         return model
+
+    def recording(self, source: Recording | Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str]) -> Recording:
+        """Return a recording for this monitor at its steps: without the biases and gains of its sensors.
+
+        Parameters
+        ----------
+        source : Recording, mapping of str to Signal, DataFrame or path
+            The samples of the monitor's sensors as they were recorded, or a recording from which biases are subtracted already.
+            A table or file has the columns that the monitor reads.
+
+        Raises
+        ------
+        RecordingError
+            As for `read`.
+        ModelError
+            If a recording has other sensors.
+        """
+        if isinstance(source, str | os.PathLike):
+            return self.read(source)
+        if hasattr(source, "to_csv"):
+            with file_of(source, self.time) as (file, origin):  # type: ignore[arg-type]
+                read = self.read(file)
+            return replace(read, origin=origin or read.origin)
+        found = source if isinstance(source, Recording) else align(source, {}, self.dt)  # type: ignore[arg-type]
+        of = self.sensors
+        if set(found.sensors) != set(of):
+            names = (", ".join(map(repr, given)) for given in (found.sensors, of))
+            raise ModelError("The recording has the sensors {}, but the monitor has {}.".format(*names))
+        bias, gain = ([getattr(of[name], kind) for name in found.sensors] for kind in ("bias", "gain"))
+        return found.without(bias, gain)
 
     def read(self, paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Recording:
         """Read the recording from CSV files, or folders of them, and bring it to the model's steps.
@@ -298,16 +341,22 @@ class Monitor:
         start: Any = extended_mean(model, np.array(mean), mean)
         return diagnose_recording(model, recording.y, recording.u, start)
 
-    def run(self, recording: Recording, *, compiled: bool | None = None) -> Monitored:
+    def run(
+        self,
+        recording: Recording | Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str],
+        *,
+        compiled: bool | None = None,
+    ) -> Monitored:
         """Run the estimator over a recording; see `monitor_recording`.
 
         Parameters
         ----------
-        recording : Recording
-            From `read`.
+        recording : Recording, mapping of str to Signal, DataFrame or path
+            See `recording`.
         compiled : bool, optional
             As for `monitor_recording`.
         """
+        recording = self.recording(recording)
         model = self.model
         mean, covariance = self.start(recording, model)
         return monitor_recording(

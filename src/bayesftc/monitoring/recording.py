@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from fractions import Fraction
 
@@ -194,6 +194,8 @@ class Recording:
         Names of the inputs, and the unit of each.
     origin : datetime or None
         The instant of time 0, if the times were dates.
+    bias, gain : tuple of float
+        What was subtracted from the samples of each sensor, and by what they were divided then; empty: nothing.
 
     Examples
     --------
@@ -217,9 +219,21 @@ class Recording:
     inputs: tuple[str, ...] = ()
     input_units: tuple[str, ...] = ()
     origin: datetime | None = None
+    bias: tuple[float, ...] = ()
+    gain: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         return short(self, start="s", dt="s")
+
+    def without(self, bias: Sequence[float], gain: Sequence[float]) -> Recording:
+        """Return the recording with these biases subtracted and divided by these gains, whatever was subtracted before."""
+        sensors = len(self.sensors)
+        before, factor = np.array(self.bias or (0.0,) * sensors), np.array(self.gain or (1.0,) * sensors)
+        if np.array_equal(before, bias) and np.array_equal(factor, gain):
+            return self
+        y = (self.y * factor + before - np.array(bias)) / np.array(gain)
+        resolution = tuple((np.array(self.resolution) * factor / np.array(gain)).tolist())
+        return replace(self, y=y, resolution=resolution, bias=tuple(bias), gain=tuple(gain))
 
     @property
     def time(self) -> Floats:
@@ -306,8 +320,20 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         *((float(signal.resolution or 0.0) / signal.gain, signal.unit) for signal in sensors.values()), strict=True
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
+    subtracted = tuple(tuple(float(getattr(s, name)) for s in sensors.values()) for name in ("bias", "gain"))
     return Recording(
-        start, step, tuple(sensors), y, u, tuple(loss), resolution, tuple(replaced), units, *of_inputs, origin
+        start,
+        step,
+        tuple(sensors),
+        y,
+        u,
+        tuple(loss),
+        resolution,
+        tuple(replaced),
+        units,
+        *of_inputs,
+        origin,
+        *subtracted,
     )
 
 

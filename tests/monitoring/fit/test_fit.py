@@ -361,6 +361,34 @@ def test_a_fault_outside_of_a_long_stretch_does_not_count(seed):
     assert fit_model(recorded(table), slice(0, 500)).borrows
 
 
+@pytest.mark.parametrize("kind", ["signals", "recorded", "align", "table", "dates", "file"])
+def test_a_fitted_monitor_judges_later_recordings(kind, tmp_path):
+    """Their biases were not subtracted, so that healthy sensors had alarms to the end."""
+
+    def data(seed):
+        rng = np.random.default_rng(seed)
+        level = 2.0 + np.cumsum(0.003 * rng.standard_normal(2000))
+        y = level[:, None] + 0.01 * rng.standard_normal((2000, 3)) + [0.0, 0.05, -0.04]
+        return pd.DataFrame(y, columns=list("abc"), index=pd.Index(10.0 * np.arange(2000), name="time"))
+
+    monitor, corrected = Monitor.fit(data(1))
+    assert abs(monitor.sensors["b"].bias - monitor.sensors["a"].bias) == pytest.approx(0.05, abs=0.005)
+    later = data(2)
+    later.loc[10_000.0:, "c"] += 0.2
+    signals = {name: Signal(later.index, later[name]) for name in later}
+    given = {"signals": signals, "recorded": recorded(signals), "table": later, "file": tmp_path / "later.csv"}
+    given["align"] = align(signals, {}, 10.0)
+    later.to_csv(given["file"])
+    given["dates"] = later.set_index(pd.Timestamp("2026-05-01") + pd.to_timedelta(later.index, unit="s"))
+    found = monitor.run(given[kind])
+    assert [event.sensor for event in found.events] == ["c"]
+    assert (found.recording.origin is not None) == (kind == "dates")
+    assert monitor.recording(corrected) is corrected
+    np.testing.assert_array_equal(monitor.run(data(1)).fault_probability, monitor.run(corrected).fault_probability)
+    with pytest.raises(ModelError, match="The recording has the sensors 'x', 'y', but the monitor has 'a', 'b', 'c'"):
+        monitor.run(recorded({"x": signals["a"], "y": signals["b"]}))
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

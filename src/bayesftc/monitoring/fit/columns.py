@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +21,7 @@ from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import RecordingError, brief, did_you_mean
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.csv import Tables, warn_of_changes
+from bayesftc.monitoring.csv import Tables, file_of, warn_of_changes
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.fit.units import check_one_unit, in_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
@@ -49,8 +48,7 @@ class Place:
     Examples
     --------
     >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> from bayesftc import monitoring
+    >>>     >>> from bayesftc import monitoring
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder, "tank.csv")
     ...     _ = file.write_text("time,T_1,T_2\n0.0,20.1,20.0\n0.1,20.2,20.1\n")
@@ -99,8 +97,7 @@ def redundant_signals(
     Examples
     --------
     >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> from bayesftc import monitoring
+    >>>     >>> from bayesftc import monitoring
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder, "tank.csv")
     ...     _ = file.write_text("time,T_1,T_2,valve\n0.0,20.1,20.0,1\n0.1,20.2,20.1,1\n")
@@ -320,10 +317,21 @@ def recorded(source: Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str
     >>> float(recording.dt), np.isfinite(recording.y).sum(axis=0).tolist()
     (0.02, [50, 10])
     """
+    return placed(source)[1]
+
+
+def placed(
+    source: Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str],
+) -> tuple[dict[str, Place], Recording]:
+    """Return the recording of `recorded`, and the places of the sensors in a file or table; none for signals."""
+    places: dict[str, Place] = {}
     if isinstance(source, str | os.PathLike):
-        signals: Mapping[str, Signal] = redundant_signals(source)[1]
+        places, found = redundant_signals(source)
+        signals: Mapping[str, Signal] = found
     elif hasattr(source, "to_csv"):
-        signals = _of_table(source)  # type: ignore[arg-type]
+        with file_of(source, TIMES[0]) as (file, origin):  # type: ignore[arg-type]
+            places, found = redundant_signals(file)
+        signals = {name: replace(signal, origin=origin or signal.origin) for name, signal in found.items()}
     elif isinstance(source, Mapping) and all(isinstance(signal, Signal) for signal in source.values()):
         signals = source
     else:
@@ -336,27 +344,4 @@ def recorded(source: Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str
     for name, signal in signals.items():
         if len(np.asarray(signal.time)) < 2:
             raise RecordingError(f"The sensor {name!r} has only one sample. Leave it out.")
-    return align(signals, {}, sample_time(signals))
-
-
-def _of_table(table: pd.DataFrame) -> dict[str, Signal]:
-    """Return the signals of a table. It is read as its file would be, so that both have the same rules and results."""
-    import pandas as pd
-
-    origin, index = None, table.index
-    if isinstance(index, pd.DatetimeIndex) and len(index):
-        origin = index[0].to_pydatetime()
-        index = index - index[0]
-    if isinstance(index, pd.TimedeltaIndex):
-        table = table.set_axis(index.total_seconds())
-    with TemporaryDirectory() as folder:
-        file = Path(folder, "table.csv")
-        if isinstance(index, pd.RangeIndex):
-            table.to_csv(file, index=False)
-        else:
-            table.to_csv(file, index_label=str(index.name or TIMES[0]))
-        try:
-            signals = redundant_signals(file)[1]
-        except RecordingError as error:
-            raise RecordingError(str(error).replace(os.fspath(file), "The table")) from None
-    return {name: replace(signal, origin=origin or signal.origin) for name, signal in signals.items()}
+    return places, align(signals, {}, sample_time(signals))
