@@ -113,9 +113,9 @@ def design(
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
         model would leave, and healthy sensors are blamed far less for it. True: the load moves in each sample by 1 % of
         `acceptable_control`, or else of half the range of the limits (a standard deviation). With three or more sensors of a
-        quantity this costs hardly anything; of two it is then less certain which one drifts. If further outputs are measured,
-        and the load acts elsewhere than the control, an error remains: make such a load a state of the plant, and give its
-        `noise`.
+        quantity this costs hardly anything; of two it is then less certain which one drifts. What the model lacks elsewhere than
+        at the control, such as behind a shaft, needs `noise` at an input of the plant that acts there: without, the sensors there
+        are blamed. A load there that lasts is a state of the plant that such noise drives.
 
         `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`. A `LinearModel`
         contains all but the last: leave them out with one. Only the default of `noise` differs.

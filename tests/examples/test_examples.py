@@ -20,7 +20,7 @@ from bayesftc.examples.cruise_control import (
 from bayesftc.examples.design_from_fmu import four_plants
 from bayesftc.examples.goals_ahead import study as goals_ahead
 from bayesftc.examples.python_control_style import cruise_control as in_python_control
-from bayesftc.examples.wrong_motor import study as wrong_motor
+from bayesftc.examples.wrong_motor import drive as wrong_drive, study as wrong_motor
 from bayesftc.scenario import load_scenario, shipped_scenarios
 
 FOLDER = Path(bayesftc.examples.__path__[0]) / "cruise_control"
@@ -151,6 +151,14 @@ def test_a_load_takes_up_what_the_model_of_a_motor_lacks(capsys):
         assert load.blamed < 0.5 * wrong.blamed
     assert reached["3", "as modelled", "drift", True].belief < 0.5
     assert "20 % weaker    drift" in capsys.readouterr().out
+
+
+def test_what_acts_elsewhere_needs_noise_there(capsys):
+    table = wrong_drive.main(1, faults=["healthy"])
+    blamed = {design: share for (design, _), (_, share) in table.items()}
+    assert blamed["disturbance=True"] > 0.3
+    assert blamed["and noise at_load"] < 0.05
+    assert "healthy" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.findings import numbers_of
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
+from bayesftc.cosim.run.result import ESTIMATE_A_LOAD
 from bayesftc.cosim.run.summary import findings_table, tables_of
 from bayesftc.scenario import load_scenario
 
@@ -115,7 +116,7 @@ def test_a_wrong_model_is_said_above_the_faults_that_it_may_cause(tmp_path):
     cause = (
         "If it is wrong, sensors may be blamed because of it. controllers.diagnose(result, loop) looks for the cause."
     )
-    cause = f"{cause} An estimated load (disturbance=True in design, model.with_disturbance) takes up many errors of a model."
+    cause = f"{cause} {ESTIMATE_A_LOAD}"
     assert repr(result.summary()).startswith(f"{sentence} {cause}\n\n")
     assert result.summary()._repr_html_().startswith(f"<p>{sentence}")
     assert controllers.diagnose(result, wrong).kind == "sign"  # the call that it names
