@@ -32,7 +32,7 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.wiring import find_inference
+from bayesftc.cosim.diagram.wiring import find_inference, inferring
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM
@@ -205,7 +205,7 @@ def diagnose(
     """
     if isinstance(controller, Diagram):
         node = find_inference(controller)
-        controller, name = node.block, node.name
+        controller, name = inferring(node.block), node.name
     model = checked_model(controller)
     if model is None:
         raise ModelError(f"A diagnosis needs a model, but this {type(controller).__name__} has none.")

@@ -293,10 +293,13 @@ def compare(
                 f"The loop {name!r} measures or tracks other signals ({', '.join(_recorded(loop))}) than the first one "
                 f"({', '.join(record)}). Compare loops that track the same signals of plants of the same name."
             )
-    if not any(name.startswith("tracking.") for name in LoopFigures().columns(first)):
-        raise ModelError(
-            "No measured signal of these loops has a goal, so that there is no tracking error; track a measured signal."
-        )
+    for name, loop in loops.items():
+        if not any(quantity.goal is not None for quantity in find_roles(loop).quantities):
+            raise ModelError(
+                f"No measured signal of the loop {name!r} has a goal, so that there is no tracking error. Track a measured "
+                "signal. A Subsystem of yours does not say which one its goal is for: name it, as in "
+                "Subsystem(..., goals=['angle'])."
+            )
     campaign = Campaign(
         _Chosen(dict(loops)),
         duration=duration,

@@ -15,6 +15,7 @@ from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef, label
+from bayesftc.cosim.diagram.subsystem import Boundary
 from bayesftc.cosim.diagram.wiring import (
     element_name,
     elements,
@@ -23,10 +24,12 @@ from bayesftc.cosim.diagram.wiring import (
     find_controller,
     find_inference,
     find_sensors,
+    inferring,
+    is_dead_time,
     label_of,
     preview_time,
 )
-from bayesftc.cosim.errors import BayesFTCError, ConnectionError, ModelError
+from bayesftc.cosim.errors import BayesFTCError, ConnectionError, ModelError, did_you_mean
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -208,10 +211,12 @@ def traits(block: Block) -> dict[str, Any]:
     """Return what a controller says about itself beside its ports; an exported one says it in its FMU.
 
     These are the `KINDS`, ``lag`` and the `MATRICES`. What has another form, in a block or a file of somebody else, is left out.
+    A subsystem has those of the estimator or controller inside.
     """
-    told = getattr(block, "traits", None)
+    inside = inferring(block)
+    told = getattr(inside, "traits", None)
     told = told if isinstance(told, Mapping) else {}
-    given = {name: getattr(block, name, told.get(name)) for name in (*KINDS, "lag", *MATRICES)}
+    given = {name: getattr(inside, name, told.get(name)) for name in (*KINDS, "lag", *MATRICES)}
     found: dict[str, Any] = {"lag": given["lag"]} if isinstance(given["lag"], str) else {}
     for name in KINDS:
         of = given[name]
@@ -286,9 +291,16 @@ def _inputs(
             sent = _source(diagram, first, first.port("u"), element)
             received = _source(diagram, node, port, i)
             control = controls.index(sent) if sent in controls and sent else None
-            names = tuple(fault.name for fault, _ in chain)
+            names = _faults(chain)
+            if not names:
+                continue
             roles.append(InputRole(element_name(port, i), port.unit, sent, received, names, control))
     return tuple(roles)
+
+
+def _faults(chain: Iterable[tuple[Node, int]]) -> tuple[str, ...]:
+    """Return the names of faults between controller and plant, without dead times, which belong to the plant."""
+    return tuple(fault.name for fault, _ in chain if not is_dead_time(fault.block))
 
 
 def _controls(diagram: Diagram, controller: Node, controls_sent: Sequence[Place | None]) -> tuple[ControlRole, ...]:
@@ -343,6 +355,8 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     inputs = [_source(diagram, sensor_node, sensor_node.port("u"), j) for j in range(block.signals)]
     given = _port(controller.inputs, "goal")
     goals = 0 if given is None else given.size
+    named = getattr(controller.block, "goals", ())
+    named = named if isinstance(controller.block, Boundary) else ()
     roles = []
     for number, (row, members) in enumerate(groups.items()):
         used = [(weight, place) for weight, place in zip(row, inputs, strict=True) if weight and place is not None]
@@ -353,9 +367,15 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
         goal = number if goals == len(groups) and (C is None or G is None) else None  # without matrices: in order
         if weights is not None and G is not None:
             goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, weights)), None)
+        if named:
+            goal = named.index(name) if name in named else None
         reference = None if goal is None else _reference(diagram, controller, goal)
         belief = tuple(map(float, weights)) if weights is not None and estimates else None
         roles.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal))
+    known = [role.name for role in roles]
+    for name in named:
+        if name not in known:
+            raise ModelError(f"The subsystem {controller.name!r} has a goal for {name!r}; {did_you_mean(name, known)}")
     return tuple(roles)
 
 

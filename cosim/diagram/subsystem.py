@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -43,6 +43,8 @@ class Boundary(Block):
     free: tuple[Port, ...]
     shown: tuple[Port, ...]
     step: Fraction
+    inside: Diagram | None = field(default=None, compare=False, repr=False)
+    goals: tuple[str, ...] = ()
 
     @property
     def sample_time(self) -> Fraction:
@@ -88,6 +90,9 @@ class Subsystem(Block):
     outputs : mapping of str to port or sequence of ports, optional
         For each output the outputs of blocks inside of which it consists, one after the other. By default each output that feeds
         no block inside.
+    goals : sequence of str, optional
+        Of a controller: the measured quantity of each element of its input ``goal``, such as ``["angle"]``, for tracking errors
+        and figures. Not needed where each quantity has a goal.
 
     Raises
     ------
@@ -112,11 +117,16 @@ class Subsystem(Block):
     """
 
     def __init__(
-        self, diagram: Diagram, inputs: Mapping[str, Inner] | None = None, outputs: Mapping[str, Inner] | None = None
+        self,
+        diagram: Diagram,
+        inputs: Mapping[str, Inner] | None = None,
+        outputs: Mapping[str, Inner] | None = None,
+        goals: Sequence[str] = (),
     ):
         if not isinstance(getattr(diagram, "nodes", None), tuple):
             raise ModelError(f"Subsystem needs a diagram, not {diagram!r}.")
         self.diagram = copy(diagram)
+        self.goals = (goals,) if isinstance(goals, str) else tuple(goals)
         self.fed = self._ports(_free(diagram) if inputs is None else inputs, "input")
         self.shown = self._ports(_open(diagram) if outputs is None else outputs, "output")
         names = [*self.fed, *self.shown]
@@ -161,7 +171,7 @@ class Subsystem(Block):
     @property
     def boundary(self) -> Boundary:
         """The block that has its ports in the diagram that contains it."""
-        return Boundary(self.inputs, self.outputs, self.diagram.step)
+        return Boundary(self.inputs, self.outputs, self.diagram.step, self.diagram, self.goals)
 
     @property
     def inputs(self) -> tuple[Port, ...]:

@@ -50,8 +50,10 @@ def find_controller(diagram: Diagram) -> Node:
     """Return the node of the controller: the block with inputs ``y`` and ``goal`` and the output ``u``."""
     nodes = [node for node in diagram.nodes if is_controller(node)]
     if len(nodes) != 1:
+        own = " Make a Subsystem of the estimator and your law." if any(map(_is_estimator, diagram.nodes)) else ""
         raise ModelError(
-            f"A closed loop has one controller, a block with inputs y and goal and the output u; {diagram!r} has {len(nodes)}."
+            "A closed loop has one controller, a block with inputs y and goal and the output u; "
+            f"{diagram!r} has {len(nodes)}.{own}"
         )
     return nodes[0]
 
@@ -61,6 +63,16 @@ def find_inference(diagram: Diagram) -> Node:
     estimators = [node for node in diagram.nodes if _is_estimator(node)]
     alone = len(estimators) == 1 and not any(map(is_controller, diagram.nodes))
     return estimators[0] if alone else find_controller(diagram)
+
+
+def inferring(block: Block) -> Block:
+    """Return the block that infers the state; of a subsystem the one inside, if there is one, else the subsystem."""
+    if not isinstance(block, Boundary) or block.inside is None:
+        return block
+    try:
+        return inferring(find_inference(block.inside).block)
+    except ModelError:
+        return block
 
 
 def _is_estimator(node: Node) -> bool:
@@ -196,13 +208,18 @@ def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tu
     return None
 
 
+def is_dead_time(fault: Any) -> bool:
+    """Return whether a fault is a part of the plant: a delay that is always present."""
+    return isinstance(fault, Delay) and fault.permanent
+
+
 def dead_time(diagram: Diagram, node: Node, port: Port, element: int) -> Fraction:
     """Return the seconds by which faults that are always present delay one element of an input: its dead time."""
     late = Fraction(0)
     for origin, i in _upstream(diagram, node, port, element):
         fault, step = origin.node.block, diagram.step * origin.node.every
-        if isinstance(fault, Delay) and fault.permanent and fault.sensor == i:
-            late += int(fault.numbers(step)[0]) * step
+        if is_dead_time(fault) and fault.sensor == i:  # type: ignore[attr-defined]
+            late += int(fault.numbers(step)[0]) * step  # type: ignore[attr-defined]
     return late
 
 

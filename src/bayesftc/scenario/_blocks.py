@@ -52,10 +52,13 @@ class Ports:
         For each input its ports inside, one or a list; by default the inputs inside that are not connected.
     outputs : table, optional
         For each output its port inside; by default the outputs inside that are not connected.
+    goals : list of text, optional
+        Of a controller: the measured quantity of each element of its goal. Not needed where each quantity has a goal.
     """
 
     inputs: Mapping[str, str | Sequence[str]] | None = None
     outputs: Mapping[str, str | Sequence[str]] | None = None
+    goals: Sequence[str] = ()
 
 
 def blocks(table: object, place: Place, around: Surroundings, taken: Collection[str] = ()) -> Added:
@@ -98,7 +101,7 @@ def _block(table: Mapping[str, Any], place: Place, around: Surroundings) -> Bloc
 
 def subsystem(table: Mapping[str, Any], place: Place, around: Surroundings) -> Subsystem:
     """Return a subsystem: the blocks and connections inside, and its ports."""
-    place.refuse_unknown(table, ["inputs", "outputs", "blocks", "connections"])
+    place.refuse_unknown(table, ["inputs", "outputs", "goals", "blocks", "connections"])
     diagram = Diagram(around.step)
     if not table.get("blocks"):
         raise place.error(f"is a subsystem without blocks. Add [{place.key}.blocks.<name>] with its kind.")
@@ -109,9 +112,9 @@ def subsystem(table: Mapping[str, Any], place: Place, around: Surroundings) -> S
     for i, (sources, target) in enumerate(connections(table.get("connections", []), at)):
         with (at / i).named():
             diagram.connect([port_named(diagram, source) for source in sources], port_named(diagram, target))
-    given: Ports = build(Ports, {name: table[name] for name in ("inputs", "outputs") if name in table}, place)
+    given: Ports = build(Ports, {name: table[name] for name in ("inputs", "outputs", "goals") if name in table}, place)
     with place.named():
-        return Subsystem(diagram, _lists(given.inputs), _lists(given.outputs))
+        return Subsystem(diagram, _lists(given.inputs), _lists(given.outputs), given.goals)
 
 
 def _lists(ports: Mapping[str, str | Sequence[str]] | None) -> Mapping[str, Any] | None:

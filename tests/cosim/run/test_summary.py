@@ -184,6 +184,60 @@ def test_an_estimator_beside_a_law_has_the_findings_of_a_loop(tmp_path):
     )
 
 
+def own_controller(goals):
+    """Return an estimator and a law of the angle and the speed as one block; the goal is for the angle."""
+    inside = cosim.Diagram(dt=0.02)
+    model = controllers.LinearModel(
+        [[1, 0.02], [0, 0.98]], [[0], [0.02]], [[1, 0]] * 2 + [[0, 1]], [1e-9, 1e-6], 1e-4, dt=0.02
+    )
+    estimator = inside.add(controllers.StateEstimator(model), "estimator")
+    law = inside.add(controllers.PID(20.0, integral_gain=1.0), "law")
+    inside.connect(estimator["x_hat"][0], law["x_hat"])
+    inside.connect(law["u"], estimator["u"])
+    shown = ("x_hat", "fault_probability", "fault_kind", "model_suspect")
+    outputs = {"u": "law.u"} | {name: f"estimator.{name}" for name in shown}
+    return cosim.Subsystem(inside, inputs={"y": "estimator.y", "goal": "law.goal"}, outputs=outputs, goals=goals)
+
+
+def test_a_controller_of_blocks_is_judged_as_any_other():
+    plant = control.ss([[0, 1], [0, -1]], [[0], [1]], np.eye(2), 0, inputs=["u"], outputs=["angle", "speed"])
+
+    def loop(controller):
+        return cosim.closed_loop(
+            plant, controller, control="u", measured=["angle", "speed"], sensors=cosim.Sensors([2, 1], 0.01), reference=0.3,
+            faults=[cosim.Freeze(sensor=0, start=1.0)],
+        )  # fmt: skip
+
+    mine = loop(own_controller(["angle"]))
+    result = mine.simulate(4.0, seed=1)
+    assert result.findings()["kind"].tolist() == ["Frozen"]
+    errors = result.summary()["errors"]
+    assert errors.index.tolist() == ["tracking of angle", "belief of angle", "belief of speed"]
+    assert controllers.diagnose(result, mine) is None
+    table = cosim.compare({"one": mine, "other": loop(own_controller("angle"))}, duration=2.0, seeds=2).table
+    assert table["error"].notna().all()
+    unnamed = loop(own_controller([]))
+    with pytest.raises(ModelError, match=r"No measured signal of the loop 'other' has a goal.*goals=\['angle'\]"):
+        cosim.compare({"one": mine, "other": unnamed}, duration=2.0, seeds=2)
+    with pytest.raises(ModelError, match="The subsystem 'controller' has a goal for 'angel'; did you mean 'angle'"):
+        find_roles(loop(own_controller(["angel"])))
+
+
+def test_a_constant_dead_time_of_a_control_is_no_fault():
+    car = load_scenario("cruise_control")
+    faults = {"late": cosim.Delay(delay=0.02, initial=0.0), "later": cosim.Delay(delay=0.02, initial=0.0, start=1.0)}
+    for name, late in faults.items():
+        loop = cosim.closed_loop(
+            car.plant, car.controller, control="force", measured="v", sensors=car.sensors, reference=5.0,
+            faults=[cosim.Bias(sensor=0, magnitude=5.0, start=1.5)], input_faults={"force": [late]},
+        )  # fmt: skip
+        summary = loop.simulate(2.0, engine="interpreted").summary()
+        assert ("inputs" in dict(summary.items())) == (name == "later")
+        assert summary["errors"].loc["tracking of v (m/s)", "before faults"] > 0
+    roles = find_roles(loop)
+    assert roles.controls[0].faults == ("force_delay_0",)
+
+
 def test_faults_of_inputs_have_a_table(loop):
     car = load_scenario("cruise_control")
     faulty = cosim.closed_loop(
