@@ -361,6 +361,37 @@ def test_a_fault_outside_of_a_long_stretch_does_not_count(seed):
     assert fit_model(recorded(table), slice(0, 500)).borrows
 
 
+@pytest.mark.parametrize(("start", "size"), [(0.2, 0.6), (0.4, 3.0), (0.8, 0.6)])
+def test_two_sensors_that_part_do_not_teach_the_model_to_expect_it(start, size):
+    """A drift of one of two was taken for lasting errors of both: no fault was found, without a word, up to 60 sd."""
+    rng = np.random.default_rng(round(10 * start))
+    level = 20.0 + np.cumsum(0.01 * rng.standard_normal(6000))
+    y = level[:, None] + 0.05 * rng.standard_normal((6000, 2))
+    first = round(6000 * start)
+    y[first:, 0] += np.linspace(0.0, size, 6000 - first)
+    table = pd.DataFrame(y, columns=["a", "b"], index=5.0 * np.arange(6000))
+    fitted = fit_model(recorded(table))
+    assert abs(fitted.parted.begin - first) < 600
+    assert fitted.parted.size == pytest.approx(size, rel=0.2)
+    assert not fitted.errors
+    monitor, corrected = Monitor.fit(table)
+    found = monitor.run(corrected)
+    assert found.events or found.disagreements  # which one is wrong two sensors do not show
+    assert min([event.start for event in found.events], default=np.inf) > 5.0 * first
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_sensors_that_wander_about_each_other_have_not_parted(seed):
+    rng = np.random.default_rng(seed)
+    y = 20.0 + np.cumsum(0.02 * rng.standard_normal(6000))[:, None] + 0.1 * rng.standard_normal((6000, 2))
+    errors, last = np.zeros((6000, 2)), np.zeros(2)
+    for k in range(6000):  # errors of 0.2 that last 200 samples
+        last = last * (1 - 1 / 200) + 0.2 * np.sqrt(2 / 200) * rng.standard_normal(2)
+        errors[k] = last
+    table = pd.DataFrame(y + errors, columns=["a", "b"], index=1.0 * np.arange(6000))
+    assert fit_model(recorded(table)).parted is None
+
+
 @pytest.mark.parametrize("kind", ["signals", "recorded", "align", "table", "dates", "file"])
 def test_a_fitted_monitor_judges_later_recordings(kind, tmp_path):
     """Their biases were not subtracted, so that healthy sensors had alarms to the end."""

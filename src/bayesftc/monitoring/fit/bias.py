@@ -166,6 +166,17 @@ def changes(y: Floats, noise: Sequence[float]) -> dict[int, Change]:
     return found
 
 
+def parting(y: Floats, noise: Sequence[float]) -> Change | None:
+    """Return how two sensors have moved apart and not returned, as the change of the first; None if they have not.
+
+    Which of them has moved is not known. See `changes`.
+    """
+    course = _course(y[:, 0] - y[:, 1]) if y.shape[1] == 2 else None
+    if course is None or course.explained <= FIT.clearly or abs(course.change.size) <= FIT.outstanding * max(noise):
+        return None
+    return course.change
+
+
 def unmoved(y: Floats, changes: Mapping[int, Change], stretch: slice) -> Floats:
     """Return the samples without those of each moved sensor since its change, or before a step if the stretch is after it.
 

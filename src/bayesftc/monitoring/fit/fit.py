@@ -12,7 +12,7 @@ from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.columns import SensorErrors
-from bayesftc.monitoring.fit.bias import Change, biases, changes, steady_gains, unmoved, wander
+from bayesftc.monitoring.fit.bias import Change, biases, changes, parting, steady_gains, unmoved, wander
 from bayesftc.monitoring.fit.checks import check_recording
 from bayesftc.monitoring.fit.codes import without_codes
 from bayesftc.monitoring.fit.following import strangers
@@ -86,6 +86,9 @@ class FittedModel:
     changes : dict of str to Change
         Sensors that have moved away from the others and not returned, with the size, the first step, and whether the change is
         sudden. Their biases and lasting errors come from the time before, as do those of a stretch in it.
+    parted : Change or None
+        How two sensors have moved apart and not returned, if they have, as a change of the first. Biases and lasting errors come
+        from the time before. Which of the two has moved is not known.
     outside : SensorErrors or None
         Wandering biases that show only outside of the stretch: they are in `errors`, but may be faults there.
     coded : bool
@@ -119,6 +122,7 @@ class FittedModel:
     rate: float
     strangers: Mapping[str, float] = field(default_factory=dict)
     changes: Mapping[str, Change] = field(default_factory=dict)
+    parted: Change | None = None
     outside: SensorErrors | None = None
     coded: bool = False
     borrows: bool = False
@@ -187,7 +191,7 @@ def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool
     ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
     fitted = _fit_once(recording, stretch)
-    if not gains or fitted.strangers or fitted.changes or fitted.coded:
+    if not gains or fitted.strangers or fitted.changes or fitted.parted or fitted.coded:
         return fitted
     slopes = steady_gains(recording.y[stretch], [sensor.std for sensor in fitted.sensors.values()])
     return _fit_divided(recording, stretch, slopes) if slopes else fitted
@@ -269,8 +273,9 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
         single = [
             everywhere.within(here.variance, FIT.louder**2) for everywhere, here in zip(single, of_stretch, strict=True)
         ]
-    moved = changes(whole, [of.variance**0.5 for of in single])
-    kept = unmoved(whole, moved, stretch)
+    sizes = [of.variance**0.5 for of in single]
+    moved, parted = changes(whole, sizes), parting(whole, sizes)
+    kept = unmoved(whole, moved if parted is None else {0: parted, 1: parted}, stretch)
     y = np.where(np.isfinite(kept[stretch]), y, np.nan)
     bias = biases(y)
     slow, times, outside = _wandering(y - bias, (y if alone else kept) - bias, single)
@@ -305,6 +310,7 @@ def _fit(recording: Recording, stretch: slice) -> FittedModel:
         rate,
         changes=by_name,
         outside=elsewhere,
+        parted=parted,
         borrows=part and not alone,
     )
 

@@ -159,6 +159,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
             *_codes({**codes(samples), **turned}, samples, tables, places),
             *_strangers(fitted),
             *_changes(fitted, samples, stretch),
+            *_parted(fitted, samples, stretch),
             *_gains(fitted, samples, stretch, model),
             *fit_notes(fitted, part),
         ],
@@ -282,6 +283,22 @@ def _changes(fitted: FittedModel, recording: Recording, stretch: slice) -> Itera
             f"of the time before. If it was healthy until then, fit with --to {moment}.{since_then} If it measures another "
             "quantity, leave it out: name the others with --sensor."
         )
+
+
+def _parted(fitted: FittedModel, recording: Recording, stretch: slice) -> Iterator[str]:
+    """Give a note if two sensors have moved apart in the stretch, and not returned."""
+    change, (first, last, _) = fitted.parted, stretch.indices(len(recording.time))
+    if change is None or not first < change.begin < last - 1:
+        return
+    one, other = recording.sensors
+    size = f"{abs(change.size):.3g} {recording.units[0]}".rstrip()
+    begin, end = (time_text(float(recording.time[k]), recording.origin) for k in (change.begin, -1))
+    place = f"{size} {'above' if change.size > 0 else 'below'} its place beside {other}"
+    how = f"{one} is {place}" if change.sudden else f"{one} and {other} move apart. At the end ({end}) {one} is {place}"
+    yield (
+        f"From about {begin} on, {how}. The fit takes this for a fault of one of them, and uses the time before for biases and "
+        "lasting errors. Two sensors do not show which one has moved: where the monitor names one, only the motion speaks for it."
+    )
 
 
 def _gains(fitted: FittedModel, recording: Recording, stretch: slice, model: Path) -> Iterator[str]:
