@@ -451,7 +451,7 @@ def test_an_offset_that_lasts_to_the_end_is_not_learnt(tmp_path, begin):
 @pytest.mark.parametrize("sudden", [False, True])
 def test_two_sensors_that_part_have_a_note(tmp_path, sudden):
     rng, t = np.random.default_rng(0), np.arange(3000)
-    y = 20.0 + np.cumsum(0.01 * rng.standard_normal(3000))[:, None] + 0.05 * rng.standard_normal((3000, 2))
+    y = 20.0 + np.cumsum(0.05 * rng.standard_normal(3000))[:, None] + 0.05 * rng.standard_normal((3000, 2))
     y[1500:, 0] += 1.0 if sudden else np.linspace(0.0, 1.0, 1500)
     np.savetxt(tmp_path / "two.csv", np.column_stack([t, y]), delimiter=",", header="t,a,b", comments="", fmt="%.3f")
     command = ["monitor", str(tmp_path / "two.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
