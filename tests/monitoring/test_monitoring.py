@@ -761,18 +761,43 @@ def test_several_files_and_folders(tmp_path):
     rows = zip(columns["t"][known] + 0.003, columns["gnss"][known], strict=True)
     text = "stamp,gnss\n" + "".join(f"{t},{v}\n" for t, v in rows)
     (tmp_path / "slow" / "gnss.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"has no file"):
-        monitor.read([tmp_path / "data.csv", tmp_path / "slow"])
+    alone = monitor.read([tmp_path / "data.csv", tmp_path / "slow"])  # each column is in one file only
     text = file.read_text(encoding="utf-8")
     for name in ("[inputs.accel]", "[sensors.left]", "[sensors.right]"):
         text = text.replace(name, f'{name}\nfile = "data.csv"')
     file.write_text(text, encoding="utf-8")
     recording = load_monitor(file).read([tmp_path / "data.csv", tmp_path / "slow"])
     np.testing.assert_array_equal(np.isfinite(recording.y[:, 2]), known[2:])
+    np.testing.assert_array_equal(alone.y, recording.y)
     with pytest.raises(RecordingError, match="does not exist"):
         load_monitor(file).read([tmp_path / "gone" / "data.csv", tmp_path / "slow"])
     with pytest.raises(RecordingError, match="at least one CSV file"):
         load_monitor(file).read([])
+
+
+def test_files_of_days_follow_each_other(tmp_path):
+    """As one file with all rows; files of the same time have sensors of the same name."""
+    rng, t = np.random.default_rng(0), 10.0 * np.arange(3000)
+    y = 20.0 + np.cumsum(0.02 * rng.standard_normal(3000))[:, None] + 0.1 * rng.standard_normal((3000, 3))
+    y[2200:, 1] += 2.0
+    table = pd.DataFrame(y.round(3), columns=["a", "b", "c"], index=pd.Index(t, name="time"))
+    (tmp_path / "days").mkdir()
+    for day, rows in (("2", slice(1000, 2000)), ("1", slice(0, 1000)), ("3", slice(2000, 3000))):
+        table[rows].to_csv(tmp_path / "days" / f"{'b' if day == '1' else 'a'}{day}.csv")  # names say nothing
+    table.to_csv(tmp_path / "whole.csv")
+    whole, days = recorded(tmp_path / "whole.csv"), recorded(tmp_path / "days")
+    assert days.sensors == ("a", "b", "c")
+    np.testing.assert_array_equal(days.y, whole.y)
+    monitor, _ = Monitor.fit(tmp_path / "days")
+    events = monitor.run(monitor.read(tmp_path / "days")).events
+    assert [(event.sensor, event.kind) for event in events] == [("b", "Offset")]
+    table[:1000].to_csv(tmp_path / "days" / "again.csv")
+    both = redundant_signals([tmp_path / "days" / "b1.csv", tmp_path / "days" / "again.csv"])[1]
+    assert set(both) == {"a", "b", "c", "again_a", "again_b", "again_c"}
+    with pytest.raises(
+        RecordingError, match=r"The sensor 'a' is in 4 files whose times overlap. Add file = 'name.csv'"
+    ):
+        monitor.read(tmp_path / "days")
 
 
 def test_a_monitor_learns_from_recordings_how_often_faults_come(tmp_path):

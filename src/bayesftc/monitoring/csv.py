@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime
-from itertools import islice
+from itertools import islice, pairwise
 from os import PathLike, fspath
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -141,6 +141,19 @@ class Tables:
             names += [f.name for folder in self._files if is_folder(folder) for f in folder.glob("*.csv")]
             raise RecordingError(f"{signal} is in {name!r}, which is not among the files; {did_you_mean(name, names)}")
         return matches[0]
+
+    def having(self, name: str | None, column: str, signal: str) -> list[Path]:
+        """Return the file with this name; without one the files that have a column, whose rows follow each other."""
+        files = self.files() if name is None else []
+        found = [file for file in files if column in self.names(file)]
+        return found if len(files) > 1 and found else [self.find(name, signal)]
+
+    def in_order(self, files: Sequence[Path], times: Sequence[Floats]) -> list[int] | None:
+        """Return the order of files whose rows follow each other in time; None if two of them overlap."""
+        order = sorted(range(len(files)), key=lambda i: float(np.nanmin(times[i], initial=np.inf)))
+        spans = [(float(np.nanmin(times[i])), float(np.nanmax(times[i]))) for i in order if np.isfinite(times[i]).any()]
+        overlap = any(later[0] <= earlier[1] for earlier, later in pairwise(spans))
+        return None if overlap else order
 
     def times(self, file: Path, name: str, whose: str = "") -> Floats:
         """Return a column of times in seconds; its name may have another unit (``t_ms``). Dates become seconds, too."""

@@ -180,7 +180,7 @@ class Monitor:
         for (name, s), unit in zip(fitted.sensors.items(), recording.units, strict=True):
             place = places.get(name, Place("", name, "t"))
             sensors[name] = Sensor(
-                file=place.file if len(files) > 1 else None,
+                file=(place.file or None) if len(files) > 1 else None,
                 column=place.column if place.column != name else None,
                 time=place.time if len(files) > 1 else None,
                 bias=s.bias,
@@ -289,10 +289,18 @@ class Monitor:
         tables, cells = Tables(paths), dict[str, Floats]()
 
         def signal(name: str, given: Column, what: str, **more: Any) -> Signal:
-            file = tables.find(given.file, f"The {what} {name!r}")
-            time = tables.times(file, given.time or self.time, f" of the {what} {name!r}")
-            column = given.column or name
-            logged = tables.column(file, column, f"the {what} {name!r}", (*self.invalid, *given.invalid))
+            title, column = f"The {what} {name!r}", given.column or name
+            files = tables.having(given.file, column, title)
+            of_files = [tables.times(file, given.time or self.time, f" of the {what} {name!r}") for file in files]
+            order = tables.in_order(files, of_files)
+            if order is None:
+                raise RecordingError(
+                    f"{title} is in {len(files)} files whose times overlap. Add file = 'name.csv', or give one file."
+                )
+            time = np.concatenate([of_files[i] for i in order])
+            invalid = (*self.invalid, *given.invalid)
+            logged = np.concatenate([tables.column(files[i], column, f"the {what} {name!r}", invalid) for i in order])
+            file = files[0]
             if what == "sensor":
                 cells[name] = logged
             values = in_unit(logged, column, more["unit"])

@@ -37,7 +37,7 @@ class Place:
     Parameters
     ----------
     file, column, time : str
-        Its file, its column and the column of its times.
+        Its file (empty: several that follow each other, as of days), its column and the column of its times.
     invalid : tuple of float or str
         Values that stand for no sample.
     period : float
@@ -122,16 +122,26 @@ def signals_of(
     values = {_column(name, columns) if name else "": tuple(given) for name, given in invalid.items()}
     check_one_unit(name for name in columns if name in chosen)
     unit = next((given for name in columns if name in chosen and (given := column_unit(name))), "")
-    for file, header in headers.items():
-        time = times_of[file]
-        for column in header:
-            if column == time or column not in chosen:
-                continue
+    read = {
+        (file, column): tables.times(file, times_of[file])
+        for file, header in headers.items()
+        for column in header
+        if column != times_of[file] and column in chosen
+    }
+    for column in dict.fromkeys(column for _, column in read):
+        files = [file for file, other in read if other == column]
+        order = tables.in_order(files, [read[file, column] for file in files])
+        # Files such as one for each day follow each other; others of the same time have sensors of the same name.
+        parts = [[files[i] for i in order]] if order is not None else [[file] for file in files]
+        for part in parts:
+            file, time = part[0], times_of[part[0]]
             name = column if column not in places else f"{file.stem}_{column}"
-            places[name] = Place(file.name, column, time, (*values.get("", ()), *values.get(column, ())))
-            times, logged = tables.times(file, time), tables.column(file, column, "a sensor", places[name].invalid)
+            invalid_here = (*values.get("", ()), *values.get(column, ()))
+            places[name] = Place(file.name if len(part) == 1 else "", column, time, invalid_here)
+            logged = np.concatenate([tables.column(each, column, "a sensor", invalid_here) for each in part])
             cells[name] = logged
             samples = in_unit(logged, column, unit)
+            times = np.concatenate([read[each, column] for each in part])
             try:
                 signal = Signal(times, samples, unit=column_unit(column) and unit, origin=tables.origin)
             except RecordingError as error:

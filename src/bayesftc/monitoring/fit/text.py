@@ -65,7 +65,7 @@ def as_model_file(
     for name, sensor in fitted.sensors.items():
         place = places[name]
         lines += ["", f"[sensors.{_key(name)}]  # {sensor.missing:.0%} of the steps are without a sample"]
-        if several:
+        if several and place.file:
             lines.append(f"file = {_text(place.file)}")
         if place.column != name:
             lines.append(f"column = {_text(place.column)}")

@@ -215,7 +215,8 @@ def _codes(
     for name, code in found.items():
         others = "the other sensors of its quantity are" if len(recording.sensors) > 2 else "the other sensor is"
         place = places[name]
-        logged = np.unique(tables.column(tables.find(place.file, name), place.column, name, place.invalid))
+        files = tables.having(place.file or None, place.column, name)
+        logged = np.unique(np.concatenate([tables.column(file, place.column, name, place.invalid) for file in files]))
         converted = in_unit(logged, places[name].column, recording.units[recording.sensors.index(name)])
         value = f"{logged[np.nanargmin(np.abs(converted - code.value))]:.10g}"
         option = f"--invalid {shlex.quote(f'{places[name].column}={value}')}"
