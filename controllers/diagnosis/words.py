@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.models.disturbances import has_loads
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.judging.signals import ALARM
 
@@ -154,15 +155,15 @@ def _late(values: Sequence[float], model: LinearModel) -> str:
     if values[1]:
         how = f"the control acts late: the actuator has a lag with a time constant of about {seconds:.2g} s"
     else:
-        how = f"the control acts late, by {seconds:.3g} s ({seconds / float(model.step):.0f} samples)"
+        how = f"the control acts late, by {seconds:.3g} s ({counted(round(seconds / float(model.step)), 'sample')})"
     return f"{how}. Give the model this delay (LinearModel.with_delays), or weaken the control."
 
 
 def _early(values: Sequence[float], model: LinearModel) -> str:
-    seconds, samples = values[0], values[0] / float(model.step)
+    seconds, samples = values[0], counted(round(values[0] / float(model.step)), "sample")
     return (
-        f"the control acts earlier than in the model, by {seconds:.3g} s ({samples:.0f} samples). Shorten the delays of the "
-        "model (LinearModel.with_delays)."
+        f"the control acts earlier than in the model, by {seconds:.3g} s ({samples}). Shorten the delays of the model "
+        "(LinearModel.with_delays)."
     )
 
 
@@ -297,7 +298,7 @@ def _nonlinear(values: Sequence[float], model: LinearModel) -> str:
 def _dynamics(values: Sequence[float], model: LinearModel) -> str:
     return (
         "the plant moves differently from A and B. Check the masses, inertias, stiffnesses and frictions behind them, and dt; or "
-        "identify the model from this recording (LinearModel.identify)."
+        "identify the model from a recording in which the control also moves at random (LinearModel.identify)."
     )
 
 

@@ -12,6 +12,10 @@ MOVES = 5.0
 ROWS = 20_000
 """Largest number of samples in the tests, from the first one on."""
 
+SINE, LEAST_OF_SINE = 0.85, 64
+"""Share of an input's power in one spectral line from which on it is nearly a sine (a square wave has .81); least samples for
+that."""
+
 
 def order_of_excitation(u: Floats, most: int) -> tuple[int, list[int]]:
     """Return the order of persistent excitation, up to `most`, and the inputs that lack the next order.
@@ -37,6 +41,26 @@ def order_of_excitation(u: Floats, most: int) -> tuple[int, list[int]]:
             share = (still**2).sum(axis=(0, 2)) / (still**2).sum()
             return order - 1, [int(i) for i in np.flatnonzero(share > 0.1)]
     return most, []
+
+
+def nearly_sines(u: Floats) -> list[int]:
+    """Return the inputs of which a single sine is nearly all: what else moves them is mostly a controller's answer to noise.
+
+    Parameters
+    ----------
+    u : ndarray, samples x inputs
+        Inputs; samples with NaN are left out.
+    """
+    found = []
+    for i, column in enumerate(u.T):
+        values = column[np.isfinite(column)]
+        if len(values) < LEAST_OF_SINE or not np.ptp(values):
+            continue
+        power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(len(values)))) ** 2
+        peak = int(power.argmax())
+        if power[max(peak - 2, 0) : peak + 3].sum() > SINE * power.sum():
+            found.append(i)
+    return found
 
 
 def moved_by_outputs(u: Floats, y: Floats, past: int) -> list[int]:

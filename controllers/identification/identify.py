@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.controllers.identification.excitation import moved_by_outputs, order_of_excitation
+from bayesftc.controllers.identification.excitation import moved_by_outputs, nearly_sines, order_of_excitation
 from bayesftc.controllers.identification.gaps import identify_with_gaps
 from bayesftc.controllers.identification.independent_noise import independent_noise
 from bayesftc.controllers.identification.same_quantity import quantities_of, similar
@@ -287,12 +287,17 @@ def _doubts(u: Floats, y: Floats, held: Floats, order: int, past: int, names: Se
             f"{_listed(names, weak)}: the order of excitation is {order_found}, but a model of order {order} needs "
             f"{needed} (a step has the order 1, each sine 2), so that other models explain the recording as well. {how}"
         )
+    if sines := [i for i in nearly_sines(u) if i not in weak]:
+        message.append(
+            f"{_listed(names, sines)}: moves nearly as a single sine, which does not show how the plant answers other motion. "
+            f"{how}"
+        )
     still = [i for i in range(len(names)) if np.nanstd(held[:, i]) < 1e-2]
     if still:
         text = (
             f"{_listed(names, still)}: nearly constant in the held-out part, which therefore hardly tests its effect."
         )
-        message.append(text if weak else f"{text} {how}")
+        message.append(text if message else f"{text} {how}")
     led = moved_by_outputs(u, y, past)
     if led:
         message.append(

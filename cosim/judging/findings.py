@@ -420,7 +420,10 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
             continue
         of, wrong = "model", "the plant behaves unlike the controller's model"
         if first * decimation < AT_ONCE and min(begun, default=first + 1) > first:
-            of, wrong = "start", "the controller's belief at the start is wrong (initial_mean, initial_spread)"
+            of, wrong = (
+                "start",
+                "the controller's belief at the start (initial_mean, initial_spread) or its model is wrong",
+            )
         sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
         notes[of].append(f"{sensors} sensors of {quantity.name} agree but are blamed from t = {t:g} s: {wrong}")
     return notes

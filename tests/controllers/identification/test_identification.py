@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from bayesftc import cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, design
-from bayesftc.controllers.identification.excitation import order_of_excitation
+from bayesftc.controllers.identification.excitation import nearly_sines, order_of_excitation
 from bayesftc.controllers.identification.gaps import identify_with_gaps
 from bayesftc.controllers.identification.gaps_kernels import smooth
 from bayesftc.controllers.identification.independent_noise import independent_noise
@@ -400,3 +400,12 @@ def test_a_high_order_has_noise_of_one_shape_and_takes_no_time():
     usual = LinearModel.identify(table, **names)
     assert found.model.states == 12 + bool(found.model.constant)
     np.testing.assert_allclose(found.fit, usual.fit, atol=3.0)
+
+
+def test_a_loop_that_follows_a_sine_does_not_excite_its_plant():
+    """The control is a sine and the answer to noise: a user's model from such a recording made the loop swing between its limits."""
+    rng, t = np.random.default_rng(0), np.arange(2000)
+    noise = rng.standard_normal(2000)
+    sine = np.sin(2 * np.pi * t / 400) + 0.1 * noise
+    square = np.sign(np.sin(2 * np.pi * t / 400)) + 0.1 * noise
+    assert nearly_sines(np.column_stack([sine, square, noise, sine + 0.5 * noise])) == [0]

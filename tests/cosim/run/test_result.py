@@ -350,8 +350,8 @@ def test_a_result_says_that_the_belief_began_elsewhere_than_the_plant(mean):
         sensors=cosim.Sensors(2, 1.0), reference=20.0,
     )  # fmt: skip
     notes = loop.simulate(2.0, seed=1).notes
-    wrong = "both sensors of v agree but are blamed from t = 0 s: the controller's belief at the start is wrong"
-    assert notes == ([f"{wrong} (initial_mean, initial_spread)"] if mean == 0.0 else [])
+    wrong = "the controller's belief at the start (initial_mean, initial_spread) or its model is wrong"
+    assert notes == ([f"both sensors of v agree but are blamed from t = 0 s: {wrong}"] if mean == 0.0 else [])
 
 
 def _two_masses(stiffness: float, damping: float) -> control.StateSpace:
