@@ -403,7 +403,7 @@ def test_a_high_order_has_noise_of_one_shape_and_takes_no_time():
 
 
 def test_a_loop_that_follows_a_sine_does_not_excite_its_plant():
-    """The control is a sine and the answer to noise: a user's model from such a recording made the loop swing between its limits."""
+    """The control is a sine and the answer to noise: a model from such a recording made a loop swing between its limits."""
     rng, t = np.random.default_rng(0), np.arange(2000)
     noise = rng.standard_normal(2000)
     sine = np.sin(2 * np.pi * t / 400) + 0.1 * noise
