@@ -207,7 +207,7 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
     return (
         f"{each}. Subtract this from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
-        f"sensors={sensors})."
+        f"sensors={sensors}), or [[errors]] in a monitor's model file."
     )
 
 

@@ -775,6 +775,26 @@ def test_several_files_and_folders(tmp_path):
         load_monitor(file).read([])
 
 
+def test_many_bursts_have_a_note_and_a_notebook_shows_what_was_found():
+    """They are no fault, but a sensor of which a tenth of the samples was wrong had not a word."""
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(2000)
+    y = 5.0 + np.cumsum(0.02 * rng.standard_normal(2000))[:, None] + 0.1 * rng.standard_normal((2000, 3))
+    spikes = rng.random(1000) < 0.1
+    y[500:1500, 1] += 5.0 * spikes * rng.choice([-1, 1], 1000)
+    sensors = {name: Sensor(std=0.1, resolution=0.0) for name in "abc"}
+    monitor = Monitor(0.1, RandomWalk(std=0.06), sensors)
+    found = monitor.run(pd.DataFrame(y, columns=list("abc"), index=t), compiled=False)
+    assert found.bursts["b"] == pytest.approx(spikes.sum() / 2000, abs=0.01)
+    assert max(found.bursts["a"], found.bursts["c"]) < 0.01
+    (note,) = found.burst_notes()
+    assert re.match(r"b has \d+ bursts \([45]\.\d% of its samples\), mostly from 5\d\.\d* to 14\d", note)
+    assert repr(found) == f"<Monitored: 3 sensors, 2000 steps of 0.1 s, {len(found.events)} alarms>"
+    html = found._repr_html_()
+    assert "No fault was found" in html or "<b>Faults</b>" in html
+    assert note in html
+    assert monitor.run(pd.DataFrame(y[:400], columns=list("abc"), index=t[:400]), compiled=False).burst_notes() == []
+
+
 def test_files_of_days_follow_each_other(tmp_path):
     """As one file with all rows; files of the same time have sensors of the same name."""
     rng, t = np.random.default_rng(0), 10.0 * np.arange(3000)

@@ -17,7 +17,7 @@ from bayesftc.controllers.diagnosis.diagnose import ModelFinding, diagnose_recor
 from bayesftc.controllers.estimation.absurd import EXPLICABLE
 from bayesftc.controllers.learning.learn_modes import LearnedModes, RecordedRun, learn_modes
 from bayesftc.controllers.models.checks import as_vector
-from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.precision.base import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.switching.fault_modes import Frozen
 from bayesftc.controllers.switching.learner import SwitchingPrecision
@@ -345,6 +345,9 @@ class Monitor:
         if not recording.u.shape[1]:
             return None
         model = self.model
+        states = tuple(f"x[{i}]" for i in range(model.states - model.disturbances))
+        names = SignalNames(tuple(self.inputs), tuple(self.sensors), states)  # for the sentences
+        model = replace(model, names=names) if model.names is None else model
         mean, _ = self.start(recording, model)
         start: Any = extended_mean(model, np.array(mean), mean)
         return diagnose_recording(model, recording.y, recording.u, start)

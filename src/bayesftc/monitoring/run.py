@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from html import escape
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -14,8 +15,11 @@ from bayesftc.controllers.models.checks import Matrix
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.switching.actuator_settings import check_controls
+from bayesftc.controllers.switching.fault_modes import Burst
 from bayesftc.controllers.switching.learner import SwitchingPrecision
-from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.base.html import table
+from bayesftc.cosim.base.numbers import counted
+from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.types import Floats
@@ -40,6 +44,9 @@ if TYPE_CHECKING:
 
 HEALTHY = "healthy"
 Event = TypeVar("Event", FaultEvent, ActuatorEvent)
+
+MANY_BURSTS = 0.01
+"""Share of a sensor's samples from which on its bursts have a note."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,12 +125,76 @@ class Monitored:
     joint: bool = False
 
     def __repr__(self) -> str:
-        return short(self)
+        begun = [event for of in (self.events, self.actuator_events) for event in of if not event.continued]
+        alarms = counted(len(begun), "alarm")
+        sensors, steps = counted(len(self.recording.sensors), "sensor"), len(self.recording.y)
+        return f"<Monitored: {sensors}, {steps} steps of {float(self.recording.dt):g} s, {alarms}>"
+
+    def _repr_html_(self) -> str:
+        """Return the sensors and their alarms, for notebooks; `plot` draws them."""
+        recording, origin = self.recording, self.recording.origin
+        rows = [
+            (
+                name,
+                int(np.isfinite(recording.y[:, i]).sum()),
+                f"{self.fault_probability[:, i].mean():.4f}",
+                sum(event.sensor == name and not event.continued for event in self.events),
+            )
+            for i, name in enumerate(recording.sensors)
+        ]
+        span = span_text(float(self.time[0]), float(self.time[-1]), origin)
+        title = f"{span}, {len(self.time)} steps of {float(recording.dt):g} s"
+        shown = table(title, rows, ("sensor", "samples", "mean fault probability", "alarms"))
+        found = [
+            (
+                event.sensor,
+                event.kind or "–",
+                "–" if event.onset is None else time_text(event.onset, origin),
+                span_text(event.start, event.end, origin),
+                "–" if event.size is None else f"{event.size:.3g}",
+                f"{event.probability:.3f}",
+            )
+            for event in self.events
+        ]
+        header = ("sensor", "kind", "onset", "alarm", "size", "largest probability")
+        faults = table("Faults", found, header) if found else "<p>No fault was found.</p>"
+        notes = "".join(f"<p>{escape(text)}</p>" for text in self.burst_notes())
+        return shown + faults + notes
 
     @property
     def time(self) -> Floats:
         """Times of the steps in seconds."""
         return self.recording.time
+
+    @property
+    def bursts(self) -> dict[str, float]:
+        """Share of the samples of each sensor that are bursts: wrong ones, each for itself, which are no fault and do not count.
+
+        Empty if the learner does not distinguish them (`bayesftc.controllers.Burst`).
+        """
+        return {name: float(np.mean(flags)) if len(flags) else 0.0 for name, (flags, _) in self._bursts().items()}
+
+    def burst_notes(self) -> list[str]:
+        """Return a sentence for each sensor with many bursts, from 1 % of its samples on."""
+        notes = []
+        for name, (flags, time) in self._bursts().items():
+            if len(flags) and np.mean(flags) >= MANY_BURSTS:
+                first, last = np.quantile(time[flags], [0.05, 0.95]).tolist()
+                notes.append(
+                    f"{name} has {counted(int(flags.sum()), 'burst')} ({np.mean(flags):.1%} of its samples), mostly from "
+                    f"{span_text(first, last, self.recording.origin)}: wrong samples, each for itself. A burst is no fault, and "
+                    "the belief leaves it out; but so many may be a loose contact or a reflection."
+                )
+        return notes
+
+    def _bursts(self) -> dict[str, tuple[Flags, Floats]]:
+        """Return for each sensor which of its samples are bursts, and their times."""
+        if Burst.__name__ not in self.kinds:
+            return {}
+        likely = self.mode_probability[:, :, self.kinds.index(Burst.__name__)] > 0.5
+        there = np.isfinite(self.recording.y)
+        names = self.recording.sensors
+        return {name: (likely[there[:, i], i], self.time[there[:, i]]) for i, name in enumerate(names)}
 
     @property
     def disagreements(self) -> tuple[Disagreement, ...]:

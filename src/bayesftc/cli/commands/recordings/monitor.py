@@ -214,6 +214,7 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Seque
             "replaced": recording.replaced[i],
             "mean_probability": float(monitored.fault_probability[:, i].mean()),
             "alarms": sum(event.sensor == name and not event.continued for event in monitored.events),
+            "bursts": monitored.bursts.get(name),
         }
     return {
         "start": float(monitored.time[0]),
@@ -337,6 +338,8 @@ def _print(
         hold = time_at(monitored.alarm.hold, float(recording.dt))
         print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording, doubtful, hold)
         print_disagreements(monitored, doubtful)
+    for note in monitored.burst_notes():
+        say(note)
     for note in notes:
         say(f"\n{note}")
     if folder is not None:
