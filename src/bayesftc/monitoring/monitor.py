@@ -346,8 +346,8 @@ class Monitor:
             return None
         model = self.model
         states = tuple(f"x[{i}]" for i in range(model.states - model.disturbances))
-        names = SignalNames(tuple(self.inputs), tuple(self.sensors), states)  # for the sentences
-        model = replace(model, names=names) if model.names is None else model
+        inputs = (*self.inputs, *(f"input {j}" for j in range(len(self.inputs), model.controls)))
+        model = replace(model, names=SignalNames(inputs, tuple(self.sensors), states))  # for the sentences
         mean, _ = self.start(recording, model)
         start: Any = extended_mean(model, np.array(mean), mean)
         return diagnose_recording(model, recording.y, recording.u, start)
