@@ -34,8 +34,9 @@ PRIOR = 10.0
 sensors until it is estimated."""
 
 UNMOVED = (
-    "the quantity moves differently from the model, or the recording has long gaps. Fit the model to a recording that moves as "
-    "this one does (bayesftc monitor --fit)."
+    "the quantity moves differently from the model, a sensor follows it late, or the recording has long gaps. Fit the model to a "
+    "recording that moves as this one does (bayesftc monitor --fit). If it is fitted to this one, it is too simple for it: trust "
+    "only clear alarms."
 )
 """What is wrong with a model that no control moves, as that of a monitor: nothing can be linearised or weakened."""
 

@@ -76,7 +76,7 @@ def test_it_prints_the_fault_and_writes_all_files(files, tmp_path):
     assert fault["onset"] == pytest.approx(30.0, abs=0.2)
     assert fault["size"] == pytest.approx(2.0, abs=0.2)
     assert report["sensors"]["b"] == {
-        "samples": 600, "rate": pytest.approx(10.0), "replaced": 0, "alarms": 1,
+        "samples": 600, "rate": pytest.approx(10.0), "replaced": 0, "alarms": 1, "bursts": pytest.approx(0.0, abs=0.01),
         "mean_probability": pytest.approx(table.b.mean(), rel=1e-6),
     }  # fmt: skip
     assert (out / "figure.png").read_bytes()[:4] == b"\x89PNG"
