@@ -16,7 +16,7 @@ from bayesftc.cosim.base.numbers import reals
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.linear_system import LinearSystem, as_rows, held, normalised, signal_names
-from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.ports import Port
 from bayesftc.cosim.types import Floats
 
@@ -131,6 +131,11 @@ class StateSpace(Block):
             raise ModelError(
                 "StateSpace has feedthrough=... or params=... for a linear system; leave them out. The matrix D determines "
                 "the feedthrough."
+            )
+        if self.params is not None and not isinstance(self.params, Mapping):
+            raise ModelError(
+                f"StateSpace has params={brief(self.params)}; it must be values by name, such as {{'m': 1.0}}. A factor of a "
+                'campaign names one of them: "plant.params.m".'
             )
         if self.feedthrough is not None and not isinstance(self.feedthrough, bool):
             names = tuple([self.feedthrough] if isinstance(self.feedthrough, str) else self.feedthrough)

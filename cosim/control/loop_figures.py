@@ -34,6 +34,16 @@ TINY = 1e-6
 DOTS, HALVINGS = 400, 12
 """Number of dots across the figure, and most halvings of a distance between two gains for it."""
 
+DECADES = 5.0
+"""Most decades of frequency below the Nyquist frequency: an integrator has its pole at zero up to rounding."""
+
+
+def _frequencies(loop: Any, nyquist: float) -> Any:
+    """Return the usual frequencies, without those far below all that a loop of this sample time can do."""
+    usual = control.frequency_response(loop).omega
+    least = nyquist / 10.0**DECADES
+    return np.geomspace(max(float(usual[usual > 0].min(initial=least)), least), nyquist, 1000)
+
 
 def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) -> Figure:
     """Return gain and phase of a loop transfer function over the frequency, with its margins.
@@ -50,7 +60,18 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         An empty figure to draw on.
     """
     _, axes = make_panels([PANEL, PANEL], figure)
-    control.bode_plot(loop, ax=np.array(axes)[:, None], dB=True, deg=True, Hz=False, grid=False, color=BLUE, lw=1.3)
+    nyquist = np.pi / float(loop.dt)
+    control.bode_plot(
+        loop,
+        _frequencies(loop, nyquist),
+        ax=np.array(axes)[:, None],
+        dB=True,
+        deg=True,
+        Hz=False,
+        grid=False,
+        color=BLUE,
+        lw=1.3,
+    )
     for axis in axes:
         axis.grid(visible=True, which="major", color="0.85", lw=0.6)
         axis.grid(visible=True, which="minor", axis="x", color="0.93", lw=0.4)

@@ -311,3 +311,12 @@ def test_blocks_of_linear_systems_are_plain_values():
     assert hash(copy) == hash(block)
     runs = [driven(b, 0.1, waves(["u"])).simulate(1.0, seed=5)["plant.y"] for b in (block, copy)]
     assert np.array_equal(*runs)
+
+
+def test_params_that_are_no_names_are_refused():
+    """As the values of a factor "plant.params" would be."""
+    system = control.nlsys(
+        lambda t, x, u, p: [-x[0] + u[0]], lambda t, x, u, p: [x[0]], inputs=["u"], outputs=["y"], states=1
+    )
+    with pytest.raises(ModelError, match=r'params=0.02; it must be values by name.*"plant.params.m"'):
+        cosim.StateSpace(system, params=0.02, feedthrough=False)

@@ -499,3 +499,12 @@ def test_a_loop_of_other_blocks_is_refused_with_what_to_use_and_that_works(make_
     z = np.exp(0.05j)
     expected = 0.1 / (z - 0.9) * 2.0 * (1.0 + 1.0 / 30.0 / (1.0 - 1.0 / z))
     assert complex(-system.linearize(system.initial_state)(z)) == pytest.approx(expected)
+
+
+def test_the_frequencies_of_a_bode_plot_are_those_of_the_loop():
+    """An integrator's pole at zero, up to rounding, gave ten decades on the left."""
+    slow = control.ss([[1.0 - 1e-12]], [[0.1]], [[1.0]], 0, DT)
+    figure = bode_figure(slow, None, "", bare_figure())
+    frequencies = figure.axes[0].lines[0].get_xdata()
+    assert np.pi / DT / 1e5 == pytest.approx(min(frequencies))
+    assert max(frequencies) == pytest.approx(np.pi / DT)
