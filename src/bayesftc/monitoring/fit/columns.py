@@ -48,7 +48,8 @@ class Place:
     Examples
     --------
     >>> from pathlib import Path
-    >>>     >>> from bayesftc import monitoring
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import monitoring
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder, "tank.csv")
     ...     _ = file.write_text("time,T_1,T_2\n0.0,20.1,20.0\n0.1,20.2,20.1\n")
@@ -97,7 +98,8 @@ def redundant_signals(
     Examples
     --------
     >>> from pathlib import Path
-    >>>     >>> from bayesftc import monitoring
+    >>> from tempfile import TemporaryDirectory
+    >>> from bayesftc import monitoring
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder, "tank.csv")
     ...     _ = file.write_text("time,T_1,T_2,valve\n0.0,20.1,20.0,1\n0.1,20.2,20.1,1\n")

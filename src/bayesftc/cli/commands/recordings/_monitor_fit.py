@@ -139,7 +139,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
     try:
         fitted = fit_model(samples, stretch, gains=not any(place.period for place in places.values()))
     except RecordingError as error:  # with what the user does not see in the file
-        reasons = [note for name, note in slow.items() if repr(name) in str(error)]
+        reasons = [f"{note.partition('. ')[0]}." for name, note in slow.items() if repr(name) in str(error)]
         raise RecordingError(" ".join([str(error), *reasons])) from None
     text = as_model_file(fitted, samples, places, stretch)
     if os.path.lexists(model) and not overwrite and not _has(model, text):
