@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 HEALTHY = "healthy"
 Event = TypeVar("Event", FaultEvent, ActuatorEvent)
 
-MANY_BURSTS = 0.01
-"""Share of a sensor's samples from which on its bursts have a note."""
+MANY_BURSTS, AROUND = 0.01, 10
+"""Share of a sensor's samples from which on its bursts have a note; steps around one in which no other sensor has any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,30 +168,36 @@ class Monitored:
 
     @property
     def bursts(self) -> dict[str, float]:
-        """Share of the samples of each sensor that are bursts: wrong ones, each for itself, which are no fault and do not count.
+        """Share of the samples of each sensor that are bursts: with far more noise for a short time, which is no fault.
 
         Empty if the learner does not distinguish them (`bayesftc.controllers.Burst`).
         """
         return {name: float(np.mean(flags)) if len(flags) else 0.0 for name, (flags, _) in self._bursts().items()}
 
     def burst_notes(self) -> list[str]:
-        """Return a sentence for each sensor with many bursts, from 1 % of its samples on."""
+        """Return a sentence for each sensor with many bursts of its own, from 1 % of its samples on.
+
+        Those at which another sensor has one, too, speak of the quantity or the model, as a bump does, and not of the sensor.
+        """
         notes = []
-        for name, (flags, time) in self._bursts().items():
+        for name, (flags, time) in self._bursts(alone=True).items():
             if len(flags) and np.mean(flags) >= MANY_BURSTS:
                 first, last = np.quantile(time[flags], [0.05, 0.95]).tolist()
                 notes.append(
                     f"{name} has {counted(int(flags.sum()), 'burst')} ({np.mean(flags):.1%} of its samples), mostly from "
-                    f"{span_text(first, last, self.recording.origin)}: wrong samples, each for itself. A burst is no fault, and "
-                    "the belief leaves it out; but so many may be a loose contact or a reflection."
+                    f"{span_text(first, last, self.recording.origin)}: samples with far more noise, while the other sensors have "
+                    "none. A burst is no fault, and the belief hardly counts it; but so many may be a loose contact or a reflection."
                 )
         return notes
 
-    def _bursts(self) -> dict[str, tuple[Flags, Floats]]:
-        """Return for each sensor which of its samples are bursts, and their times."""
+    def _bursts(self, *, alone: bool = False) -> dict[str, tuple[Flags, Floats]]:
+        """Return which samples of each sensor are bursts, and their times; `alone`: those while no other sensor has one."""
         if Burst.__name__ not in self.kinds:
             return {}
         likely = self.mode_probability[:, :, self.kinds.index(Burst.__name__)] > 0.5
+        if alone:
+            near = np.array([np.convolve(of, np.ones(2 * AROUND + 1), "same") > 0.5 for of in likely.T.astype(float)]).T
+            likely &= near.sum(axis=1, keepdims=True) == 1
         there = np.isfinite(self.recording.y)
         names = self.recording.sensors
         return {name: (likely[there[:, i], i], self.time[there[:, i]]) for i, name in enumerate(names)}
