@@ -53,8 +53,8 @@ MANY_FALSE_ALARMS = 0.05
 LOOK_AT_MODEL = (
     "Look at the model first: gain, time constants and delay of the plant, an input that it lacks, a constant offset of other "
     "sensors (such as gyros), an error that other sensors share (with_sensor_errors, common=True), noise that is larger than "
-    "process_covariance or sensor_covariance, or a process_covariance (noise= in design) that is several times too large. After a "
-    f"longer run without faults, controllers.diagnose(result, controller) may name the error. {ESTIMATE_A_LOAD}"
+    "process_covariance or sensor_covariance, or a process_covariance (noise= in design) that is several times too large. After "
+    f"a longer run without faults, controllers.diagnose(result, controller) may name the error. {ESTIMATE_A_LOAD}"
 )
 """What to do where a healthy sensor is blamed often, and nothing else says why."""
 

@@ -186,7 +186,7 @@ class Monitored:
                 notes.append(
                     f"{name} has {counted(int(flags.sum()), 'burst')} ({np.mean(flags):.1%} of its samples), mostly from "
                     f"{span_text(first, last, self.recording.origin)}: samples with far more noise, while the other sensors have "
-                    "none. A burst is no fault, and hardly counts in the belief; but so many may be a loose contact or a reflection."
+                    "none. A burst is no fault and hardly counts in the belief. So many may be a loose contact or a reflection."
                 )
         return notes
 
