@@ -112,10 +112,10 @@ def design(
     disturbance : bool, number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
         model would leave, and healthy sensors are blamed far less for it. True: the load moves in each sample by 1 % of
-        `acceptable_control`, or else of half the range of the limits (a standard deviation). With three or more sensors of a
-        quantity this costs hardly anything; of two it is then less certain which one drifts. What the model lacks elsewhere than
-        at the control, such as behind a shaft, needs `noise` at an input of the plant that acts there: without, the sensors there
-        are blamed. A load there that lasts is a state of the plant that such noise drives.
+        `acceptable_control`, or else of half the range of the limits (a standard deviation, chosen at sample times of 5 to 20
+        ms). With three or more sensors of a quantity this costs hardly anything; of two it is then less certain which one drifts.
+        What the model lacks elsewhere than at the control, such as behind a shaft, needs `noise` at an input of the plant that
+        acts there: without, the sensors there are blamed. A load there that lasts is a state of the plant that such noise drives.
 
         `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`. A `LinearModel`
         contains all but the last: leave them out with one. Only the default of `noise` differs.
@@ -343,10 +343,12 @@ def _half_range(u_min: object, u_max: object, size: int) -> Floats:
 
 def _load(disturbance: Matrix | bool | None, acceptable: float | Sequence[float] | None, half: Floats) -> Matrix | None:
     """Return the covariance per sample of the load; of True from the scale of each control. None: there is no load."""
-    if disturbance is None or disturbance is False:
+    if disturbance is None:
         return None
-    if disturbance is not True:
-        return disturbance  # type: ignore[return-value]
+    if not isinstance(disturbance, bool | np.bool_):
+        return disturbance
+    if not disturbance:
+        return None
     scale = half if acceptable is None else _positive("acceptable_control", acceptable, len(half))
     if np.isnan(scale).any():
         raise ModelError(

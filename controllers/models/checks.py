@@ -104,7 +104,7 @@ def as_covariance(name: str, value: object, size: int, *, singular: bool = False
         If it is not symmetric or not positive (semi-)definite.
     """
     example = "it must be a number, a list of numbers for a diagonal, or rows of numbers"
-    if isinstance(value, bool):
+    if isinstance(value, bool | np.bool_):
         raise ModelError(f"{name} is {value}; {example}.")
     array = as_numbers(name, value, example)
     if array.ndim == 0:

@@ -146,7 +146,7 @@ class Linearization:
         )
         covariances = self._noise(columns, noise), variances
         model = LinearModel(self.A, self.B[:, columns], self.C[order], *covariances, self.step, names=names)
-        if disturbance is not None:
+        if disturbance is not None and disturbance is not False:
             model = model.with_disturbance(disturbance)
         if not (self.x.any() or self.u.any() or self.y.any()):
             return model

@@ -127,6 +127,10 @@ class Subsystem(Block):
             raise ModelError(f"Subsystem needs a diagram, not {diagram!r}.")
         self.diagram = copy(diagram)
         self.goals = (goals,) if isinstance(goals, str) else tuple(goals)
+        if not all(isinstance(name, str) for name in self.goals) or len(set(self.goals)) < len(self.goals):
+            raise ModelError(
+                f"goals of a subsystem is {goals!r}; give the measured quantity of each goal once, as ['angle']."
+            )
         self.fed = self._ports(_free(diagram) if inputs is None else inputs, "input")
         self.shown = self._ports(_open(diagram) if outputs is None else outputs, "output")
         names = [*self.fed, *self.shown]

@@ -57,9 +57,20 @@ def encoding_of(path: str | PathLike[str]) -> str:
     try:
         _read_through(path, ENCODING)
     except UnicodeDecodeError:
+        if _is_mostly_utf_8(path):  # with a wrong byte: as Windows-1252 its other letters would be wrong
+            raise
         _read_through(path, OTHER)
         return OTHER
     return ENCODING
+
+
+def _is_mostly_utf_8(path: str | PathLike[str]) -> bool:
+    """Return whether a text has letters in UTF-8 of more than one byte."""
+    with open(path, encoding=ENCODING, errors="replace", newline="") as text:
+        while part := text.read(1 << 20):
+            if not part.replace("\N{REPLACEMENT CHARACTER}", "").isascii():
+                return True
+    return False
 
 
 def _read_through(path: str | PathLike[str], encoding: str) -> None:

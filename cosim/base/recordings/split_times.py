@@ -69,7 +69,8 @@ def _with_times_of_day(table: pd.DataFrame, names: Sequence[object], source: str
     parts = table.iloc[:, clock].astype(str).str.extract(rf"^\s*{CLOCK}\s*$")
     table = table.copy(deep=False)
     given = table.iloc[:, day]
-    table.isetitem(day, (given.astype(str).str.strip() + " " + clock_of_day(parts)).where(given.notna()).array)
+    there = given.notna() & table.iloc[:, clock].notna()
+    table.isetitem(day, (given.astype(str).str.strip() + " " + clock_of_day(parts)).where(there).array)
     inform(
         f"The columns {names[day]!r} and {names[clock]!r} of {source} are read together as dates with times of the day."
     )

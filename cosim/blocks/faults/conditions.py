@@ -162,7 +162,7 @@ def when(signal: str, relation: str | None = None, value: float | None = None, *
             f"{brief(signal)} is a whole condition, but there is also relation={brief(relation)} or value={brief(value)}. Leave "
             "both out, or give only the name of the signal first."
         )
-    if relation is None or value is None:
+    if relation is None or value is None or not signal:
         raise ModelError(
             f"{brief(signal)} is no condition; write signal, relation and number, such as cosim.when('plant.v > 22') or "
             "cosim.when('plant.v', '>', 22.0)."

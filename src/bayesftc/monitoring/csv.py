@@ -25,7 +25,7 @@ from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_se
 from bayesftc.cosim.base.recordings.held import least_change
 from bayesftc.cosim.base.recordings.local_dates import iso_of, with_iso_dates
 from bayesftc.cosim.base.recordings.split_times import joined_times
-from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds, since_1970
+from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds, since_1970, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.recording import LARGEST, absurd_values
@@ -57,6 +57,9 @@ def file_of(table: pd.DataFrame, time: str) -> Iterator[tuple[Path, datetime | N
     import pandas as pd
 
     origin, index = None, table.index
+    counts = isinstance(index, pd.RangeIndex) and (index.start, index.step) == (0, 1)
+    timed = isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex) or index.name is not None
+    counts = not timed and (counts or time_column(map(str, table.columns)) is not None)
     if isinstance(index, pd.DatetimeIndex) and len(index):
         origin = index[0].to_pydatetime()
         index = index - index[0]
@@ -64,7 +67,7 @@ def file_of(table: pd.DataFrame, time: str) -> Iterator[tuple[Path, datetime | N
         table = table.set_axis(index.total_seconds())
     with TemporaryDirectory() as folder:
         file = Path(folder, "table.csv")
-        if isinstance(index, pd.RangeIndex):
+        if counts:
             table.to_csv(file, index=False)
         else:
             table.to_csv(file, index_label=str(table.index.name or time))
@@ -145,14 +148,21 @@ class Tables:
     def having(self, name: str | None, column: str, signal: str) -> list[Path]:
         """Return the file with this name; without one the files that have a column, whose rows follow each other."""
         files = self.files() if name is None else []
+        if len(files) < 2:
+            return [self.find(name, signal)]
         found = [file for file in files if column in self.names(file)]
-        return found if len(files) > 1 and found else [self.find(name, signal)]
+        if not found:
+            names = dict.fromkeys(each for file in files for each in self.names(file))
+            raise RecordingError(
+                f"None of the {len(files)} files has a column {column!r} for {signal}; {did_you_mean(column, names)}"
+            )
+        return found
 
     def in_order(self, files: Sequence[Path], times: Sequence[Floats]) -> list[int] | None:
         """Return the order of files whose rows follow each other in time; None if two of them overlap."""
         order = sorted(range(len(files)), key=lambda i: float(np.nanmin(times[i], initial=np.inf)))
         spans = [(float(np.nanmin(times[i])), float(np.nanmax(times[i]))) for i in order if np.isfinite(times[i]).any()]
-        overlap = any(later[0] <= earlier[1] for earlier, later in pairwise(spans))
+        overlap = any(later[0] < earlier[1] for earlier, later in pairwise(spans))
         return None if overlap else order
 
     def times(self, file: Path, name: str, whose: str = "") -> Floats:

@@ -21,6 +21,7 @@ from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.precision.base import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.switching.fault_modes import Frozen
 from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.invalid import numbers_of
 from bayesftc.cosim.base.recordings.columns import column_unit
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, RecordingError, brief
@@ -28,7 +29,7 @@ from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
 from bayesftc.monitoring.csv import Tables, file_of, warn_of_changes
-from bayesftc.monitoring.fit.columns import Place, placed, stretch_of
+from bayesftc.monitoring.fit.columns import Place, placed, signals_by_name, stretch_of
 from bayesftc.monitoring.fit.fit import fit_model
 from bayesftc.monitoring.fit.units import in_unit
 from bayesftc.monitoring.models import PlantModel
@@ -47,6 +48,18 @@ SMALL = 1e-9
 
 OPENING = 9
 """Number of first samples whose median the first sample must not contradict."""
+
+
+def _are_paths(source: Sequence[Any]) -> bool:
+    return bool(source) and all(isinstance(path, str | os.PathLike) for path in source)
+
+
+def _as_recorded(signal: Signal, sensor: Sensor | None) -> Signal:
+    """Return a signal with what the monitor knows of its sensor: a full turn, and which values stand for no sample."""
+    if sensor is None:
+        return signal
+    invalid = (*signal.invalid, *numbers_of(sensor.invalid))
+    return replace(signal, period=signal.period or sensor.period, held=signal.held or sensor.held, invalid=invalid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +179,8 @@ class Monitor:
         places: dict[str, Place] = {}
         if not isinstance(recording, Recording):
             places, recording = placed(recording)
+        count = len(recording.sensors)
+        before = zip(recording.bias or (0.0,) * count, recording.gain or (1.0,) * count, strict=True)
         if isinstance(stretch, tuple | list) and len(stretch) == 2:
             stretch = stretch_of(recording, *stretch)
         if not isinstance(stretch, slice):
@@ -177,17 +192,17 @@ class Monitor:
         fitted = fit_model(recording, stretch, gains=gains)
         files = {place.file for place in places.values()}
         sensors = {}
-        for (name, s), unit in zip(fitted.sensors.items(), recording.units, strict=True):
+        for (name, s), unit, (bias, gain) in zip(fitted.sensors.items(), recording.units, before, strict=True):
             place = places.get(name, Place("", name, "t"))
             sensors[name] = Sensor(
                 file=(place.file or None) if len(files) > 1 else None,
                 column=place.column if place.column != name else None,
                 time=place.time if len(files) > 1 else None,
-                bias=s.bias,
+                bias=bias + gain * s.bias,
                 invalid=place.invalid,
-                gain=s.gain,
+                gain=gain * s.gain,
                 std=s.std,
-                resolution=s.resolution,
+                resolution=gain * s.resolution,
                 repeats=s.repeats,
                 period=place.period,
                 held=place.held,
@@ -252,19 +267,22 @@ class Monitor:
         ModelError
             If a recording has other sensors.
         """
-        if isinstance(source, str | os.PathLike):
+        if isinstance(source, str | os.PathLike) or (isinstance(source, list | tuple) and _are_paths(source)):
             return self.read(source)
         if hasattr(source, "to_csv"):
             with file_of(source, self.time) as (file, origin):  # type: ignore[arg-type]
                 read = self.read(file)
             return replace(read, origin=origin or read.origin)
-        found = source if isinstance(source, Recording) else align(source, {}, self.dt)  # type: ignore[arg-type]
         of = self.sensors
-        if set(found.sensors) != set(of):
-            names = (", ".join(map(repr, given)) for given in (found.sensors, of))
+        if not isinstance(source, Recording):
+            given = signals_by_name(source)
+            source = align({name: _as_recorded(signal, of.get(name)) for name, signal in given.items()}, {}, self.dt)
+        if set(source.sensors) != set(of):
+            names = (", ".join(map(repr, given)) for given in (source.sensors, of))
             raise ModelError("The recording has the sensors {}, but the monitor has {}.".format(*names))
-        bias, gain = ([getattr(of[name], kind) for name in found.sensors] for kind in ("bias", "gain"))
-        return found.without(bias, gain)
+        if source.sensors != tuple(of):
+            source = source.of_sensors([source.sensors.index(name) for name in of])
+        return source.without([sensor.bias for sensor in of.values()], [sensor.gain for sensor in of.values()])
 
     def read(self, paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Recording:
         """Read the recording from CSV files, or folders of them, and bring it to the model's steps.

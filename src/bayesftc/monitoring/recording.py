@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -224,6 +225,13 @@ class Recording:
 
     def __repr__(self) -> str:
         return short(self, start="s", dt="s")
+
+    def of_sensors(self, kept: Sequence[int]) -> Recording:
+        """Return the recording of some of its sensors, by their numbers, in this order."""
+        names = ("sensors", "loss", "resolution", "replaced", "units", "bias", "gain")
+        fields: dict[str, Any] = {name: getattr(self, name) for name in names}
+        chosen: dict[str, Any] = {name: tuple(values[i] for i in kept) for name, values in fields.items() if values}
+        return replace(self, y=self.y[:, list(kept)], **chosen)
 
     def without(self, bias: Sequence[float], gain: Sequence[float]) -> Recording:
         """Return the recording with these biases subtracted and divided by these gains, whatever was subtracted before."""

@@ -117,5 +117,8 @@ def test_a_load_of_true_moves_by_a_share_of_the_acceptable_control_or_of_the_lim
 def test_a_load_of_true_needs_a_scale_and_no_covariance_is_true():
     with pytest.raises(ModelError, match="disturbance=True takes the size of the load from acceptable_control"):
         design(changed(["point"]), goal=[0, 2], disturbance=True)
-    with pytest.raises(ModelError, match="The disturbance's covariance is True; it must be a number"):
-        changed(["point"]).with_disturbance(True)
+    for true in (True, np.True_):
+        with pytest.raises(ModelError, match="The disturbance's covariance is True; it must be a number"):
+            changed(["point"]).with_disturbance(true)
+        with pytest.raises(ModelError, match="disturbance=True takes the size"):
+            design(changed(["point"]), goal=[0, 2], disturbance=true)

@@ -381,6 +381,64 @@ def test_two_sensors_that_part_do_not_teach_the_model_to_expect_it(start, size):
 
 
 @pytest.mark.parametrize("seed", range(3))
+def test_a_gain_error_of_one_of_two_is_no_parting(seed):
+    """While the quantity rises, it lets them part, and the healthy one had alarms."""
+    rng = np.random.default_rng(seed)
+    level = np.linspace(20.0, 80.0, 6000)
+    y = np.stack([level, 1.02 * level], axis=1) + 0.1 * rng.standard_normal((6000, 2))
+    table = pd.DataFrame(y, columns=["a", "b"], index=1.0 * np.arange(6000))
+    fitted = fit_model(recorded(table))
+    assert fitted.parted is None
+    assert fitted.sensors["b"].gain == pytest.approx(1.02, abs=0.002)
+    monitor, corrected = Monitor.fit(table)
+    assert not monitor.run(corrected).events
+
+
+@pytest.mark.parametrize("given", [{"bias": 5.0}, {"gain": 2.0}, {"bias": -3.0, "gain": 0.5}])
+def test_a_fit_adds_to_the_biases_and_gains_that_are_known(given):
+    t, y = three_of_a_level(1000)
+    raw = y.copy()
+    raw[:, 0] = raw[:, 0] * given.get("gain", 1.0) + given.get("bias", 0.0)
+    signals = {name: Signal(t, raw[:, i], **(given if i == 0 else {})) for i, name in enumerate("abc")}
+    monitor, corrected = Monitor.fit(recorded(signals))
+    usual, usually = Monitor.fit(pd.DataFrame(y, columns=list("abc"), index=t))
+    np.testing.assert_allclose(corrected.y, usually.y, atol=1e-9)
+    for run in (monitor.run(corrected), usual.run(usually)):
+        assert [(event.sensor, event.kind) for event in run.events] == [("c", "DroppedOut")]
+    raw_table = pd.DataFrame(raw, columns=list("abc"), index=t)
+    np.testing.assert_allclose(monitor.recording(recorded(raw_table)).y, usually.y, atol=1e-9)
+    as_before = Monitor.fit(corrected)[1]
+    np.testing.assert_allclose(as_before.y, corrected.y, atol=1e-3)
+
+
+def test_sensors_in_another_order_are_put_into_that_of_the_monitor():
+    t, y = three_of_a_level(1000)
+    monitor, corrected = Monitor.fit(pd.DataFrame(y, columns=list("abc"), index=t))
+    turned = {name: Signal(t, y[:, "abc".index(name)]) for name in "bca"}
+    np.testing.assert_array_equal(monitor.recording(turned).y, monitor.recording(recorded(turned)).y)
+    np.testing.assert_allclose(monitor.recording(turned).y, corrected.y)
+
+
+def test_an_angle_stays_one_in_later_signals():
+    rng, t = np.random.default_rng(2), 1.0 * np.arange(2000)
+    heading = (np.cumsum(rng.choice([2.0, 3.0], 2000)))[:, None] + rng.standard_normal((2000, 2))
+    signals = {name: Signal(t, heading[:, i] % 360.0, period=360.0) for i, name in enumerate("ab")}
+    monitor, _ = Monitor.fit(recorded(signals), gains=False)
+    monitor = replace(monitor, sensors={n: replace(s, period=360.0) for n, s in monitor.sensors.items()})
+    plain = {name: Signal(t, heading[:, i] % 360.0) for i, name in enumerate("ab")}
+    np.testing.assert_array_equal(monitor.recording(plain).y, monitor.recording(signals).y)
+    assert Monitor.fit(signals, gains=False)[0].sensors["a"].period == 360.0
+
+
+def test_times_in_a_column_of_a_table_that_was_filtered():
+    t, y = three_of_a_level()
+    table = pd.DataFrame(y, columns=list("abc"))
+    table.insert(0, "time", 10.0 * t)
+    assert recorded(table.drop(index=[5])).dt == 5
+    assert recorded(table.drop(columns="time").set_axis(range(0, 10 * len(t), 10))).dt == 10
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_two_sensors_that_wander_about_each_other_have_not_parted(seed):
     rng = np.random.default_rng(seed)
     y = 20.0 + np.cumsum(0.02 * rng.standard_normal(6000))[:, None] + 0.1 * rng.standard_normal((6000, 2))

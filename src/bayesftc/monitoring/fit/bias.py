@@ -237,4 +237,4 @@ def _scatter(levels: Floats) -> float:
     return MAD * float(np.median(np.abs(levels - np.median(levels))))
 
 
-__all__ = ["Change", "biases", "changes", "gains", "steady_gains", "unmoved", "wander"]
+__all__ = ["Change", "biases", "changes", "gains", "parting", "steady_gains", "unmoved", "wander"]

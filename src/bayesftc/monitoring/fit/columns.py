@@ -344,16 +344,25 @@ def placed(
         with file_of(source, TIMES[0]) as (file, origin):  # type: ignore[arg-type]
             places, found = redundant_signals(file)
         signals = {name: replace(signal, origin=origin or signal.origin) for name, signal in found.items()}
-    elif isinstance(source, Mapping) and all(isinstance(signal, Signal) for signal in source.values()):
-        signals = source
     else:
-        raise RecordingError(
-            f"A recording is made of signals by name, as {{'left': Signal(times, values)}}, a pandas table or a CSV file, not of "
-            f"{brief(source)}."
-        )
+        signals = signals_by_name(source)
+        places = {
+            name: Place("", name, TIMES[0], tuple(signal.invalid), signal.period, signal.held)
+            for name, signal in signals.items()
+        }
     if not signals:
         raise RecordingError("There is no sensor to monitor. Name at least one.")
     for name, signal in signals.items():
         if len(np.asarray(signal.time)) < 2:
             raise RecordingError(f"The sensor {name!r} has only one sample. Leave it out.")
     return places, align(signals, {}, sample_time(signals))
+
+
+def signals_by_name(source: object) -> Mapping[str, Signal]:
+    """Return a mapping of signals, or refuse what is none."""
+    if isinstance(source, Mapping) and all(isinstance(signal, Signal) for signal in source.values()):
+        return source
+    raise RecordingError(
+        f"A recording is made of signals by name, as {{'left': Signal(times, values)}}, a pandas table or a CSV file, not of "
+        f"{brief(source)}."
+    )

@@ -191,10 +191,14 @@ def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool
     ({'a': 0.1, 'b': 0.1, 'c': 0.3}, 'RandomWalk')
     """
     fitted = _fit_once(recording, stretch)
-    if not gains or fitted.strangers or fitted.changes or fitted.parted or fitted.coded:
+    if not gains or fitted.strangers or fitted.changes or fitted.coded:
         return fitted
     slopes = steady_gains(recording.y[stretch], [sensor.std for sensor in fitted.sensors.values()])
-    return _fit_divided(recording, stretch, slopes) if slopes else fitted
+    if not slopes:
+        return fitted
+    # A gain error lets two sensors part while the quantity rises. What still parts after the division has moved.
+    divided = _fit_divided(recording, stretch, slopes)
+    return fitted if fitted.parted and divided.parted else divided
 
 
 def _fit_divided(recording: Recording, stretch: slice, slopes: Mapping[int, float]) -> FittedModel:
@@ -219,28 +223,11 @@ def _fit_once(given: Recording, stretch: slice) -> FittedModel:
     others = [i for i in range(len(recording.sensors)) if i not in strange]
     if not strange or len(others) < 2:  # nobody knows which of two sensors is wrong
         return replace(_fit(recording, stretch), strangers=slopes, coded=coded)
-    fitted = _fit(_of_sensors(recording, others), stretch)
+    fitted = _fit(recording.of_sensors(others), stretch)
     level = median(recording.y[:, others] - [fitted.sensors[recording.sensors[i]].bias for i in others], 1)
     apart = {i: _stranger(recording, i, level, stretch) for i in strange}
     sensors = {name: apart[i] if i in apart else fitted.sensors[name] for i, name in enumerate(recording.sensors)}
     return replace(fitted, sensors=sensors, strangers=slopes, coded=coded)
-
-
-def _of_sensors(recording: Recording, kept: Sequence[int]) -> Recording:
-    """Return the recording of some of its sensors."""
-
-    def of(values: tuple[T, ...]) -> tuple[T, ...]:
-        return tuple(values[i] for i in kept)
-
-    return replace(
-        recording,
-        y=recording.y[:, kept],
-        sensors=of(recording.sensors),
-        loss=of(recording.loss),
-        resolution=of(recording.resolution),
-        replaced=of(recording.replaced),
-        units=of(recording.units),
-    )
 
 
 def _stranger(recording: Recording, i: int, level: Floats, stretch: slice) -> FittedSensor:

@@ -267,6 +267,8 @@ def test_by_hand_nothing_begins_by_itself(same_bits):
         cosim.varied(loop, early).simulate(2.0)["controller.u"],
         car(faults=cosim.Freeze(start=1.0)).simulate(2.0)["controller.u"],
     )
+    with pytest.raises(ModelError, match="is no condition"):
+        cosim.when("", ">", 0.5)
     with pytest.raises(ModelError, match="Freeze has stop='by hand'; give start='by hand'"):
         cosim.Freeze(stop="by hand")
 
