@@ -1,6 +1,7 @@
 """The example of redundant speed sensors: its made-up drive, and that faults are found in it and in the recorded one."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -164,11 +165,11 @@ def test_an_alarm_lasts_beyond_its_fault_where_sensors_with_slow_errors_are_judg
         (found,) = [each for each in json.loads(done.stdout)["faults"] if each["sensor"] == "front_right"]
         return tuple(round(found[name], 2) for name in ("start", "end", "size"))
 
-    assert alarm("--fit") == (29.81, 35.99, 1.36)
+    assert alarm("--fit") == (29.81, 35.99, 1.38)
     file.write_text(file.read_text(encoding="utf-8").replace("joint = true", "joint = false"))
-    assert alarm() == (29.92, 40.0, -0.41)
+    assert alarm() == (29.91, 40.0, -0.41)
     head, *errors = file.read_text(encoding="utf-8").split("[[errors]]")
-    kept = [each for each in errors if "time_constant = 12.891" not in each]
+    kept = [each for each in errors if float(re.search(r"time_constant = ([\d.]+)", each)[1]) < 5.0]
     assert len(errors) == len(kept) + 4
     file.write_text("[[errors]]".join([head, *kept]))
     assert alarm()[1] == 35.99
