@@ -316,9 +316,7 @@ def _controls(diagram: Diagram, controller: Node, controls_sent: Sequence[Place 
             else _source(diagram, node, port, i)
         )
         if sent is not None and sent in controls_sent:
-            targets.setdefault(
-                controls_sent.index(sent), (element_name(port, i), port.unit, tuple(fault.name for fault, _ in chain))
-            )
+            targets.setdefault(controls_sent.index(sent), (element_name(port, i), port.unit, _faults(chain)))
     controls = []
     for j in range(count):
         name, unit, faults = targets.get(j, (f"control {j}", None, ()))

@@ -158,13 +158,6 @@ class Tables:
             )
         return found
 
-    def in_order(self, files: Sequence[Path], times: Sequence[Floats]) -> list[int] | None:
-        """Return the order of files whose rows follow each other in time; None if two of them overlap."""
-        order = sorted(range(len(files)), key=lambda i: float(np.nanmin(times[i], initial=np.inf)))
-        spans = [(float(np.nanmin(times[i])), float(np.nanmax(times[i]))) for i in order if np.isfinite(times[i]).any()]
-        overlap = any(later[0] < earlier[1] for earlier, later in pairwise(spans))
-        return None if overlap else order
-
     def times(self, file: Path, name: str, whose: str = "") -> Floats:
         """Return a column of times in seconds; its name may have another unit (``t_ms``). Dates become seconds, too."""
         signal, source = f"the times{whose}", f"column {name!r} of {fspath(file)}"
@@ -286,6 +279,14 @@ class Tables:
                     table[i] = written
             self._read[file] = header, table
         return self._read[file]
+
+
+def in_order(times: Sequence[Floats]) -> list[int] | None:
+    """Return the order of files, by their times, whose rows follow each other; None if two of them overlap."""
+    order = sorted(range(len(times)), key=lambda i: float(np.nanmin(times[i], initial=np.inf)))
+    spans = [(float(np.nanmin(times[i])), float(np.nanmax(times[i]))) for i in order if np.isfinite(times[i]).any()]
+    overlap = any(later[0] < earlier[1] for earlier, later in pairwise(spans))
+    return None if overlap else order
 
 
 def warn_of_changes(columns: Mapping[str, Floats]) -> None:

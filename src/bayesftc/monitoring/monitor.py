@@ -28,7 +28,7 @@ from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Column, Input, Sensor, SensorErrors
-from bayesftc.monitoring.csv import Tables, file_of, warn_of_changes
+from bayesftc.monitoring.csv import Tables, file_of, in_order, warn_of_changes
 from bayesftc.monitoring.fit.columns import Place, placed, signals_by_name, stretch_of
 from bayesftc.monitoring.fit.fit import fit_model
 from bayesftc.monitoring.fit.units import in_unit
@@ -310,7 +310,7 @@ class Monitor:
             title, column = f"The {what} {name!r}", given.column or name
             files = tables.having(given.file, column, title)
             of_files = [tables.times(file, given.time or self.time, f" of the {what} {name!r}") for file in files]
-            order = tables.in_order(files, of_files)
+            order = in_order(of_files)
             if order is None:
                 raise RecordingError(
                     f"{title} is in {len(files)} files whose times overlap. Add file = 'name.csv', or give one file."

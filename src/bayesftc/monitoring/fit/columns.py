@@ -21,7 +21,7 @@ from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import RecordingError, brief, did_you_mean
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.csv import Tables, file_of, warn_of_changes
+from bayesftc.monitoring.csv import Tables, file_of, in_order, warn_of_changes
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.fit.units import check_one_unit, in_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
@@ -132,7 +132,7 @@ def signals_of(
     }
     for column in dict.fromkeys(column for _, column in read):
         files = [file for file, other in read if other == column]
-        order = tables.in_order(files, [read[file, column] for file in files])
+        order = in_order([read[file, column] for file in files])
         # Files such as one for each day follow each other; others of the same time have sensors of the same name.
         parts = [[files[i] for i in order]] if order is not None else [[file] for file in files]
         for part in parts:
