@@ -124,15 +124,14 @@ def signals_of(
     values = {_column(name, columns) if name else "": tuple(given) for name, given in invalid.items()}
     check_one_unit(name for name in columns if name in chosen)
     unit = next((given for name in columns if name in chosen and (given := column_unit(name))), "")
-    read = {
-        (file, column): tables.times(file, times_of[file])
-        for file, header in headers.items()
-        for column in header
-        if column != times_of[file] and column in chosen
-    }
-    for column in dict.fromkeys(column for _, column in read):
-        files = [file for file, other in read if other == column]
-        order = in_order([read[file, column] for file in files])
+    having: dict[str, list[Path]] = {}
+    for file, header in headers.items():
+        for column in header:
+            if column != times_of[file] and column in chosen:
+                having.setdefault(column, []).append(file)
+    read = {file: tables.times(file, times_of[file]) for files in having.values() for file in files}
+    for column, files in having.items():
+        order = in_order([read[file] for file in files])
         # Files such as one for each day follow each other; others of the same time have sensors of the same name.
         parts = [[files[i] for i in order]] if order is not None else [[file] for file in files]
         for part in parts:
@@ -143,7 +142,7 @@ def signals_of(
             logged = np.concatenate([tables.column(each, column, "a sensor", invalid_here) for each in part])
             cells[name] = logged
             samples = in_unit(logged, column, unit)
-            times = np.concatenate([read[each, column] for each in part])
+            times = np.concatenate([read[each] for each in part])
             try:
                 signal = Signal(times, samples, unit=column_unit(column) and unit, origin=tables.origin)
             except RecordingError as error:
@@ -335,7 +334,7 @@ def recorded(source: Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str
 def placed(
     source: Mapping[str, Signal] | pd.DataFrame | str | os.PathLike[str],
 ) -> tuple[dict[str, Place], Recording]:
-    """Return the recording of `recorded`, and the places of the sensors in a file or table; none for signals."""
+    """Return the recording of `recorded`, and the places of its sensors; those of signals have no file."""
     places: dict[str, Place] = {}
     if isinstance(source, str | os.PathLike):
         places, found = redundant_signals(source)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -22,8 +21,6 @@ from bayesftc.monitoring.fit.noise import Noise, awake, decompose, disagreement,
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.models import ConstantRate, RandomWalk
 from bayesftc.monitoring.recording import Recording
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
