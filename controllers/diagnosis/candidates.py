@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import product
@@ -49,6 +49,12 @@ NEAR = (0.87, 0.91, 0.95, 0.98, 1.02, 1.05, 1.1, 1.15)
 
 NOISES = (0.1, 1.0, 10.0, 100.0, 1000.0)
 """Additional process noise of the coarse search: its variance in a sample, relative to that of the steady filter's belief."""
+
+WANDERING = (1e-5, 1e-4, 1e-3, 0.01, *NOISES)
+"""The same for a load: what changes little from sample to sample moves a plant far in time."""
+
+FINER = tuple(10.0 ** np.array([-0.5, -0.25, 0.25, 0.5]))
+"""Multiples of the best of these in the fine search."""
 
 QUIETER = (1.0, 0.3, 0.1, 0.01, 1e-4)
 """Factors of the process covariance, of the plant's states and of loads, where it may be stated too large."""
@@ -110,10 +116,10 @@ def _noisy(
 
 @lru_cache(maxsize=512)
 def _loaded(
-    model: LinearModel, sets: tuple[tuple[int, ...], ...], control: int, covariance: float
+    model: LinearModel, sets: tuple[tuple[int, ...], ...], control: int, covariance: float, share: float
 ) -> tuple[LinearModel, Observers] | None:
-    """Return the model with a load on a control, a random walk, and its observers; None if they do not exist."""
-    changed = with_loads(model, covariance, [control])
+    """Return the model with a load on a control, a random walk, and a share of its noise; and its observers, None without any."""
+    changed = with_loads(_calmer(model, share), covariance, [control])
     bank = observers(changed, sets)
     return None if bank is None else (changed, bank)
 
@@ -136,11 +142,11 @@ def quieter(judge: Judge) -> Judge:
     return Judge(*possible[best][2:], judge.recording) if found and min(found[best].support) > EVIDENCE else judge
 
 
-def noisier(judge: Judge, constant: Explanation | None = None) -> list[Explanation]:
+def noisier(judge: Judge, found: list[Explanation]) -> list[Explanation]:
     """Return the best explanation by more process noise on one state of the plant, on all, or on one load; none if there is none.
 
     Without the loads, a force that wanders faster than the model's disturbance, or that the model does not have, looks like a
-    nonlinear plant or like other dynamics. `constant` is the best constant load.
+    nonlinear plant or like other dynamics. `found` are the best explanations of the other kinds.
     """
     model = judge.model
     moving = model.moving
@@ -151,10 +157,45 @@ def noisier(judge: Judge, constant: Explanation | None = None) -> list[Explanati
         return []
     belief = np.diag(prediction)
     belief = np.where(belief > ROUNDING * belief.max(), belief, 0.0)
-    found = _with_noise(judge, belief)
+    constant = next((x for x in found if x.kind == "load"), None)
+    noises = _with_noise(judge, belief)
     if not has_loads(model):
-        found += _wandering(judge, belief, constant)
-    return [max(found, key=lambda x: x.total)] if found else []
+        noises += _wandering(judge, belief, constant)
+    return [max(noises, key=lambda x: x.total)] if noises else []
+
+
+def moved_at_random(judge: Judge, found: list[Explanation]) -> list[Explanation]:
+    """Return only the noise of counting explanations if all sensors together have more evidence for it than for each other kind.
+
+    A control that answers a gust knows of it from all sensors. To the observers of a few of them it therefore tells what they do
+    not see, so that its effect looks lost or reversed; to an observer of all sensors it tells nothing new. Where the noise of the
+    model is too large, the other kinds are judged with the smaller one, too: else a load that begins would look like one that
+    wanders beside less noise.
+    """
+    everyone = (tuple(sorted({i for chosen in judge.bank.sensors for i in chosen})),)
+    noise, kinds = [x for x in found if x.kind == "noise"], {x.kind for x in found} - {"noise"}
+    bank = observers(judge.model, everyone) if noise and kinds else None
+    if bank is None:
+        return found
+    together = Judge(judge.model, bank, judge.recording)
+    others = explanations(together)
+    random = noisier(together, others)
+    most = max((x.total for x in others if x.kind in kinds), default=np.inf)
+    better = any(x.total > most for x in random)
+    for share in {x.values[3] for x in [*noise, *random] if better and len(x.values) > 3} - {1.0}:
+        calmer = _calmer(judge.model, share)
+        if (bank := observers(calmer, everyone)) is not None:
+            calm = Judge(calmer, bank, judge.recording)
+            less = float((together.first - calm.first).sum())
+            most = max(most, *(x.total + less for x in explanations(calm) if x.kind in kinds))
+    if any(x.total > most for x in random):
+        return noise
+    return [x for x in found if x.kind != "noise" or x.values[3:] in ((), (1.0,))]
+
+
+def _calmer(model: LinearModel, share: float) -> LinearModel:
+    """Return the model with a share of its process noise."""
+    return model if share == 1.0 else replace(model, process_covariance=share * model.matrix("process_covariance"))
 
 
 def _with_noise(judge: Judge, belief: Floats) -> list[Explanation]:
@@ -176,32 +217,35 @@ def _with_noise(judge: Judge, belief: Floats) -> list[Explanation]:
     if not coarse:
         return []
     best, noise = max(coarse, key=lambda found: found[0].total)
-    fine = tried([noise * 10.0**-0.5, noise * 10.0**0.5])
+    fine = tried([noise * times for times in FINER])
     return [max([best, *(x for x, _ in fine)], key=lambda x: x.total)]
 
 
 def _wandering(judge: Judge, belief: Floats, constant: Explanation | None) -> list[Explanation]:
-    """Judge a load on one control, a random walk: its covariance and its first value are fitted."""
+    """Judge a load on one control, a random walk, with a share of the model's noise: both and its first value are fitted.
+
+    A gust that the model has as white noise is both: less noise, and a load.
+    """
     model, sets = judge.model, judge.bank.sensors
     first = model.states - model.disturbances
     recording = replace(judge.recording, mean=np.insert(judge.recording.mean, first, 0.0))
     loads = constant.values if constant is not None and constant.counts else (0.0,) * model.controls
 
-    def tried(sizes: list[tuple[int, float]]) -> list[Explanation]:
+    def tried(sizes: list[tuple[int, float]], shares: Sequence[float] = QUIETER) -> list[Explanation]:
         possible: list[_Fitted] = [
-            ((float(first + j), size**0.5, loads[j]), 2, *changed)
-            for j, size in sizes
-            if (changed := _loaded(model, sets, j, size)) is not None
+            ((float(first + j), size**0.5, loads[j], share), 2 + (share != 1.0), *changed)
+            for (j, size), share in product(sizes, shares)
+            if (changed := _loaded(model, sets, j, size, share)) is not None
         ]
         return _by_models(judge, "noise", possible, recording)
 
     n, A = len(belief), model.moving.matrix("A")
     scales = {j: _share(A, model.effects[:n, j], belief) for j in range(model.controls)}
-    coarse = tried([(j, times * scale) for j, scale in scales.items() if scale for times in NOISES])
+    coarse = tried([(j, times * scale) for j, scale in scales.items() if scale for times in WANDERING])
     if not coarse:
         return []
-    state, std, _ = max(coarse, key=lambda x: x.total).values
-    return coarse + tried([(int(state) - first, std**2 * times) for times in (10.0**-0.5, 10.0**0.5)])
+    state, std, _, share = max(coarse, key=lambda x: x.total).values
+    return coarse + tried([(int(state) - first, std**2 * times) for times in FINER], [share])
 
 
 def _share(A: Floats, effect: Floats, belief: Floats) -> float:

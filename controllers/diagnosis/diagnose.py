@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
-from bayesftc.controllers.diagnosis.candidates import explanations, noisier, quieter, ranked
+from bayesftc.controllers.diagnosis.candidates import explanations, moved_at_random, noisier, quieter, ranked
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
@@ -116,7 +116,8 @@ class ModelFinding:
         ``offset``: a value for each sensor, in its unit, 0 for those without;
         ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control) and standard
         deviation in a sample; of a load that the model does not have, the number that its disturbance would get, the standard
-        deviation of its change in a sample, and its mean, 0 if there is no evidence for one; else empty.
+        deviation of its change in a sample, its mean, 0 if there is no evidence for one, and the share of the model's process
+        covariance that is left beside it; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str
@@ -413,8 +414,7 @@ def best_explanations(
             judge, found = calmer, explanations(calmer)
             counting = [x for x in found if x.counts]
         if counting or alone:
-            load = next((x for x in found if x.kind == "load"), None)
-            counting = ranked(counting + [x for x in noisier(judge, load) if x.counts])
+            counting = moved_at_random(judge, ranked(counting + [x for x in noisier(judge, found) if x.counts]))
             if judge.model is not model:
                 # Noise to add to the quieter model is no noise that the user's model lacks: it may have more already.
                 best_is_noise = bool(counting) and counting[0].kind == "noise"

@@ -72,7 +72,9 @@ class Explanation:
     def counts(self) -> bool:
         """Whether the sensors of every set have enough evidence for it, and the error is large enough."""
         off = abs(self.values[0] - 1.0) if self.kind in ("gain", "dt") else 1.0
-        return min(self.support) > EVIDENCE and max(self.left) < 1 - RELEVANT.get(self.kind, 0.0) and off > CLOSE
+        # A model of other noise has another scale of its innovations, so that their squares may grow where the likelihood does.
+        less = self.kind == "noise" or max(self.left) < 1 - RELEVANT.get(self.kind, 0.0)
+        return min(self.support) > EVIDENCE and less and off > CLOSE
 
 
 class Judge:

@@ -229,7 +229,7 @@ def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel
 def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     state, std = values[:2]
     if (load := int(state) - model.states + model.disturbances) >= 0:
-        return _noise_of_load(load, std, model) if has_loads(model) else _wandering(load, std, values[2], model, units)
+        return _noise_of_load(load, std, model) if has_loads(model) else _wandering(load, values[1:], model, units)
     names = None if model.names is None or state < 0 else model.names.states
     where = f" of {names[int(state)]}" if names and not names[0].startswith("x[") else ""
     return (
@@ -248,14 +248,16 @@ def _noise_of_load(load: int, std: float, model: LinearModel) -> str:
     )
 
 
-def _wandering(load: int, std: float, mean: float, model: LinearModel, units: Sequence[str | None]) -> str:
+def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     """Return the sentence about a load on a control that changes all the time, of which the model has none."""
     unit = behind(units[load]) if len(units) == model.controls else ""
+    std, mean, share = values
+    less = "" if share == 1.0 else f", give all other process noise {share**0.5:.2g} times its standard deviation"
     average = f", on average by {mean:.3g}{unit}" if mean else ""
     return (
         f"a load acts, and changes all the time. It has the effect of a change of {_named(load, model)}{average}. Estimate it "
-        f"(about disturbance={std**2:.2g} in design and in a scenario; of a LinearModel: with_disturbance({std**2:.2g})), or say "
-        "where process noise acts (noise)."
+        f"(about disturbance={std**2:.2g} in design and in a scenario; of a LinearModel: with_disturbance({std**2:.2g})){less}, "
+        "or say where process noise acts (noise)."
     )
 
 

@@ -158,6 +158,36 @@ def test_a_load_that_changes_all_the_time_is_no_other_dynamics_of_a_model_withou
     assert diagnose_recording(model.with_disturbance(estimated), y, u) is None
 
 
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("error", "effort"), [(0.2, 4.0), (0.02, 40.0)], ids=["calm", "quick"])
+def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
+    """The model has the gust as white noise. The control that answers it looked as if it had lost its effect."""
+    gust = [[0, 1, 0], [0, -0.2, 0.7], [0, 0, -1 / 1.5]], [[0, 0], [0.7, 0], [0, 1 / 1.5]]
+    white = [[0, 1], [0, -0.2]], [[0, 0], [0.7, 0.7]]
+    names = {"inputs": ["thrust", "gust"], "outputs": ["height", "climb"]}
+    measured = {"measured": ["height", "climb"]}
+    plant, model = (control.ss(A, B, np.eye(2, len(A)), 0, **names) for A, B in (gust, white))
+
+    def finding(noise, **estimated):
+        controller = controllers.design(
+            model, **measured, sensors=[3, 1], sensor_std=0.05, actuated="thrust", goal="height", noise={"gust": noise},
+            dt=0.01, acceptable_error=error, acceptable_control=effort, **estimated,
+        )  # fmt: skip
+        loop = cosim.closed_loop(
+            plant, controller, **measured, control="thrust", sensors=cosim.Sensors([3, 1], 0.05), reference=2.0,
+            noise={"gust": cosim.Gaussian(std=34.6)},
+        )  # fmt: skip
+        return controllers.diagnose(loop.simulate(30.0, seed=seed), loop)
+
+    found = finding(5.0)
+    assert (found.kind, found.others) == ("noise", ())
+    estimated = float(found.sentence.partition("disturbance=")[2].split()[0])
+    assert estimated**0.5 == pytest.approx(34.6 * 0.01 / 1.5, rel=0.3)  # what the gust changes by in a sample
+    share = float(re.search("all other process noise ([0-9.e-]+) times", found.sentence)[1])
+    assert finding(5.0 * share, disturbance=estimated) is None
+
+
 def test_offsets_of_all_gyros_are_named_and_measured():
     """Two gyros with different offsets beside two compasses, which the default learner would blame."""
     finding, suspect = told(next(c for c in cases() if c.name == "heading: unequally biased"), "fixed", 3)
