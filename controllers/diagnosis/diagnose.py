@@ -345,6 +345,11 @@ def diagnose_recording(
     return _finding(model, y, u, initial_mean, alone=False)
 
 
+def compared(model: LinearModel, y: Floats, u: Floats, initial_mean: Floats) -> ModelFinding | None:
+    """Return the finding of `diagnose_recording` in the words of a monitor, whose inputs may be measured ones."""
+    return _finding(model, y, u, initial_mean, alone=False, measured=True)
+
+
 def _finding(
     model: LinearModel,
     y: ArrayLike,
@@ -354,10 +359,11 @@ def _finding(
     alone: bool,
     inferred: Sequence[float] | None = None,
     units: tuple[Sequence[str | None], Sequence[str | None]] = ((), ()),
+    measured: bool = False,
 ) -> ModelFinding | None:
     """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`.
 
-    `units` are those of the sensors and of the controls.
+    `units` are those of the sensors and of the controls; these may be `measured` ones of a monitor.
     """
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
         if (recorded := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:
@@ -369,7 +375,7 @@ def _finding(
     if not result:
         return None
     best = result[0]
-    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]], inferred, *units)
+    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]], inferred, *units, measured)
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 

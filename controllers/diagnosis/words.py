@@ -49,15 +49,17 @@ def sentence(
     inferred: Sequence[float] | None = None,
     units: Sequence[str | None] = (),
     control_units: Sequence[str | None] = (),
+    recorded: bool = False,
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
 
     `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
-    each sensor, `control_units` of each control, if known.
+    each sensor, `control_units` of each control, if known. `recorded`: the controls are the recorded inputs of a monitor, which
+    may be measured ones.
     """
     found, moved = [(kind, values), *others], bool(np.any(model.B))
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
-        **_WORDS,
+        **(_WORDS | _RECORDED if recorded else _WORDS),
         "offset": partial(_offset, units=units),
         "load": partial(_load, units=control_units),
         "onset": partial(_onset, units=control_units),
@@ -67,7 +69,7 @@ def sentence(
     for each, its in found:
         said.setdefault(words[each](its, model) if moved or each == "offset" else UNMOVED, each)
     which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
-    actuators = _actuators(found, model, inferred) if moved else ""
+    actuators = _actuators(found, model, inferred) if moved and not recorded else ""
     first, *more = said
     either = "".join(f" Or, {AS_MUCH if said[text] == 'noise' else AS_LIKELY}: {text}" for text in more)
     return f"{which}: {first}{either}{actuators}{_alone(model)}"
@@ -335,3 +337,46 @@ _WORDS = {
     "unknown": _unknown,
     "suspect": _suspect,
 }
+
+
+def _input(j: float, model: LinearModel) -> str:
+    return f"input {j:.0f}" if model.names is None else model.names.controls[int(j)]
+
+
+def _recorded_gain(values: Sequence[float], model: LinearModel) -> str:
+    return (
+        f"{_input(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check its unit, sign and "
+        "scale. If it is measured, much noise in it has this effect, too."
+    )
+
+
+def _recorded_late(values: Sequence[float], model: LinearModel) -> str:
+    seconds = values[0]
+    late = f"as behind a lag of about {seconds:.2g} s" if values[1] else f"by {seconds:.3g} s"
+    who = _input(0, model) if model.controls == 1 else "the inputs"
+    return (
+        f"the plant follows {who} late, {late}. The time stamps of the sensors may be late (their delay in the model file), the "
+        "plant may have a lag that the model lacks, or a measured input has much noise."
+    )
+
+
+def _recorded_limit(values: Sequence[float], model: LinearModel) -> str:
+    low, high, j = values
+    sides = [f"below {low:.4g}"] * bool(np.isfinite(low)) + [f"above {high:.4g}"] * bool(np.isfinite(high))
+    return f"the plant does not follow {_input(j, model)} where it is {' or '.join(sides)}: something behind it has a limit."
+
+
+def _recorded_loss(values: Sequence[float], model: LinearModel) -> str:
+    effect = f"{values[2]:.2g} times as strongly as in the model" if abs(values[2]) >= NO_EFFECT else "not at all"
+    name = _input(values[3], model)
+    return f"{name} moves the plant {effect} {_since(values)}. Look for a fault of {name}, or of what it drives."
+
+
+_RECORDED = {
+    "sign": _recorded_gain,
+    "gain": _recorded_gain,
+    "late": _recorded_late,
+    "limit": _recorded_limit,
+    "loss": _recorded_loss,
+}
+"""Sentences about the inputs of a monitor, which may be measured, where `_WORDS` has controls and actuators."""

@@ -15,6 +15,9 @@ from bayesftc.cosim.types import Floats
 STEPS = np.array([float(f"1e-{k}") for k in range(1, 11)])
 """Steps to try, as shares of an element's size."""
 
+SMOOTH = 1e-6
+"""Largest bend of a smooth function, relative to its slope over one of the larger steps."""
+
 
 def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
     """Return the derivative of a function at a point by central differences, with a suitable step for each element.
@@ -38,6 +41,7 @@ def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
     for j in range(len(at)):
         least, lost, kinks = np.full(len(here), np.inf), np.zeros(len(here), bool), np.zeros(len(here), bool)
         before: tuple[Floats, Floats] | None = None
+        steepest = np.zeros(len(here))
         for share in STEPS:
             step = share * max(abs(float(at[j])), 1.0)
             above, below = (_value(f, at, j, sign * step) for sign in (1.0, -1.0))
@@ -53,8 +57,11 @@ def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
                 whole[better, j], least[better] = slope[better], error[better]
                 # For a smooth function a tenth of the step gives a tenth of the bend.
                 sharp = (bend > 0.5 * before[1]) & (bend > BENDS * np.abs(slope)) & (bend > 1e3 * rounding)
+                sharp &= (
+                    bend > SMOOTH * steepest
+                )  # the bend of a drag v|v| beside its zero is constant, and next to nothing
                 kinks[better] = sharp[better]
-            before = slope, bend
+            before, steepest = (slope, bend), np.maximum(steepest, np.abs(slope))
         kink |= bool(kinks.any())
     if not np.isfinite(whole).all():
         raise ModelError(

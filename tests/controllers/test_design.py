@@ -441,6 +441,8 @@ def test_derivatives_in_any_units_and_at_kinks():
     np.testing.assert_allclose(derivative(f, point), known / scale, rtol=1e-8, atol=1e-16)
     with pytest.warns(PoorFitWarning, match="kink"):
         derivative(lambda z: np.abs(z - 0.5), np.array([0.5]))
+    for speed in (0.0, 1e-12, 1e-10, 1e-9, 1e-6, 0.1):  # a drag is smooth, also beside its zero
+        assert derivative(lambda v: -0.3 * v * np.abs(v), np.array([speed])) == pytest.approx(-0.6 * speed, abs=1e-9)
     with pytest.raises(ModelError, match="cannot be evaluated near"):
         derivative(lambda z: np.where(z == 0.5, z, np.nan), np.array([0.5]))
 

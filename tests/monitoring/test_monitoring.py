@@ -792,6 +792,9 @@ def test_many_bursts_have_a_note_and_a_notebook_shows_what_was_found():
     html = found._repr_html_()
     assert "No fault was found" in html or "<b>Faults</b>" in html
     assert note in html
+    assert repr(monitor) == "<Monitor: 3 sensors, steps of 0.1 s, RandomWalk(std=0.06)>"
+    assert "<td" in monitor._repr_html_()
+    assert f"{np.mean(y[:, 0]):.5g}" in found.recording._repr_html_()
     assert monitor.run(pd.DataFrame(y[:400], columns=list("abc"), index=t[:400]), compiled=False).burst_notes() == []
     bumps = np.repeat(rng.random(200) < 0.1, 10)[:, None]  # all sensors are disturbed at once
     y = (

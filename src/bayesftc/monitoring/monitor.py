@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.controllers.bayesian.block import extended_mean
 from bayesftc.controllers.bayesian.estimator import StateEstimator
-from bayesftc.controllers.diagnosis.diagnose import ModelFinding, diagnose_recording
+from bayesftc.controllers.diagnosis.diagnose import ModelFinding, compared
 from bayesftc.controllers.estimation.absurd import EXPLICABLE
 from bayesftc.controllers.learning.learn_modes import LearnedModes, RecordedRun, learn_modes
 from bayesftc.controllers.models.checks import as_vector
@@ -21,7 +21,9 @@ from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.precision.base import FixedPrecision, PrecisionLearner
 from bayesftc.controllers.switching.fault_modes import Frozen
 from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.html import table, text_of
 from bayesftc.cosim.base.invalid import numbers_of
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.recordings.columns import column_unit
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, RecordingError, brief
@@ -129,6 +131,20 @@ class Monitor:
                     f"The sensor {name!r} of Monitor is {brief(sensor)}; give Sensor(std=...). Monitor.fit makes the monitor of "
                     "a fitted model."
                 )
+
+    def __repr__(self) -> str:
+        inputs = f", {counted(len(self.inputs), 'input')}" if self.inputs else ""
+        return f"<Monitor: {counted(len(self.sensors), 'sensor')}{inputs}, steps of {float(self.dt):g} s, {text_of(self.plant)}>"
+
+    def _repr_html_(self) -> str:
+        """Return the model, the sensors and the inputs, for notebooks."""
+        rows = [
+            (name, s.unit or "–", f"{s.std:g}", "–" if s.resolution is None else f"{s.resolution:g}", f"{s.bias:g}")
+            for name, s in self.sensors.items()
+        ]
+        shown = table(repr(self), rows, ("sensor", "unit", "std", "resolution", "bias"))
+        inputs = [(name, i.unit or "–", f"{i.bias:g}") for name, i in self.inputs.items()]
+        return shown + (table("Inputs", inputs, ("input", "unit", "bias")) if inputs else "")
 
     @classmethod
     def fit(
@@ -358,7 +374,7 @@ class Monitor:
         Returns
         -------
         ModelFinding or None
-            How the model is wrong, by `bayesftc.controllers.diagnose_recording`. None without enough evidence against it.
+            How the model is wrong, as from `bayesftc.controllers.diagnose_recording`. None without enough evidence against it.
         """
         if not recording.u.shape[1]:
             return None
@@ -368,7 +384,7 @@ class Monitor:
         model = replace(model, names=SignalNames(inputs, tuple(self.sensors), states))  # for the sentences
         mean, _ = self.start(recording, model)
         start: Any = extended_mean(model, np.array(mean), mean)
-        return diagnose_recording(model, recording.y, recording.u, start)
+        return compared(model, recording.y, recording.u, start)
 
     def run(
         self,

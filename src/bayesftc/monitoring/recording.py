@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from bayesftc.controllers.learning.resolution import find_resolution
 from bayesftc.controllers.models.checks import check_number
 from bayesftc.cosim.base.announcing import inform
+from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
@@ -159,6 +160,12 @@ def _counted_once(repeated: Floats, origin: datetime | None) -> str:
     return f"{len(repeated)} samples, the first at {first}, repeat time and value of the one before. Each counts once."
 
 
+def _extremes(values: Floats) -> tuple[str, ...]:
+    """Return the least value, the mean and the largest value, as texts."""
+    present = values[np.isfinite(values)]
+    return tuple(f"{of(present):.5g}" if len(present) else "–" for of in (np.min, np.mean, np.max))
+
+
 def absurd_values(values: ArrayLike) -> str:
     """Return how many samples are too large in size, and the first of them; nothing if there is none."""
     given = np.asarray(values, dtype=np.float64)
@@ -225,6 +232,17 @@ class Recording:
 
     def __repr__(self) -> str:
         return short(self, start="s", dt="s")
+
+    def _repr_html_(self) -> str:
+        """Return the sensors and inputs, for notebooks."""
+        samples = [(name, self.y[:, i], self.units[i]) for i, name in enumerate(self.sensors)]
+        samples += [(f"{name} (input)", self.u[:, j], self.input_units[j]) for j, name in enumerate(self.inputs)]
+        rows = [
+            (name, unit or "–", int(np.isfinite(values).sum()), *_extremes(values)) for name, values, unit in samples
+        ]
+        span = span_text(float(self.time[0]), float(self.time[-1]), self.origin)
+        title = f"Recording: {span}, {len(self.y)} steps of {float(self.dt):g} s"
+        return table(title, rows, ("", "unit", "steps with a value", "least", "mean", "largest"))
 
     def of_sensors(self, kept: Sequence[int]) -> Recording:
         """Return the recording of some of its sensors, by their numbers, in this order."""
