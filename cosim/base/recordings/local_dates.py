@@ -1,6 +1,6 @@
-"""Dates with the day or the month first, as in ``28.03.2026 08:00:00`` and ``3/28/2026 8:00 AM``: they become ISO 8601.
+"""Dates in other forms, as in ``28.03.2026 08:00:00``, ``3/28/26 8:00 AM`` and ``2026/3/28 8:00``: they become ISO 8601.
 
-Only where a column shows which of the two is first.
+If day or month are first, only where a column shows which of the two it is.
 """
 
 from __future__ import annotations
@@ -18,17 +18,23 @@ CLOCK = r"(?P<hour>\d{1,2})(?P<rest>:\d{2}(?::\d{2}(?:[.,]\d+)?)?)(?:\s*(?P<half
 """A time of the day, with AM or PM or without."""
 
 _YEAR_LAST = (
-    r"\s*(?P<first>\d{1,2})(?P<sign>[./-])(?P<second>\d{1,2})(?P=sign)(?P<year>\d{4})" rf"(?:[T, ]+{CLOCK})?\s*"
+    r"\s*(?P<first>\d{1,2})(?P<sign>[./-])(?P<second>\d{1,2})(?P=sign)(?P<year>\d{4}|(?<=[./])\d{2})"
+    rf"(?:[T, ]+{CLOCK})?\s*"
 )
 
-_MONTHS = 12
+_YEAR_FIRST = (
+    rf"\s*(?P<year>\d{{4}})(?P<sign>[./-])(?P<first>\d{{1,2}})(?P=sign)(?P<second>\d{{1,2}})(?:[T, ]+{CLOCK})?\s*"
+)
+
+_MONTHS, _NOON = 12, 12
 
 
 def with_iso_dates(cells: pd.Series[Any], source: str) -> pd.Series[Any]:
-    """Return a column with its dates in the form of ISO 8601, and inform the user, if day or month stand first; else the column.
+    """Return a column with its dates in the form of ISO 8601, and inform the user, if they have another one; else the column.
 
-    Where a date such as 28.03.2026 is among them, the first number of all is the day; where one such as 03/28/2026 is, the month.
-    Where all of them could be read in both ways, as 01.03.2026 can, or a text is no such date, nothing changes.
+    The year is first, or last, with two digits for one of this century. If it is last: where a date such as 28.03.2026 is among
+    them, the first number of all is the day; where one such as 03/28/2026 is, the month. Where all of them could be read in
+    several ways, as 01.03.2026 can, or a text is no such date, nothing changes.
 
     Parameters
     ----------
@@ -40,16 +46,30 @@ def with_iso_dates(cells: pd.Series[Any], source: str) -> pd.Series[Any]:
     import pandas as pd
 
     given = other_date(cells)
-    if given is None or re.fullmatch(_YEAR_LAST, given) is None:
+    form = next((form for form in (_YEAR_LAST, _YEAR_FIRST) if given is not None and re.fullmatch(form, given)), None)
+    if form is None:
         return cells
     texts = cells.dropna().astype(str)
-    parts = texts.str.extract(f"^{_YEAR_LAST}$")
+    parts = texts.str.extract(f"^{form}$")
     first, second = (pd.to_numeric(parts[name], errors="coerce") for name in ("first", "second"))
-    if first.isna().any() or min(first.max(), second.max()) > _MONTHS or max(first.max(), second.max()) <= _MONTHS:
+    hours = pd.to_numeric(parts["hour"].where(parts["half"].notna(), "1"), errors="coerce")
+    if first.isna().any() or min(first.max(), second.max()) > _MONTHS or not hours.between(1, _NOON).all():
+        return cells
+    if form is _YEAR_LAST and max(first.max(), second.max()) <= _MONTHS:
+        return cells
+    short = parts["year"].str.len() == len("26")
+    if short.any() and parts["year"].nunique() > first.nunique():  # the day is last, and the year perhaps first
         return cells
     which, day, month = ("day", "first", "second") if first.max() > _MONTHS else ("month", "second", "first")
-    dates = parts["year"] + "-" + parts[month].str.zfill(2) + "-" + parts[day].str.zfill(2)
+    dates = (
+        parts["year"].mask(short, "20" + parts["year"])
+        + "-"
+        + parts[month].str.zfill(2)
+        + "-"
+        + parts[day].str.zfill(2)
+    )
     clock = clock_of_day(parts)
+    which = "year" if form is _YEAR_FIRST else which
     written = (dates + clock.where(clock == "", " " + clock)).reindex(cells.index)
     inform(f"The dates in {source} have the {which} first: {given} is read as {written.loc[texts.index[0]]}.")
     return written
@@ -71,7 +91,7 @@ def day_first_date(text: str) -> str | None:
     found = re.fullmatch(_YEAR_LAST, text)
     if found is None or found["half"] or (found["sign"] != "." and int(found["first"]) <= _MONTHS):
         return None
-    date = f"{found['year']}-{found['second']:0>2}-{found['first']:0>2}"
+    date = f"{'20' * (len(found['year']) == len('26'))}{found['year']}-{found['second']:0>2}-{found['first']:0>2}"
     return f"{date} {found['hour']:0>2}{found['rest'].replace(',', '.')}" if found["hour"] else date
 
 

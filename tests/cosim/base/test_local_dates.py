@@ -19,6 +19,9 @@ from bayesftc.cosim.errors import RecordingError
         (["01/03/2026T08:00", None, "13/03/2026T08:00"], ["2026-03-01 08:00", None, "2026-03-13 08:00"]),
         (["28-03-2026", "29-03-2026"], ["2026-03-28", "2026-03-29"]),
         (["28.03.2026 8:00 PM", "28.03.2026 12:05 am"], ["2026-03-28 20:00", "2026-03-28 00:05"]),
+        (["28.03.26 8:00", "1.4.26 8:00"], ["2026-03-28 08:00", "2026-04-01 08:00"]),
+        (["2026-03-28 8:00:01 PM", "2026-03-28 12:05 am"], ["2026-03-28 20:00:01", "2026-03-28 00:05"]),
+        (["2026/3/8 8:00", "2026/03/28 23:05"], ["2026-03-08 08:00", "2026-03-28 23:05"]),
         (["3/28/2026 12:30:01 PM", "4/1/2026 1:30 a.m."], ["2026-03-28 12:30:01", "2026-04-01 01:30"]),
     ],
 )
@@ -26,7 +29,7 @@ def test_one_day_above_12_decides_for_all(given, written, caplog):
     caplog.set_level("INFO", "bayesftc")
     read = with_iso_dates(pd.Series(given), "column 'Zeit'")
     assert [None if pd.isna(cell) else cell for cell in read] == written
-    which = "month" if given[0].startswith("3/") else "day"
+    which = "month" if given[0].startswith("3/") else "year" if given[0].startswith("2026") else "day"
     assert f"The dates in column 'Zeit' have the {which} first: {given[0]} is read as {written[0]}." in caplog.text
 
 
@@ -37,7 +40,10 @@ def test_one_day_above_12_decides_for_all(given, written, caplog):
         ["03/04/2026 08:00 AM", "03/05/2026 08:00 AM"],
         ["13.03.2026", "03.13.2026"],
         ["28.03.2026", "29.03.2026", "noon"],
-        ["28.03.26", "29.03.26"],
+        ["26.03.28", "26.03.29"],  # the year may be first
+        ["28-03-26", "29-03-26"],
+        ["28.03.2026 8:00 AM", "28.03.2026 13:00 AM"],
+        ["2026-03-28 8:00 AM", "2026-13-28 8:00 AM"],
         ["28.03.2026 8:00 h", "28.03.2026 9:00 h"],
         ["2026-03-28", "2026-03-29"],
         [1.5, 2.5],
@@ -70,6 +76,7 @@ def test_files_of_the_monitor_and_of_a_fit_are_read(name, tmp_path):
         ("13.11.2026 11:30", "2026-11-13 11:30"),
         (" 3.4.2026 1:05:07,5 ", "2026-04-03 01:05:07.5"),  # with points the day is always first
         ("13/11/2026", "2026-11-13"),
+        ("13.11.26 11:30", "2026-11-13 11:30"),
         ("03/04/2026 11:30", None),  # could be read in two ways
         ("04/13/2026", None),
         ("13.11.2026 11:30 PM", None),
