@@ -37,8 +37,8 @@ class Alarm:
     threshold : float
         Least fault probability of an alarm.
     hold : float
-        Seconds below the threshold after which the alarm ends. By default 1 s, but at least 10 and at most 200 samples.
-        A shorter pause ends it as well if the kind before the pause is another than that after it.
+        An alarm ends when the fault probability has been below the threshold for so many seconds: by default 1 s, but at least 10
+        and at most 200 samples. After a shorter time it goes on, unless the fault is then of another kind.
 
     Raises
     ------
