@@ -36,8 +36,8 @@ class StateEstimator(InfersActuatorFaults, Block):
     Inputs:
 
     - ``y`` (m): samples; NaN is a missing one.
-    - ``u`` (p): the input of the plant until the next sample. A value that is not finite repeats the last one; unconnected it
-      is 0. The belief at a sample does not depend on the input at that sample.
+    - ``u`` (p): the input of the plant until the next sample. A value that is not finite repeats the last one. Only where
+      it moves nothing (B is zero) may it be left out. The belief at a sample does not depend on the input at that sample.
 
     Outputs ``x_hat`` (n), ``P`` (n x n), ``R`` (m x m), ``innovation``, ``precision``, ``beta``, ``fault_probability`` (m each)
     and those of the precision learner are those of `BayesianController`.
@@ -137,8 +137,15 @@ class StateEstimator(InfersActuatorFaults, Block):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``y`` and ``u``."""
+        # Without a default, a forgotten connection is an error; a plant that no control moves needs none.
+        default = None if self.model.effects.any() else 0.0
         return port("y", (self.model.sensors,), of=named(self.model, "sensors")), port(
-            "u", (self.model.controls,), default=0.0, feedthrough=False, applied=True, of=named(self.model, "controls")
+            "u",
+            (self.model.controls,),
+            default=default,
+            feedthrough=False,
+            applied=True,
+            of=named(self.model, "controls"),
         )
 
     @property

@@ -62,6 +62,9 @@ QUIETER = (1.0, 0.3, 0.1, 0.01, 1e-4)
 LEVELS = tuple(np.linspace(0.1, 0.97, 24))
 """Quantiles of the control's size to try as limits in the coarse search."""
 
+LOWER = (0.05, 0.1, 0.2, 0.4, 0.7)
+"""Limits to try relative to the least of these: the control may exceed its limit nearly always."""
+
 ROUNDING = 1e-18
 """Largest variance, relative to that of another state, of a state that is known exactly: no unit makes states so different."""
 
@@ -83,7 +86,8 @@ def explanations(judge: Judge) -> list[Explanation]:
     fine = judge.inputs(
         [*_late(judge, coarse), *_early(judge, coarse), *(c for j in controls for c in _limits(judge, j, coarse))]
     )
-    results = coarse + fine + _times(judge) + _pushed(judge)
+    finest = judge.inputs([c for j in controls for c in _limits(judge, j, coarse + fine)])
+    results = coarse + fine + finest + _times(judge) + _pushed(judge)
     results += changes(judge, results) + offsets(judge)
     best: dict[str, Explanation] = {}
     for x in results:
@@ -382,14 +386,17 @@ def _near(best: float, most: int) -> list[int]:
     return [k for k in range(max(1, middle - width), middle + width + 1) if k not in tried]
 
 
-def _limits(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> list[Course]:
-    """Return controls limited on both sides, above or below: a coarse search, or a fine one about the best of `coarse`."""
+def _limits(judge: Judge, j: int, tried: list[Explanation] | None = None) -> list[Course]:
+    """Return controls limited on both sides, above or below: a coarse search, or a finer one about the best of those tried."""
     u = judge.recording.u
-    levels = np.unique(np.quantile(np.abs(u[:, j]), LEVELS))
-    if coarse is not None:
-        low, high, _ = _best(coarse, "limit", lambda x: x.values[2] == j).values
-        i = int(np.argmin(np.abs(levels - (high if np.isfinite(high) else -low))))
-        levels = np.linspace(levels[max(i - 1, 0)], levels[min(i + 1, len(levels) - 1)], 9)[1:-1]
+    if tried is None:
+        levels = np.unique(np.quantile(np.abs(u[:, j]), LEVELS))
+        levels = np.concatenate([levels[0] * np.array(LOWER), levels])
+    else:
+        best = _size_of_limit(_best(tried, "limit", lambda x: x.values[2] == j))
+        known = np.unique([_size_of_limit(x) for x in tried if x.kind == "limit" and x.values[2] == j])
+        i = int(np.searchsorted(known, best))
+        levels = np.linspace(known[max(i - 1, 0)], known[min(i + 1, len(known) - 1)], 9)[1:-1]
     results: list[Course] = []
     for level in levels:
         for low, high in ((-level, level), (-np.inf, level), (-level, np.inf)):
@@ -397,6 +404,11 @@ def _limits(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> li
             course[:, j] = np.clip(u[:, j], low, high)
             results.append(("limit", (float(low), float(high), float(j)), course))
     return results
+
+
+def _size_of_limit(limit: Explanation) -> float:
+    low, high, _ = limit.values
+    return high if np.isfinite(high) else -low
 
 
 @lru_cache(maxsize=128)  # called again for each shorter part of a recording

@@ -1,6 +1,7 @@
 """The estimator alone: a Kalman filter (filterpy's) and the controller's belief; sensors' errors as states, against scipy."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from bayesftc.controllers import (
     SwitchingPrecision,
 )
 from bayesftc.cosim.blocks.state_space import LinearSystem
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ConnectionError, ModelError
 
 DT = 0.02
 CAR = LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, [1.0, 4.0], DT)
@@ -98,7 +99,7 @@ def test_its_belief_may_drive_the_plant_without_an_algebraic_loop_and_both_engin
     assert frozen[:, 1].max() < 0.5
 
 
-def test_a_missing_input_goes_on_and_an_unconnected_one_is_zero():
+def test_a_missing_input_goes_on_and_a_forgotten_one_is_refused():
     def beliefs(*inputs):
         step = StateEstimator(CAR, FixedPrecision(), 1.0).online(compiled=False)
         return [float(step(y=[np.nan, np.nan], **given).x_hat[0]) for given in inputs]
@@ -106,7 +107,18 @@ def test_a_missing_input_goes_on_and_an_unconnected_one_is_zero():
     held = {"u": [500.0]}
     assert beliefs(held, held, held) == beliefs(held, {"u": [np.nan]}, {"u": [np.inf]})
     assert beliefs(held, held, held)[2] == pytest.approx(0.999**2 + 0.1 * 1.999)
-    assert beliefs({}, {}) == beliefs({"u": [np.nan]}, {"u": [0.0]}) == [1.0, 0.999]
+    assert beliefs({"u": [np.nan]}, {"u": [0.0]}) == [1.0, 0.999]
+    with pytest.raises(ModelError, match="needs its input 'u'"):
+        beliefs({})
+    unmoved = replace(CAR, B=[[0.0]])
+    assert StateEstimator(unmoved, FixedPrecision(), 1.0).online(compiled=False)(y=[np.nan, np.nan]).x_hat == [1.0]
+    diagram = cosim.Diagram(DT)
+    estimator = diagram.add(StateEstimator(CAR))
+    sensors = diagram.add(cosim.Sensors(2, 0.1))
+    diagram.connect(diagram.add(cosim.Constant(0.0))["y"], sensors["u"])
+    diagram.connect(sensors["y"], estimator["y"])
+    with pytest.raises(ConnectionError, match=r"estimator"):
+        diagram.simulate(1.0)
 
 
 def test_a_model_without_inputs_and_pickling():

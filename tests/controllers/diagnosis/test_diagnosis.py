@@ -3,6 +3,7 @@
 import re
 import warnings
 from dataclasses import replace
+from itertools import product
 
 import control
 import numpy as np
@@ -186,6 +187,34 @@ def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
     assert estimated**0.5 == pytest.approx(34.6 * 0.01 / 1.5, rel=0.3)  # what the gust changes by in a sample
     share = float(re.search("all other process noise ([0-9.e-]+) times", found.sentence)[1])
     assert finding(5.0 * share, disturbance=estimated) is None
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize(
+    ("limit", "reference"),
+    [*product([2.0, 3.0, 5.0], [cosim.Sine(1.0, 2.0)]), *product([0.5, 2.0], [cosim.Sine(0.7, 6.0)])],
+    ids=str,
+)
+def test_a_limit_is_measured_also_where_the_control_exceeds_it_nearly_always(limit, reference):
+    """No quantile of the control was as small as the limit, so that a load that wanders was the best explanation."""
+
+    def f(t, x, u, p):
+        return np.array([x[1], 2.0 * np.clip(u[0], -limit, limit) + 2.0 * u[1] - 2.0 * x[1]])
+
+    ports = {"inputs": ["u", "load"], "outputs": ["y"]}
+    limited = control.nlsys(f, lambda t, x, u, p: x[:1], states=2, **ports)
+    model = control.ss([[0, 1], [0, -2]], [[0, 0], [2, 2]], [[1, 0]], 0, **ports)
+    controller = controllers.design(
+        model, measured="y", actuated="u", goal="y", sensors=3, sensor_std=0.01, dt=0.02, noise={"load": 0.1},
+        acceptable_error=0.05, acceptable_control=5.0,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        limited, controller, control="u", measured="y", sensors=cosim.Sensors(3, 0.01), reference=reference,
+        noise={"load": cosim.Gaussian(std=0.1)},
+    )  # fmt: skip
+    finding = controllers.diagnose(loop.simulate(12.0, seed=1), loop)
+    assert finding.kind == "limit"
+    assert finding.values[:2] == pytest.approx((-limit, limit), rel=0.05)
 
 
 def test_offsets_of_all_gyros_are_named_and_measured():

@@ -139,7 +139,7 @@ def test_in_an_outage_of_all_sensors_only_time_passes():
     step = controllers.StateEstimator(MODEL, precision, initial_mean=20.0, initial_covariance=0.1).online(
         compiled=False
     )
-    outs = [step(y=row) for row in rows]
+    outs = [step(y=row, u=0.0) for row in rows]
     fails, recovers = STEP / 10.0, STEP / 5.0
     T = np.array([[1 - 2 * fails, fails, fails], [recovers, 1 - recovers, 0], [recovers, 0, 1 - recovers]])
     T[1:] *= 1 - fails  # while no second fault begins
@@ -202,7 +202,7 @@ def test_the_last_sensor_that_is_silent_has_dropped_out(loss, silent):
     if not silent:
         rows[np.arange(60) % 10 > 0, 1:] = np.nan
     rows[31:39, -1 if silent else 0] = np.nan
-    probability = np.array([step(y=row).fault_probability for row in rows])
+    probability = np.array([step(y=row, u=0.0).fault_probability for row in rows])
     assert probability[30, -1 if silent else 0] < 0.5
     assert probability[38, -1 if silent else 0] > 0.99
     assert (probability[38, silent] > 0.99).all()
@@ -214,7 +214,7 @@ def test_the_density_of_the_samples_is_that_of_all_modes_together(joint):
     mode, P, e = Offset(time_to_fault=1.0, jump=3.0, walk=0.0), 0.5, np.array([4.0, -1.0])
     precision = SwitchingPrecision(modes=(mode,), joint=joint, loss=0.1, process_modes=(), noise_factor=1.0)
     estimator = controllers.StateEstimator(MODEL, precision, initial_mean=20.0, initial_covariance=P)
-    out = estimator.online(compiled=False)(y=20.0 + e)
+    out = estimator.online(compiled=False)(y=20.0 + e, u=0.0)
     R, enter = np.array([1.0, 4.0]), STEP / mode.time_to_fault
     alone = 0.9 * ((1 - enter) * stats.norm.pdf(e, scale=(P + R) ** 0.5))
     alone += 0.9 * enter * np.array([jumped(*row) for row in zip(e, R, P + R, strict=True)])

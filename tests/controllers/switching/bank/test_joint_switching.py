@@ -26,7 +26,7 @@ def inferred(precision, y, initial=20.0, m=2, noise=NOISE):
     estimator = controllers.StateEstimator(model(m, noise), precision, initial_mean=initial, initial_covariance=0.5)
     step = estimator.online(compiled=False)
     with np.errstate(all="ignore"):
-        return [step(y=list(row)) for row in y]
+        return [step(y=list(row), u=0.0) for row in y]
 
 
 def imm(y, slope, time_to_fault):
