@@ -192,8 +192,7 @@ def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("limit", "reference"),
-    [*product([2.0, 3.0, 5.0], [cosim.Sine(1.0, 2.0)]), *product([0.5, 2.0], [cosim.Sine(0.7, 6.0)])],
-    ids=str,
+    [*product([2.0, 3.0, 5.0], [cosim.Sine(1.0, 2.0)]), *product([0.5, 1.0], [cosim.Sine(0.7, 6.0)])],
 )
 def test_a_limit_is_measured_also_where_the_control_exceeds_it_nearly_always(limit, reference):
     """No quantile of the control was as small as the limit, so that a load that wanders was the best explanation."""
