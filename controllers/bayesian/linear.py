@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from bayesftc.controllers.bayesian.block import BayesianBlock
 from bayesftc.controllers.bayesian.free_energy import write_nothing, write_posterior
+from bayesftc.controllers.bayesian.stabilisability import unreached
 from bayesftc.controllers.bayesian.steady import Gains, steady_gains
 from bayesftc.controllers.estimation import filter as _filter
 from bayesftc.controllers.estimation.absurd import alarm_of
@@ -414,11 +415,8 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
         poles = self.closed_loop_poles()
-        for eigenvalue in np.linalg.eigvals(A):
-            if abs(abs(eigenvalue) - 1.0) > 1e-9:
-                continue
-            reach = np.linalg.svd(np.hstack([eigenvalue * np.eye(plant) - A, B]), compute_uv=False)[-1]
-            if reach <= 1e-9 * np.abs(A).max():
+        for eigenvalue in unreached(A, B):
+            if abs(abs(eigenvalue) - 1.0) <= 1e-9:
                 poles = np.delete(poles, np.argmin(np.abs(poles - eigenvalue)))
         return poles
 

@@ -38,9 +38,9 @@ class KalmanCheck:
     Attributes
     ----------
     mean_difference : float
-        Largest ``|x_hat - x_kf|`` relative to the larger of ``|x_kf|`` and the belief's own standard deviation.
+        Largest difference of a state's estimate, relative to the larger of its size and the belief's own standard deviation.
     covariance_difference : float
-        Largest ``|P - P_kf|`` relative to ``|P_kf|`` (Frobenius norms).
+        Largest difference of an element of P, relative to the product of the two standard deviations.
     mean_absolute, covariance_absolute : float
         The same in the state's units.
     steps : int
@@ -279,10 +279,9 @@ def sensor_by_sensor(
 
 def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:
     """Return the largest differences of means (steps x n) and covariances (steps x n x n) from the reference's."""
-    mean = np.linalg.norm(x_hat - reference.x_hat, axis=1)
-    scale = np.maximum(np.linalg.norm(reference.x_hat, axis=1), np.sqrt(np.trace(reference.P, axis1=1, axis2=2)))
-    covariance = np.linalg.norm(P - reference.P, axis=(1, 2))
-    size = np.linalg.norm(reference.P, axis=(1, 2))
+    mean, covariance = np.abs(x_hat - reference.x_hat), np.abs(P - reference.P)
+    std = np.sqrt(np.maximum(np.diagonal(reference.P, axis1=1, axis2=2), 0.0))
+    scale, size = np.maximum(np.abs(reference.x_hat), std), std[:, :, None] * std[:, None, :]
     return KalmanCheck(
         mean_difference=_largest_ratio(mean, scale),
         covariance_difference=_largest_ratio(covariance, size),

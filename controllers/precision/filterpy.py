@@ -57,6 +57,10 @@ def update_by_ser(
             deviation > threshold * np.sqrt(np.diag(C @ kf.P @ C.T) + np.diag(noise))
         )
     keep = np.flatnonzero(present & ~ignored)
-    if len(keep):
-        kf.update(sample[keep].reshape(-1, 1), R=noise[np.ix_(keep, keep)], H=C[keep])
+    R = noise[np.ix_(keep, keep)]
+    # filterpy inverts the covariance of all samples of an update, and loses half of its digits between metres and pascals, or
+    # where the belief is still wide. Sensors with independent errors may be used one after the other.
+    alone = not np.any(R - np.diag(np.diag(R)))
+    for chosen in [[i] for i in range(len(keep))] if alone else [list(range(len(keep)))]:
+        kf.update(sample[keep[chosen]].reshape(-1, 1), R=R[np.ix_(chosen, chosen)], H=C[keep[chosen]])
     return ignored

@@ -76,20 +76,25 @@ def margins_of(loop: Any) -> Margins:
     loop : control.StateSpace
         The transfer function of a sampled loop with one input and one output, for negative feedback.
     """
+    from scipy.linalg import matrix_balance
     from scipy.optimize import minimize_scalar
 
-    poles = np.linalg.eigvals(loop.A) if len(loop.A) else np.zeros(0, complex)
+    A, B, C = loop.A, loop.B, loop.C
+    if len(A):  # the states' units must not decide what counts as a pole
+        A, (units, _) = matrix_balance(A, permute=False, separate=True)
+        B, C = B / units[:, None], C * units
+    poles = np.linalg.eigvals(A) if len(A) else np.zeros(0, complex)
 
     def response(angle: Any) -> Any:
         z = np.exp(1j * np.atleast_1d(angle))
-        states = np.linalg.solve(z[:, None, None] * np.eye(len(loop.A)) - loop.A, loop.B[None] + 0j)
-        values = (loop.C @ states + loop.D)[:, 0, 0]
+        states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B[None] + 0j)
+        values = (C @ states + loop.D)[:, 0, 0]
         return values if np.ndim(angle) else complex(values[0])
 
     grid = _grid(poles)
     values = response(grid)
     # At both ends the response is real, except for rounding.
-    ends = [a for a in (0.0, np.pi) if not (np.abs(poles - np.exp(1j * a)) < 1e-9).any() and not _is_pole(loop.A, a)]
+    ends = [a for a in (0.0, np.pi) if not (np.abs(poles - np.exp(1j * a)) < 1e-9).any() and not _is_pole(A, a)]
     real = [a for a in _crossings(lambda a: response(a).imag, grid, values.imag) if 1e-9 < a < np.pi - 1e-9]
     limits = [(a, -1.0 / response(a).real) for a in [*real, *ends] if response(a).real < 0.0]
     phase_crossover, gain = min(limits, key=lambda each: abs(np.log(each[1])), default=(np.nan, np.inf))

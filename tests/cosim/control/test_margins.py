@@ -1,9 +1,12 @@
 """Margins against a scan of the closed loop's poles: over gains, over phases, over delays of whole samples."""
 
+import re
+
 import control
 import numpy as np
 import pytest
 
+from bayesftc import controllers, cosim
 from bayesftc.cosim.control.margins import margins_of
 
 DT = 0.1
@@ -90,3 +93,33 @@ def test_a_repeated_pole_at_one_has_margins():
     turn, back = np.array([[1.0, 0.0], [1.0, 1.0]]), np.array([[1.0, 0.0], [-1.0, 1.0]])
     found = margins_of(loop(turn @ chain @ back, turn @ b, c @ back))
     assert found.phase == pytest.approx(margins_of(loop(chain, b, c)).phase, rel=1e-6)
+
+
+def test_margins_and_poles_do_not_depend_on_the_units_of_the_states():
+    """A hydraulic cylinder with its pressure in Pa: a matrix with entries of 1e9 seemed singular at -1 and at 1."""
+    A = np.array([[0, 1, 0], [0, -10, 5e-6], [0, -8e9, -16.0]])
+    B = np.array([[0, 0], [0, -0.005], [4e9, 0]])
+    found = []
+    for unit in (1.0, 1e-5):
+        S = np.diag([1, 1, unit])
+        plant = control.ss(
+            S @ A @ np.linalg.inv(S), S @ B, np.eye(3), 0, inputs=["valve", "load"], outputs=["x", "v", "p"]
+        )
+        std = [1e-4] * 3 + [5e4 * unit] * 2
+        controller = controllers.design(
+            plant, measured=["x", "p"], actuated="valve", sensors=[3, 2], sensor_std=std, goal="x", dt=0.002,
+            noise={"load": 200.0}, acceptable_error=0.002, acceptable_control=0.5, precision=controllers.FixedPrecision(),
+        )  # fmt: skip
+        sensors = cosim.Sensors([3, 2], std)
+        closed = cosim.closed_loop(
+            plant, controller, control="valve", measured=["x", "p"], sensors=sensors, reference=0.1
+        )
+        poles = re.search(r"the slowest of magnitude ([\d.]+)", controller.describe())[1]
+        assert float(poles) == pytest.approx(np.abs(closed.poles()).max(), abs=1e-3)
+        _, phases, _, _, crossovers, _ = control.stability_margins(closed.linear().open(), returnall=True)
+        delay = min(np.deg2rad(phase % 360) / w for phase, w in zip(phases, crossovers, strict=True))
+        assert closed.margins().delay == pytest.approx(delay, rel=1e-6)
+        check = controllers.check_kalman(closed.simulate(2.0, seed=1), controller)
+        assert max(check.mean_difference, check.covariance_difference) < 1e-9
+        found.append(closed.margins())
+    np.testing.assert_allclose(*found, rtol=1e-5)
