@@ -13,7 +13,7 @@ one of -3 some time later look like a single one from the begin of the first to 
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import TYPE_CHECKING
 
@@ -61,11 +61,15 @@ def changes(judge: Judge, others: Sequence[Explanation] = ()) -> list[Explanatio
     for kind in ("onset", "loss"):
         if (best := coarse.best(kind)) is None:
             continue
-        results.append(_explained(judge, kind, _finer(judge, kind, best, width)))
-        one = results[-1]
+        found = _finer(judge, kind, best, width)
+        one = _explained(judge, kind, found)
+        if found.columns[0] in coarse.states and (along := coarse.best(kind, tuple(coarse.along))) is not None:
+            near = _explained(judge, kind, _finer(judge, kind, along, width))
+            one = replace(one, elsewhere=one.total > near.total + EVIDENCE)
+        results.append(one)
         if kind == "onset" and one.total > EVIDENCE and not any(_explains(x) and x.total > one.total for x in others):
-            found = coarse.best_two(best.columns, {*regular[::2], *likely})
-            two = [] if found is None else [_explained(judge, kind, _finer(judge, kind, found, 2 * width))]
+            pair = coarse.best_two(best.columns, {*regular[::2], *likely})
+            two = [] if pair is None else [_explained(judge, kind, _finer(judge, kind, pair, 2 * width))]
             results += [x for x in two if _pays(x, one)]
     return results
 
@@ -167,7 +171,7 @@ class _Pushes:
         self.judge, self.instants, self.each = judge, list(instants), len(kinds)
         along, states, controls = np.split(np.arange(self.each), [p, p + plant])
         self.columns = {"onset": [tuple(along), tuple(states)], "loss": [(int(j),) for j in controls]}
-        self.along = along
+        self.along, self.states = along, set(states.tolist())
         responses = judge.pushes((late[:, np.newaxis] * kinds).reshape(-1, *kinds.shape[1:]))
         self.sets = [self._equations(responses, k) for k in range(len(judge.bank))]
 

@@ -375,7 +375,17 @@ def _finding(
     if not result:
         return None
     best = result[0]
-    text = sentence(best.kind, best.values, model, [(x.kind, x.values) for x in result[1:]], inferred, *units, measured)
+    elsewhere = any(x.elsewhere for x in result if x.kind == "onset")
+    text = sentence(
+        best.kind,
+        best.values,
+        model,
+        [(x.kind, x.values) for x in result[1:]],
+        inferred,
+        *units,
+        recorded=measured,
+        elsewhere=elsewhere,
+    )
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 

@@ -54,6 +54,8 @@ class Explanation:
         Mean squared innovation, by set; 1 if all is explained.
     parameters : int
         Number of fitted parameters.
+    elsewhere : bool
+        Of a load: whether there is evidence that it acts where no control does.
     """
 
     kind: str
@@ -62,6 +64,7 @@ class Explanation:
     left: tuple[float, ...]
     square: tuple[float, ...]
     parameters: int
+    elsewhere: bool = False
 
     @property
     def total(self) -> float:

@@ -50,19 +50,20 @@ def sentence(
     units: Sequence[str | None] = (),
     control_units: Sequence[str | None] = (),
     recorded: bool = False,
+    elsewhere: bool = False,
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
 
     `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
     each sensor, `control_units` of each control, if known. `recorded`: the controls are the recorded inputs of a monitor, which
-    may be measured ones.
+    may be measured ones. `elsewhere`: a load that begins acts where no control does.
     """
     found, moved = [(kind, values), *others], bool(np.any(model.B))
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
         **(_WORDS | _RECORDED if recorded else _WORDS),
         "offset": partial(_offset, units=units),
         "load": partial(_load, units=control_units),
-        "onset": partial(_onset, units=control_units),
+        "onset": partial(_onset, units=control_units, elsewhere=elsewhere),
         "noise": partial(_noise, units=control_units),
     }
     said: dict[str, str] = {}
@@ -277,10 +278,17 @@ def _seconds(time: float) -> str:
     return f"{time:.0f} s" if 1e3 <= time < 1e8 else f"{time:.4g} s"
 
 
-def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | None], elsewhere: bool) -> str:
     each = 2 + model.controls
     loads = [values[k : k + each] for k in range(0, len(values), each)]
     times = ", and another one ".join(map(_since, loads))
+    if elsewhere:
+        return (
+            f"a load acts {times}, where no control does. If such loads belong to normal operation, measure them, or estimate "
+            "them where they act (disturbance=True is for loads where a control acts): in the plant that you design for, add an "
+            "input there with a lag before it, and give noise to that input. The guide 'How do I get rid of a steady error?' has "
+            "an example."
+        )
     changes = ", and then ".join(f"of a change of {_change(load[2:], model, units)}" for load in loads)
     return (
         f"a load, or an offset of the actuator, acts {times}. {'It has' if len(loads) == 1 else 'They have'} about the effect "

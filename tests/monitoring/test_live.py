@@ -344,6 +344,8 @@ def test_a_step_by_hand_has_a_sample_or_none_of_each_sensor():
     stepper.prepare()
     with pytest.raises(ModelError, match=r"A step of the monitor has 3 samples \(a, b, c\), not 2"):
         stepper.advance([1.0, 2.0])
+    with pytest.raises(ModelError, match=r"The sample of b is 'Bad'\. Give a number; NaN or None is a missing sample"):
+        stepper.advance([1.0, "Bad", 2.0])
     for _ in range(30):
         out = stepper.advance([20.0, None, 20.1])
         out = stepper.advance([20.0, 20.1, 20.1])

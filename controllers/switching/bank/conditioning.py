@@ -23,11 +23,14 @@ from bayesftc.controllers.switching.sensor_kernels import (
     TRUSTED,
     held,
 )
-from bayesftc.cosim.ops import independent, log, minimum, select
+from bayesftc.cosim.ops import independent, log, maximum, minimum, select
 
 ABSURD = 1e12
 """Largest ratio of an innovation's variance to the sensor's up to which larger innovations are learned from; beyond, hypotheses
 would move each other away."""
+
+OWN_SHARE = 1e-9
+"""Least share of the variance of a reading that other sensors explain."""
 
 SPREAD, TOTAL, ERROR, DIRECTION = range(4)
 """Places in a reading: its variance without and with the sensor's noise, its error, and its covariance with the hypothesis."""
@@ -171,8 +174,8 @@ def make_weigh_reading(layout: Layout, weigh_sensor: Callable[..., float], offse
 
 @cache
 def make_learn(layout: Layout, offset: int) -> Callable[..., None]:
-    """Return the step function that corrects a hypothesis by a reading, and estimates the square of the sensor's noise."""
-    n, m, sensor, squares, judged = layout.n, layout.m, layout.sensor, layout.squares, layout.judged
+    """Return the step function that corrects a hypothesis by a reading."""
+    n, m, sensor, judged = layout.n, layout.m, layout.sensor, layout.judged
     none, stride, kept, readings, reading = (
         layout.first,
         layout.length,
@@ -191,7 +194,48 @@ def make_learn(layout: Layout, offset: int) -> Callable[..., None]:
                 correct(memory, at, n, offset, 0, i, C, here + DIRECTION, error, spread + noise, noise, present)
             elif offset:
                 correct(memory, at, n, 1, 1, i, C, here + DIRECTION, error, total, variance, present)
-            part = variance / total
-            memory[squares + h * m + i] = part * (part * error * error + spread)
 
     return learn
+
+
+@cache
+def make_square(layout: Layout) -> Callable[..., None]:
+    """Return the step function that estimates the square of each sensor's noise in each hypothesis, from all other sensors.
+
+    Estimated as the sensors come, that of the first one would know nothing of the others at this sample. With samples of bursts
+    left out, it was then learned smaller, and the sensor believed.
+    """
+    m, sensor, squares, judged = layout.m, layout.sensor, layout.squares, layout.judged
+    none, stride, kept, readings, reading = (
+        layout.first,
+        layout.length,
+        layout.kept,
+        layout.readings,
+        layout.reading,
+    )
+    without, with_offset, H = layout.without_offset, layout.with_offset or (0,), layout.hypotheses
+    expect_plain, expect_offset = (make_expect(layout, offset) for offset in (0, 1))
+
+    def write(h, i, sample, memory):
+        here, by = readings + h * reading, judged[h * m + i]
+        if by != BY_COURSE:
+            variance = sample.nominal[i, i] * memory[i * sensor + NOISE]
+            noise = variance
+            if by == BY_MODES:
+                noise = variance / memory[none + h * stride + kept + i * sensor + TRUSTED]
+            # The reading without this sensor's own sample, by which it was corrected with this noise.
+            apart = noise / maximum(noise - memory[here + SPREAD], OWN_SHARE * noise)
+            spread, error = apart * memory[here + SPREAD], apart * memory[here + ERROR]
+            part = variance / (spread + variance)
+            memory[squares + h * m + i] = part * (part * error * error + spread)
+
+    def square(sample, C, memory):
+        for i in range(m):
+            for x in range(len(without)):
+                expect_plain(without[x], i, sample, C, memory)
+                write(without[x], i, sample, memory)
+            for x in range(H - len(without)):
+                expect_offset(with_offset[x], i, sample, C, memory)
+                write(with_offset[x], i, sample, memory)
+
+    return square

@@ -154,10 +154,10 @@ class MonitorStepper(Stepper):
         Raises
         ------
         ModelError
-            If there are more or fewer, or `prepare` was not called.
+            If there are more or fewer, one is no number, or `prepare` was not called.
         """
         if not isinstance(inputs, np.ndarray):
-            inputs = np.array([np.nan if value is None else value for value in inputs], dtype=np.float64)
+            inputs = np.array([self._number(k, value) for k, value in enumerate(inputs)])
         if inputs.shape != self._bias.shape:
             names = ", ".join(self.inputs)
             raise ModelError(f"A step of the monitor has {len(self._bias)} samples ({names}), not {len(inputs)}.")
@@ -184,6 +184,15 @@ class MonitorStepper(Stepper):
         self.estimator = self._monitor.estimator(self._recording(self._monitor, np.array([y for y, _ in rows])))
         self._running = self.estimator.online(compiled=self._compiled)
         return [self._judge(self._running, *row) for row in rows][-1]
+
+    def _number(self, k: int, value: float | None) -> float:
+        try:
+            return np.nan if value is None else float(value)
+        except (TypeError, ValueError):
+            name = [*self.inputs, f"value {k}"][min(k, len(self.inputs))]
+            raise ModelError(
+                f"The sample of {name} is {value!r}. Give a number; NaN or None is a missing sample."
+            ) from None
 
     def _averaged(self, values: Floats) -> Floats:
         """Return the known inputs, each averaged over its last values."""

@@ -220,7 +220,9 @@ def _texts(path: str | os.PathLike[str]) -> dict[str, str]:
 
 def _scenario_file(file: Path, named: str) -> Path:
     beside = file.absolute().parent / named
-    return beside if is_file(beside) else find_scenario(named)
+    if is_file(beside) or (beside.suffix == ".toml" and not is_file(Path(named))):
+        return find_scenario(beside)  # which names the files that are there
+    return find_scenario(named)
 
 
 def _duration(given: float | str | None, otherwise: float | str) -> float | str | Fraction:

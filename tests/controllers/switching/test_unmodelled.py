@@ -127,7 +127,10 @@ def test_a_sensor_that_goes_its_own_course_is_left_out_as_filterpy_leaves_it_out
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("joint", [True, False])
 def test_noise_is_learned_as_by_its_gamma_distribution(joint):
-    """Of the posterior of each sample's noise, where no mode ever begins; the per-sensor form uses it for the same sample."""
+    """Of the posterior of each sample's noise, where no mode ever begins.
+
+    The joint form takes it from all samples of the instant; the per-sensor form uses it for the same sample.
+    """
     strength, forgetting, factor = 6.0, 0.97, 2.0
     precision = SwitchingPrecision(
         [Offset(NEVER, NEVER)], joint=joint, process_modes=(), noise_factor=factor, noise_strength=strength,
@@ -151,6 +154,8 @@ def test_noise_is_learned_as_by_its_gamma_distribution(joint):
             squared[i] = ((part * error) ** 2 + R * (1 - part)) / nominal[i]
             if joint:
                 one.update(y[i], R=R, H=np.array([[1.0]]))
+        if joint:
+            squared = ((y - one.x[0, 0]) ** 2 + one.P[0, 0]) / nominal
         for i in np.flatnonzero(np.isfinite(y)):
             shape[i] = forgetting * shape[i] + (1 - forgetting) * strength / 2 + 0.5
             rate[i] = forgetting * rate[i] + (1 - forgetting) * strength / 2 + 0.5 * squared[i]
