@@ -404,7 +404,10 @@ def test_a_wrong_model_is_named_before_the_result(model, kind, words, pumped):
 def test_the_model_is_judged_before_the_monitor_runs(pumped, monkeypatch):
     monkeypatch.setattr(Monitor, "run", lambda *_: pytest.fail("It has begun."))
     (pumped / "model.toml").write_text(DRIVEN.format(dt=0.1, A=0.98, B=-0.2), encoding="utf-8")
-    with pytest.warns(ModelMismatchWarning, match="Check its unit, sign"), pytest.raises(pytest.fail.Exception, match="begun"):
+    with (
+        pytest.warns(ModelMismatchWarning, match="Check its unit, sign"),
+        pytest.raises(pytest.fail.Exception, match="begun"),
+    ):
         monitor_command([pumped / "tank.csv"], pumped / "model.toml", quiet=True)
 
 
