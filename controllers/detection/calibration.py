@@ -186,7 +186,7 @@ def calibrate(
     >>> learner = controllers.GammaPrecision(calibration=report.calibration)
     >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
     >>> for _ in range(10):
-    ...     out = step(y=[0.1, 3.0])
+    ...     out = step(y=[0.1, 3.0], u=0.0)
     >>> out.fault_probability.round(1).tolist()
     [0.0, 0.8]
     """

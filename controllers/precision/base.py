@@ -184,7 +184,7 @@ class PrecisionLearner(NamedArguments):
     ...         return controllers.Learner(clip, np.zeros(1), np.array([np.nan]))
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, Doubtful()).online(compiled=False)
-    >>> step(y=[0.0, 3.0]).precision.round(2).tolist()
+    >>> step(y=[0.0, 3.0], u=0.0).precision.round(2).tolist()
     [25.0, 0.11]
     """
 
@@ -287,7 +287,7 @@ class FixedPrecision(PrecisionLearner):
     >>> from bayesftc import controllers
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, controllers.FixedPrecision()).online(compiled=False)
-    >>> out = step(y=[1.0, 5.0])  # a wrong sensor has its full weight
+    >>> out = step(y=[1.0, 5.0], u=0.0)  # a wrong sensor has its full weight
     >>> out.precision.tolist(), out.x_hat.round(2).tolist()
     ([25.0, 25.0], [2.94])
     """

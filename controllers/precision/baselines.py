@@ -70,7 +70,7 @@ class EFFDI(PrecisionLearner):
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, controllers.EFFDI(duration=0.2)).online(compiled=False)
     >>> for y in (0.0, 0.1, 0.0, 0.1, 4.0):  # at last the first sensor jumps
-    ...     out = step(y=[y, 0.0])
+    ...     out = step(y=[y, 0.0], u=0.0)
     >>> out.fault_probability.tolist(), out.precision.round(1).tolist()
     ([1.0, 0.0], [0.0, 25.0])
     """
@@ -139,7 +139,7 @@ class SERFDI(PrecisionLearner):
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> learner = controllers.SERFDI(threshold=3.0)
     >>> step = controllers.StateEstimator(model, learner, initial_covariance=0.01).online(compiled=False)
-    >>> out = step(y=[0.1, 2.0])
+    >>> out = step(y=[0.1, 2.0], u=0.0)
     >>> out.fault_probability.tolist(), out.precision.round(1).tolist(), out.x_hat.round(2).tolist()
     ([0.0, 1.0], [25.0, 0.0], [0.02])
     """

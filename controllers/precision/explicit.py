@@ -185,7 +185,7 @@ class ExplicitDetection(PrecisionLearner):
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> learner = controllers.ExplicitDetection(controllers.GammaPrecision(), threshold=4.0)
     >>> step = controllers.StateEstimator(model, learner, initial_covariance=0.01).online(compiled=False)
-    >>> out = step(y=[0.1, 3.0])
+    >>> out = step(y=[0.1, 3.0], u=0.0)
     >>> out.detected.tolist(), out.precision.round(1).tolist()
     ([0.0, 1.0], [29.4, 0.5])
     """

@@ -158,7 +158,7 @@ class GammaPrecision(RateLearner):
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, controllers.GammaPrecision()).online(compiled=False)
     >>> for _ in range(10):
-    ...     out = step(y=[0.0, 3.0])  # 25 is the nominal precision
+    ...     out = step(y=[0.0, 3.0], u=0.0)  # 25 is the nominal precision
     >>> out.precision.round(1).tolist(), out.beta.round(2).tolist()
     ([73.5, 0.2], [0.08, 35.77])
     """

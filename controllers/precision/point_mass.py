@@ -113,7 +113,7 @@ class PointMassPrecision(PrecisionLearner):
     >>> from bayesftc import controllers
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, controllers.PointMassPrecision(rate=0.1)).online(compiled=False)
-    >>> [step(y=[0.0, 0.8]).precision.round(1).tolist() for _ in range(3)]  # 25 is the nominal precision
+    >>> [step(y=[0.0, 0.8], u=0.0).precision.round(1).tolist() for _ in range(3)]  # 25 is the nominal precision
     [[25.0, 11.8], [24.7, 10.2], [24.6, 9.0]]
     """
 

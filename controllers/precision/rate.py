@@ -38,7 +38,7 @@ class Calibration:
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> learner = controllers.GammaPrecision(calibration=controllers.Calibration(slope=4.0, intercept=-3.0))
     >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
-    >>> step(y=[0.1, 1.0]).fault_probability.round(2).tolist()
+    >>> step(y=[0.1, 1.0], u=0.0).fault_probability.round(2).tolist()
     [0.06, 0.99]
     """
 

@@ -135,7 +135,7 @@ class StudentTUpdate(PrecisionLearner):
     >>> from bayesftc import controllers
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, controllers.StudentTUpdate()).online(compiled=False)
-    >>> out = step(y=[0.0, 3.0])
+    >>> out = step(y=[0.0, 3.0], u=0.0)
     >>> out.precision_weight.round(2).tolist(), out.x_hat.round(2).tolist()
     ([0.76, 0.03], [0.11])
     """
@@ -182,7 +182,7 @@ class WeightedLikelihood(PrecisionLearner):
     >>> from bayesftc import controllers
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, controllers.WeightedLikelihood(c=3.0)).online(compiled=False)
-    >>> out = step(y=[0.0, 3.0])
+    >>> out = step(y=[0.0, 3.0], u=0.0)
     >>> out.precision_weight.round(3).tolist(), out.x_hat.round(2).tolist()
     ([1.0, 0.038], [0.11])
     """

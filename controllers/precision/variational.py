@@ -136,7 +136,7 @@ class VariationalBayesKF(RateLearner):
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, controllers.VariationalBayesKF()).online(compiled=False)
     >>> for _ in range(10):
-    ...     out = step(y=[0.0, 3.0])  # 25 is the nominal precision
+    ...     out = step(y=[0.0, 3.0], u=0.0)  # 25 is the nominal precision
     >>> out.precision.round(1).tolist(), out.x_hat.round(2).tolist()
     ([7.8, 0.2], [0.13])
     """

@@ -103,7 +103,7 @@ class WishartPrecision(RateLearner):
     >>> model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 0.001, 0.04, dt=0.1)
     >>> step = controllers.StateEstimator(model, controllers.WishartPrecision()).online(compiled=False)
     >>> for _ in range(10):
-    ...     out = step(y=[0.0, 3.0])
+    ...     out = step(y=[0.0, 3.0], u=0.0)
     >>> out.precision_mean.round(1).tolist()
     [[64.6, 0.9], [0.9, 0.2]]
     """

@@ -51,7 +51,7 @@ class FittedThreshold:
     >>> threshold = controllers.FittedThreshold(mean=(0.0,), covariance=((0.05,),), bound=10.0)
     >>> learner = controllers.ExplicitDetection(threshold=threshold)
     >>> step = controllers.StateEstimator(model, learner).online(compiled=False)
-    >>> step(y=[2.0, 2.5]).detected.tolist()  # 2.5 is 11 standard deviations
+    >>> step(y=[2.0, 2.5], u=0.0).detected.tolist()  # 2.5 is 11 standard deviations
     [0.0, 1.0]
     """
 
