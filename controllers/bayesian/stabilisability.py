@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.controllers.models.linear import LinearModel
+from bayesftc.cosim.base.balance import balanced
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
@@ -17,16 +18,11 @@ _REACH = 1e-9
 
 def unreached(A: Floats, B: Floats, *, edge: float = _EDGE) -> list[complex]:
     """Return the eigenvalues of A that do not decay and at which [lambda I - A, B] loses rank."""
-    from scipy.linalg import matrix_balance
-
     # In balanced units the states and controls have effects of equal size, so that the result does not depend on the user's
     # units. Balanced units of weakly coupled states may differ by 1e27; the mode must then be unreached in the user's units, too.
-    with np.errstate(invalid="ignore"):  # SciPy also computes an unused permutation from the scales
-        balanced, (units, _) = matrix_balance(A, permute=False, separate=True)
-    forms = [(balanced, B / units[:, None]), (A, B)]
-    return [
-        complex(e) for e in np.linalg.eigvals(balanced) if abs(e) >= 1.0 - edge and all(_misses(e, *f) for f in forms)
-    ]
+    same, units = balanced(A)
+    forms = [(same, B / units[:, None]), (A, B)]
+    return [complex(e) for e in np.linalg.eigvals(same) if abs(e) >= 1.0 - edge and all(_misses(e, *f) for f in forms)]
 
 
 def _misses(eigenvalue: complex, A: Floats, B: Floats) -> bool:

@@ -281,6 +281,7 @@ def compare(x_hat: Floats, P: Floats, reference: Estimates) -> KalmanCheck:
     """Return the largest differences of means (steps x n) and covariances (steps x n x n) from the reference's."""
     mean, covariance = np.abs(x_hat - reference.x_hat), np.abs(P - reference.P)
     std = np.sqrt(np.maximum(np.diagonal(reference.P, axis1=1, axis2=2), 0.0))
+    std = np.maximum(std, np.finfo(float).eps * std.max(axis=0))  # what is known exactly has no size of its own
     scale, size = np.maximum(np.abs(reference.x_hat), std), std[:, :, None] * std[:, None, :]
     return KalmanCheck(
         mean_difference=_largest_ratio(mean, scale),

@@ -53,7 +53,7 @@ NOISES = (0.1, 1.0, 10.0, 100.0, 1000.0)
 WANDERING = (1e-5, 1e-4, 1e-3, 0.01, *NOISES)
 """The same for a load: what changes little from sample to sample moves a plant far in time."""
 
-FINER = tuple(10.0 ** np.array([-0.5, -0.25, 0.25, 0.5]))
+FINER = (10.0**-0.5, 10.0**-0.25, 10.0**0.25, 10.0**0.5)
 """Multiples of the best of these in the fine search."""
 
 QUIETER = (1.0, 0.3, 0.1, 0.01, 1e-4)
@@ -67,6 +67,12 @@ LOWER = (0.05, 0.1, 0.2, 0.4, 0.7)
 
 ROUNDING = 1e-18
 """Largest variance, relative to that of another state, of a state that is known exactly: no unit makes states so different."""
+
+NEARLY = 5.0
+"""Log-likelihood ratio within which a flexible explanation counts as nearly as good; for simple ones it is `EVIDENCE`."""
+
+EFFECT = {"sign", "gain"}
+"""One kind in two words: the effect of a control."""
 
 EQUAL = 0.1
 """Difference of two log-likelihood ratios, below the best one, that tells nothing: a tenth in probability."""
@@ -89,11 +95,16 @@ def explanations(judge: Judge) -> list[Explanation]:
     finest = judge.inputs([c for j in controls for c in _limits(judge, j, coarse + fine)])
     results = coarse + fine + finest + _times(judge) + _pushed(judge)
     results += changes(judge, results) + offsets(judge)
+    return ranked(best_of_each(results))
+
+
+def best_of_each(found: Iterable[Explanation]) -> list[Explanation]:
+    """Return the best explanation of each kind."""
     best: dict[str, Explanation] = {}
-    for x in results:
+    for x in found:
         if x.kind not in best or x.total > best[x.kind].total:
             best[x.kind] = x
-    return ranked(best.values())
+    return list(best.values())
 
 
 def ranked(found: Iterable[Explanation]) -> list[Explanation]:
@@ -169,32 +180,41 @@ def noisier(judge: Judge, found: list[Explanation]) -> list[Explanation]:
 
 
 def moved_at_random(judge: Judge, found: list[Explanation]) -> list[Explanation]:
-    """Return only the noise of counting explanations if all sensors together have more evidence for it than for each other kind.
+    """Return counting explanations without noise, or only it, where all sensors together have clearly more evidence for that.
 
     A control that answers a gust knows of it from all sensors. To the observers of a few of them it therefore tells what they do
     not see, so that its effect looks lost or reversed; to an observer of all sensors it tells nothing new. Where the noise of the
     model is too large, the other kinds are judged with the smaller one, too: else a load that begins would look like one that
-    wanders beside less noise.
+    wanders beside less noise. Where all sensors leave it open, the explanations are theirs, with the evidence of all.
     """
     everyone = (tuple(sorted({i for chosen in judge.bank.sensors for i in chosen})),)
     noise, kinds = [x for x in found if x.kind == "noise"], {x.kind for x in found} - {"noise"}
     bank = observers(judge.model, everyone) if noise and kinds else None
     if bank is None:
         return found
+    kinds |= EFFECT if kinds & EFFECT else set()
     together = Judge(judge.model, bank, judge.recording)
-    others = explanations(together)
-    random = noisier(together, others)
-    most = max((x.total for x in others if x.kind in kinds), default=np.inf)
-    better = any(x.total > most for x in random)
-    for share in {x.values[3] for x in [*noise, *random] if better and len(x.values) > 3} - {1.0}:
+    judged = explanations(together)
+    random = noisier(together, judged)
+    others = [x for x in judged if x.kind in kinds]
+    shares = {x.values[3] for x in [*noise, *random] if len(x.values) > 3} - {1.0}
+    for share in shares if _best_evidence(random) > _best_evidence(others) else ():
         calmer = _calmer(judge.model, share)
         if (bank := observers(calmer, everyone)) is not None:
             calm = Judge(calmer, bank, judge.recording)
-            less = float((together.first - calm.first).sum())
-            most = max(most, *(x.total + less for x in explanations(calm) if x.kind in kinds))
-    if any(x.total > most for x in random):
-        return noise
-    return [x for x in found if x.kind != "noise" or x.values[3:] in ((), (1.0,))]
+            less = float((together.first - calm.first).sum()) - 0.5 * np.log(calm.masks[0].sum())  # the share is fitted
+            others += [replace(x, support=(x.total + less,)) for x in explanations(calm) if x.kind in kinds]
+    ahead = _best_evidence(random) - _best_evidence(others)
+    if ahead > NEARLY and _best_evidence(random) > EVIDENCE:
+        return [replace(x, values=of_all.values) for x, of_all in zip(noise, random, strict=True)]
+    if ahead < -NEARLY or _best_evidence(random) < EVIDENCE:
+        return [x for x in found if x.kind != "noise" or x.values[3:] in ((), (1.0,))]
+    return ranked(best_of_each([*others, *random]))
+
+
+def _best_evidence(found: Sequence[Explanation]) -> float:
+    """Return the evidence of the best explanation; 0, that of the unchanged model, if it has more."""
+    return max((x.total for x in found), default=0.0)
 
 
 def _calmer(model: LinearModel, share: float) -> LinearModel:
@@ -391,7 +411,8 @@ def _limits(judge: Judge, j: int, tried: list[Explanation] | None = None) -> lis
     u = judge.recording.u
     if tried is None:
         levels = np.unique(np.quantile(np.abs(u[:, j]), LEVELS))
-        levels = np.concatenate([levels[0] * np.array(LOWER), levels])
+        least = levels[levels > 0.0][:1]
+        levels = np.concatenate([np.outer(least, LOWER).ravel(), levels])
     else:
         best = _size_of_limit(_best(tried, "limit", lambda x: x.values[2] == j))
         known = np.unique([_size_of_limit(x) for x in tried if x.kind == "limit" and x.values[2] == j])

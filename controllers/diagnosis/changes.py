@@ -61,17 +61,25 @@ def changes(judge: Judge, others: Sequence[Explanation] = ()) -> list[Explanatio
     for kind in ("onset", "loss"):
         if (best := coarse.best(kind)) is None:
             continue
-        found = _finer(judge, kind, best, width)
-        one = _explained(judge, kind, found)
-        if found.columns[0] in coarse.states and (along := coarse.best(kind, tuple(coarse.along))) is not None:
-            near = _explained(judge, kind, _finer(judge, kind, along, width))
-            one = replace(one, elsewhere=one.total > near.total + EVIDENCE)
+        acting = coarse.best(kind, coarse.along) if best.columns == coarse.states else None
+        one = _placed(judge, kind, best, acting, width)
         results.append(one)
         if kind == "onset" and one.total > EVIDENCE and not any(_explains(x) and x.total > one.total for x in others):
-            pair = coarse.best_two(best.columns, {*regular[::2], *likely})
-            two = [] if pair is None else [_explained(judge, kind, _finer(judge, kind, pair, 2 * width))]
-            results += [x for x in two if _pays(x, one)]
+            among = {*regular[::2], *likely}
+            if (pair := coarse.best_two(best.columns, among)) is not None:
+                acting = coarse.best_two(coarse.along, among) if best.columns == coarse.states else None
+                two = _placed(judge, kind, pair, acting, 2 * width)
+                results += [two] * _pays(two, one)
     return results
+
+
+def _placed(judge: Judge, kind: str, best: _Found, acting: _Found | None, width: int) -> Explanation:
+    """Return the explanation by pushes that may act anywhere, and whether they act elsewhere than the best ones along B."""
+    found = _explained(judge, kind, _finer(judge, kind, best, width))
+    if acting is None:
+        return found
+    by_controls = _explained(judge, kind, _finer(judge, kind, acting, width))
+    return replace(found, elsewhere=found.total > by_controls.total + EVIDENCE)
 
 
 def _explains(x: Explanation) -> bool:
@@ -170,8 +178,11 @@ class _Pushes:
         late = np.arange(len(u))[:, np.newaxis] >= np.array([[k] for k in instants])[:, :, np.newaxis]
         self.judge, self.instants, self.each = judge, list(instants), len(kinds)
         along, states, controls = np.split(np.arange(self.each), [p, p + plant])
-        self.columns = {"onset": [tuple(along), tuple(states)], "loss": [(int(j),) for j in controls]}
-        self.along, self.states = along, set(states.tolist())
+        self.along, self.states = tuple(map(int, along)), tuple(map(int, states))
+        self.columns: dict[str, list[tuple[int, ...]]] = {
+            "onset": [self.along, self.states],
+            "loss": [(int(j),) for j in controls],
+        }
         responses = judge.pushes((late[:, np.newaxis] * kinds).reshape(-1, *kinds.shape[1:]))
         self.sets = [self._equations(responses, k) for k in range(len(judge.bank))]
 

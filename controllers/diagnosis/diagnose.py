@@ -19,7 +19,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
-from bayesftc.controllers.diagnosis.candidates import explanations, moved_at_random, noisier, quieter, ranked
+from bayesftc.controllers.diagnosis.candidates import (
+    NEARLY,
+    explanations,
+    moved_at_random,
+    noisier,
+    quieter,
+    ranked,
+)
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
@@ -63,9 +70,6 @@ WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
 
 SIMPLEST = 4
 """Rank of a full explanation with one parameter, which ends the search."""
-
-NEARLY = 5.0
-"""Log-likelihood ratio within which a flexible explanation counts as nearly as good; for simple ones it is `EVIDENCE`."""
 
 MUCH = 0.8
 """Share of a flexible explanation's evidence from which more noise counts as an alternative to it.
@@ -345,9 +349,9 @@ def diagnose_recording(
     return _finding(model, y, u, initial_mean, alone=False)
 
 
-def compared(model: LinearModel, y: Floats, u: Floats, initial_mean: Floats) -> ModelFinding | None:
-    """Return the finding of `diagnose_recording` in the words of a monitor, whose inputs may be measured ones."""
-    return _finding(model, y, u, initial_mean, alone=False, measured=True)
+def diagnose_inputs(model: LinearModel, y: Floats, u: Floats, initial_mean: Floats) -> ModelFinding | None:
+    """Return the finding of `diagnose_recording` in the words of a monitor, whose recorded inputs may be measured."""
+    return _finding(model, y, u, initial_mean, alone=False, recorded=True)
 
 
 def _finding(
@@ -359,16 +363,16 @@ def _finding(
     alone: bool,
     inferred: Sequence[float] | None = None,
     units: tuple[Sequence[str | None], Sequence[str | None]] = ((), ()),
-    measured: bool = False,
+    recorded: bool = False,
 ) -> ModelFinding | None:
     """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`.
 
-    `units` are those of the sensors and of the controls; these may be `measured` ones of a monitor.
+    `units` are those of the sensors and of the controls; these may be the `recorded` inputs of a monitor.
     """
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
-        if (recorded := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:
+        if (given := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:
             raise ModelError(
-                f"The recording has {recorded} {kind}, but the model has {columns}. Give the samples and controls of the sensors "
+                f"The recording has {given} {kind}, but the model has {columns}. Give the samples and controls of the sensors "
                 "and actuators in the model."
             )
     result = best_explanations(model, y, u, initial_mean, alone=alone)
@@ -383,7 +387,7 @@ def _finding(
         [(x.kind, x.values) for x in result[1:]],
         inferred,
         *units,
-        recorded=measured,
+        recorded=recorded,
         elsewhere=elsewhere,
     )
     values = () if best.kind in ("dynamics", "nonlinear") else best.values

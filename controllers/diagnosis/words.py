@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.controllers.diagnosis.phrases import beyond, change, named, since, strongly
+from bayesftc.controllers.diagnosis.words_of_inputs import OF_INPUTS
 from bayesftc.controllers.models.disturbances import has_loads
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.units import behind
@@ -25,9 +26,6 @@ AS_LIKELY, AS_MUCH = "nearly as likely by this run", "which explains nearly as m
 """What is said of another explanation: by its likelihood, and of noise, which has few parameters, by what it explains."""
 
 _DISTURBANCE = "disturbance in design and in a scenario; LinearModel.with_disturbance"
-
-NO_EFFECT = 0.05
-"""Effect of a control, relative to the model's, below which it counts as none."""
 
 PRIOR = 10.0
 """Standard deviation of an offset to be estimated, relative to the one found; with a smaller one the default learner doubts other
@@ -60,11 +58,12 @@ def sentence(
     """
     found, moved = [(kind, values), *others], bool(np.any(model.B))
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
-        **(_WORDS | _RECORDED if recorded else _WORDS),
-        "offset": partial(_offset, units=units),
+        **_WORDS,
         "load": partial(_load, units=control_units),
         "onset": partial(_onset, units=control_units, elsewhere=elsewhere),
         "noise": partial(_noise, units=control_units),
+        **(OF_INPUTS if recorded else {}),
+        "offset": partial(_offset, units=units),
     }
     said: dict[str, str] = {}
     for each, its in found:
@@ -93,11 +92,11 @@ def _actuators(
     j = int(lost[0][3]) if lost else int(np.argmax(inferred))
     if inferred[j] >= ALARM:
         return (
-            f" The controller infers a fault of {_named(j, model)}: its fault probability reaches {inferred[j]:.2g}. "
+            f" The controller infers a fault of {named(j, model)}: its fault probability reaches {inferred[j]:.2g}. "
             "result.findings() has its kind and size."
         )
     return (
-        f" The actuator modes of the controller do not see it: the fault probability of {_named(j, model)} is at most "
+        f" The actuator modes of the controller do not see it: the fault probability of {named(j, model)} is at most "
         f"{inferred[j]:.2g}."
     )
 
@@ -125,22 +124,16 @@ def _alone(model: LinearModel) -> str:
     return f" A fault of {' or '.join(names)} may look the same, because no other sensor measures the same quantity."
 
 
-def _named(j: float, model: LinearModel) -> str:
-    if model.controls == 1:
-        return "the control"
-    return f"control {j:.0f}" if model.names is None else f"the control {model.names.controls[int(j)]}"
-
-
 def _sign(values: Sequence[float], model: LinearModel) -> str:
     return (
-        f"{_named(values[1], model)} moves the plant in the opposite direction: its effect is {values[0]:.3g} times the model's. "
+        f"{named(values[1], model)} moves the plant in the opposite direction: its effect is {values[0]:.3g} times the model's. "
         "Check the sign of B."
     )
 
 
 def _gain(values: Sequence[float], model: LinearModel) -> str:
     return (
-        f"{_named(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check B, the mass or "
+        f"{named(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check B, the mass or "
         "inertia behind it, and the actuator's gain."
     )
 
@@ -172,27 +165,16 @@ def _early(values: Sequence[float], model: LinearModel) -> str:
 
 
 def _limit(values: Sequence[float], model: LinearModel) -> str:
-    low, high, j = values
-    sides = [f"below {low:.4g}"] * bool(np.isfinite(low)) + [f"above {high:.4g}"] * bool(np.isfinite(high))
     return (
-        f"the plant does not get {_named(j, model)} where it is {' or '.join(sides)}. The actuator has a limit that the "
+        f"the plant does not get {named(values[2], model)} where it is {beyond(values)}. The actuator has a limit that the "
         "controller does not have. Give it as u_min and u_max."
     )
 
 
 def _load(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     return (
-        f"a constant load acts. It has the effect of a change of {_change(values, model, units)}. You can "
+        f"a constant load acts. It has the effect of a change of {change(values, model, units)}. You can "
         f"{_estimate('it', model)}, or add it to the model."
-    )
-
-
-def _change(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
-    """Return by how much each control would have to change: ``the control q1 by 0.02 m3/s``."""
-    known = units if len(units) == len(values) else [None] * len(values)
-    return " and of ".join(
-        f"{_named(j, model)} by {value:.3g}" + behind(unit)
-        for j, (value, unit) in enumerate(zip(values, known, strict=True))
     )
 
 
@@ -258,30 +240,16 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
     less = "" if share == 1.0 else f", give all other process noise {share**0.5:.2g} times its standard deviation"
     average = f", on average by {mean:.3g}{unit}" if mean else ""
     return (
-        f"a load acts, and changes all the time. It has the effect of a change of {_named(load, model)}{average}. Estimate it "
+        f"a load acts, and changes all the time. It has the effect of a change of {named(load, model)}{average}. Estimate it "
         f"(about disturbance={std**2:.2g} in design and in a scenario; of a LinearModel: with_disturbance({std**2:.2g})){less}, "
         "or say where process noise acts (noise)."
     )
 
 
-def _since(values: Sequence[float]) -> str:
-    begin, end = map(_seconds, values[:2])
-    return (
-        f"from {begin} to {end} after the first sample"
-        if isfinite(values[1])
-        else f"from {begin} after the first sample on"
-    )
-
-
-def _seconds(time: float) -> str:
-    """Return a time with four digits, without an exponent below a year: ``14410 s``."""
-    return f"{time:.0f} s" if 1e3 <= time < 1e8 else f"{time:.4g} s"
-
-
 def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | None], elsewhere: bool) -> str:
     each = 2 + model.controls
     loads = [values[k : k + each] for k in range(0, len(values), each)]
-    times = ", and another one ".join(map(_since, loads))
+    times = ", and another one ".join(map(since, loads))
     if elsewhere:
         return (
             f"a load acts {times}, where no control does. If such loads belong to normal operation, measure them, or estimate "
@@ -289,7 +257,7 @@ def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | No
             "input there with a lag before it, and give noise to that input. The guide 'How do I get rid of a steady error?' has "
             "an example."
         )
-    changes = ", and then ".join(f"of a change of {_change(load[2:], model, units)}" for load in loads)
+    changes = ", and then ".join(f"of a change of {change(load[2:], model, units)}" for load in loads)
     return (
         f"a load, or an offset of the actuator, acts {times}. {'It has' if len(loads) == 1 else 'They have'} about the effect "
         f"{changes}. If such loads belong to normal operation, measure them, or {_estimate('them', model)}."
@@ -297,8 +265,7 @@ def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | No
 
 
 def _loss(values: Sequence[float], model: LinearModel) -> str:
-    effect = f"{values[2]:.2g} times as strongly as in the model" if abs(values[2]) >= NO_EFFECT else "not at all"
-    return f"{_named(values[3], model)} moves the plant {effect} {_since(values)}. Look for a fault of the actuator."
+    return f"{named(values[3], model)} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of the actuator."
 
 
 def _nonlinear(values: Sequence[float], model: LinearModel) -> str:
@@ -345,46 +312,3 @@ _WORDS = {
     "unknown": _unknown,
     "suspect": _suspect,
 }
-
-
-def _input(j: float, model: LinearModel) -> str:
-    return f"input {j:.0f}" if model.names is None else model.names.controls[int(j)]
-
-
-def _recorded_gain(values: Sequence[float], model: LinearModel) -> str:
-    return (
-        f"{_input(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check its unit, sign and "
-        "scale. If it is measured, much noise in it has this effect, too."
-    )
-
-
-def _recorded_late(values: Sequence[float], model: LinearModel) -> str:
-    seconds = values[0]
-    late = f"as behind a lag of about {seconds:.2g} s" if values[1] else f"by {seconds:.3g} s"
-    who = _input(0, model) if model.controls == 1 else "the inputs"
-    return (
-        f"the plant follows {who} late, {late}. The time stamps of the sensors may be late (their delay in the model file), the "
-        "plant may have a lag that the model lacks, or a measured input has much noise."
-    )
-
-
-def _recorded_limit(values: Sequence[float], model: LinearModel) -> str:
-    low, high, j = values
-    sides = [f"below {low:.4g}"] * bool(np.isfinite(low)) + [f"above {high:.4g}"] * bool(np.isfinite(high))
-    return f"the plant does not follow {_input(j, model)} where it is {' or '.join(sides)}: something behind it has a limit."
-
-
-def _recorded_loss(values: Sequence[float], model: LinearModel) -> str:
-    effect = f"{values[2]:.2g} times as strongly as in the model" if abs(values[2]) >= NO_EFFECT else "not at all"
-    name = _input(values[3], model)
-    return f"{name} moves the plant {effect} {_since(values)}. Look for a fault of {name}, or of what it drives."
-
-
-_RECORDED = {
-    "sign": _recorded_gain,
-    "gain": _recorded_gain,
-    "late": _recorded_late,
-    "limit": _recorded_limit,
-    "loss": _recorded_loss,
-}
-"""Sentences about the inputs of a monitor, which may be measured, where `_WORDS` has controls and actuators."""

@@ -57,9 +57,8 @@ def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
                 whole[better, j], least[better] = slope[better], error[better]
                 # For a smooth function a tenth of the step gives a tenth of the bend.
                 sharp = (bend > 0.5 * before[1]) & (bend > BENDS * np.abs(slope)) & (bend > 1e3 * rounding)
-                sharp &= (
-                    bend > SMOOTH * steepest
-                )  # the bend of a drag v|v| beside its zero is constant, and next to nothing
+                # The bend of a drag v|v| beside its zero is constant, and next to nothing.
+                sharp &= bend > SMOOTH * steepest
                 kinks[better] = sharp[better]
             before, steepest = (slope, bend), np.maximum(steepest, np.abs(slope))
         kink |= bool(kinks.any())

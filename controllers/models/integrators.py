@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesftc.cosim.base.balance import balanced
 from bayesftc.cosim.types import Floats
 
 _EXACT = 1e-8
@@ -35,15 +36,12 @@ def without_integrators(A: Floats, H: Floats) -> Quotient | None:
     it if only an acceleration is seen. Together they are the largest space within the kernel of H on which ``A - I`` is
     nilpotent, found power by power. If whole states are integrators, only these are removed; else z is a mixture of states.
     """
-    from scipy.linalg import matrix_balance
-
     n = len(A)
-    with np.errstate(invalid="ignore"):  # SciPy also computes an unused permutation from the scales
-        balanced, (units, _) = matrix_balance(A, permute=False, separate=True)
+    same, units = balanced(A)
     visible = H * units
     sizes = np.linalg.norm(visible, axis=1)
     visible = visible / np.where(sizes > 0, sizes, 1.0)[:, None]
-    change = balanced - np.eye(n)
+    change = same - np.eye(n)
     # Scaled to equal effects of all states, the result does not depend on units; states without effect keep theirs.
     effect = np.linalg.norm(np.vstack([visible, change]), axis=0)
     unit = 1.0 / np.where(effect > 1e-12, effect, 1.0)

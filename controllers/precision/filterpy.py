@@ -58,8 +58,8 @@ def update_by_ser(
         )
     keep = np.flatnonzero(present & ~ignored)
     R = noise[np.ix_(keep, keep)]
-    # filterpy inverts the covariance of all samples of an update, and loses half of its digits between metres and pascals, or
-    # where the belief is still wide. Sensors with independent errors may be used one after the other.
+    # filterpy inverts the covariance of all samples of an update, and loses half of its digits where these have other units, as
+    # metres and pascals, or much less noise than the belief is wide. Sensors with independent errors may be used in turns.
     alone = not np.any(R - np.diag(np.diag(R)))
     for chosen in [[i] for i in range(len(keep))] if alone else [list(range(len(keep)))]:
         kf.update(sample[keep[chosen]].reshape(-1, 1), R=R[np.ix_(chosen, chosen)], H=C[keep[chosen]])

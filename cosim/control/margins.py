@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesftc.cosim.base.balance import balanced
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.types import Floats
 
@@ -76,14 +77,11 @@ def margins_of(loop: Any) -> Margins:
     loop : control.StateSpace
         The transfer function of a sampled loop with one input and one output, for negative feedback.
     """
-    from scipy.linalg import matrix_balance
     from scipy.optimize import minimize_scalar
 
-    A, B, C = loop.A, loop.B, loop.C
-    if len(A):  # the states' units must not decide what counts as a pole
-        A, (units, _) = matrix_balance(A, permute=False, separate=True)
-        B, C = B / units[:, None], C * units
-    poles = np.linalg.eigvals(A) if len(A) else np.zeros(0, complex)
+    A, units = balanced(loop.A)  # the states' units must not decide what counts as a pole
+    B, C = loop.B / units[:, None], loop.C * units
+    poles = np.linalg.eigvals(A).astype(complex) if len(A) else np.zeros(0, complex)
 
     def response(angle: Any) -> Any:
         z = np.exp(1j * np.atleast_1d(angle))

@@ -344,6 +344,10 @@ def test_a_step_by_hand_has_a_sample_or_none_of_each_sensor():
     stepper.prepare()
     with pytest.raises(ModelError, match=r"A step of the monitor has 3 samples \(a, b, c\), not 2"):
         stepper.advance([1.0, 2.0])
+    with pytest.raises(ModelError, match=r"The sample of c is 1000.*\. Give a number"):
+        stepper.advance([1.0, 2.0, 10**400])
+    with pytest.raises(ModelError, match=r"The sample of b is .*'Bad'.*\. Give a number"):
+        stepper.advance(np.array([1.0, "Bad", 2.0], dtype=object))
     with pytest.raises(ModelError, match=r"The sample of b is 'Bad'\. Give a number; NaN or None is a missing sample"):
         stepper.advance([1.0, "Bad", 2.0])
     for _ in range(30):

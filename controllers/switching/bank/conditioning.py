@@ -30,7 +30,7 @@ ABSURD = 1e12
 would move each other away."""
 
 OWN_SHARE = 1e-9
-"""Least share of the variance of a reading that other sensors explain."""
+"""Least ratio of a reading's posterior variance to that of its sensor's noise; with less, rounding would decide."""
 
 SPREAD, TOTAL, ERROR, DIRECTION = range(4)
 """Places in a reading: its variance without and with the sensor's noise, its error, and its covariance with the hypothesis."""
@@ -200,10 +200,11 @@ def make_learn(layout: Layout, offset: int) -> Callable[..., None]:
 
 @cache
 def make_square(layout: Layout) -> Callable[..., None]:
-    """Return the step function that estimates the square of each sensor's noise in each hypothesis, from all other sensors.
+    """Return the step function that estimates the square of each sensor's noise in each hypothesis, from all sensors.
 
-    Estimated as the sensors come, that of the first one would know nothing of the others at this sample. With samples of bursts
-    left out, it was then learned smaller, and the sensor believed.
+    It is the exact posterior where no sample counts as a burst; the weights of these still depend on the order of the sensors.
+    Estimated as the sensors come, that of the first one would know nothing of the others at this sample: with bursts left out, it
+    was learned smaller, and the sensor believed.
     """
     m, sensor, squares, judged = layout.m, layout.sensor, layout.squares, layout.judged
     none, stride, kept, readings, reading = (

@@ -26,15 +26,19 @@ _YEAR_FIRST = (
     rf"\s*(?P<year>\d{{4}})(?P<sign>[./-])(?P<first>\d{{1,2}})(?P=sign)(?P<second>\d{{1,2}})(?:[T, ]+{CLOCK})?\s*"
 )
 
-_MONTHS, _NOON = 12, 12
+_MONTHS, _DAYS, _NOON, _HOURS = 12, 31, 12, 23
+
+_CENTURY, _FIRST_YEAR = 100, 69
+"""Years with two digits are from 1969 to 2068, as POSIX has it."""
 
 
 def with_iso_dates(cells: pd.Series[Any], source: str) -> pd.Series[Any]:
     """Return a column with its dates in the form of ISO 8601, and inform the user, if they have another one; else the column.
 
-    The year is first, or last, with two digits for one of this century. If it is last: where a date such as 28.03.2026 is among
+    The year is first, or last; with two digits it is from 1969 to 2068. If it is last: where a date such as 28.03.2026 is among
     them, the first number of all is the day; where one such as 03/28/2026 is, the month. Where all of them could be read in
-    several ways, as 01.03.2026 can, or a text is no such date, nothing changes.
+    several ways, as 01.03.2026 can, or a text is no such date, nothing changes. So can 28.03.26 alone, which may be a day of
+    2028: there must be more days than years, or a year that is no day.
 
     Parameters
     ----------
@@ -51,39 +55,41 @@ def with_iso_dates(cells: pd.Series[Any], source: str) -> pd.Series[Any]:
         return cells
     texts = cells.dropna().astype(str)
     parts = texts.str.extract(f"^{form}$")
-    first, second = (pd.to_numeric(parts[name], errors="coerce") for name in ("first", "second"))
-    hours = pd.to_numeric(parts["hour"].where(parts["half"].notna(), "1"), errors="coerce")
-    if first.isna().any() or min(first.max(), second.max()) > _MONTHS or not hours.between(1, _NOON).all():
+    first, second, year = (pd.to_numeric(parts[name], errors="coerce") for name in ("first", "second", "year"))
+    clock = clock_of_day(parts)
+    if clock is None or first.isna().any() or min(first.max(), second.max()) > _MONTHS:
         return cells
     if form is _YEAR_LAST and max(first.max(), second.max()) <= _MONTHS:
         return cells
-    short = parts["year"].str.len() == len("26")
-    if short.any() and parts["year"].nunique() > first.nunique():  # the day is last, and the year perhaps first
-        return cells
     which, day, month = ("day", "first", "second") if first.max() > _MONTHS else ("month", "second", "first")
-    dates = (
-        parts["year"].mask(short, "20" + parts["year"])
-        + "-"
-        + parts[month].str.zfill(2)
-        + "-"
-        + parts[day].str.zfill(2)
-    )
-    clock = clock_of_day(parts)
+    if which == "day" and year.between(1, _DAYS).all() and first.nunique() <= year.nunique():  # the year may be first
+        return cells
+    dates = _whole(year).astype(str) + "-" + parts[month].str.zfill(2) + "-" + parts[day].str.zfill(2)
     which = "year" if form is _YEAR_FIRST else which
-    written = (dates + clock.where(clock == "", " " + clock)).reindex(cells.index)
+    written: pd.Series[Any] = (dates + clock.where(clock == "", " " + clock)).reindex(cells.index)
     inform(f"The dates in {source} have the {which} first: {given} is read as {written.loc[texts.index[0]]}.")
     return written
 
 
-def clock_of_day(parts: pd.DataFrame) -> pd.Series[Any]:
-    """Return times of the day from 00:00 to 23:59 from the parts of `CLOCK`; an empty text where there are none."""
+def clock_of_day(parts: pd.DataFrame) -> pd.Series[Any] | None:
+    """Return times of the day from 00:00 to 23:59 from the parts of `CLOCK`; None if there is one such as 13:00 AM.
+
+    An empty text stands for none. The hour 13 with PM, as some loggers write it, is 13.
+    """
     import pandas as pd
 
     hours, half = pd.to_numeric(parts["hour"], errors="coerce"), parts["half"].str.lower()
-    twelve = half.notna()
-    hours = hours.mask(twelve, hours % 12 + 12 * (half == "p"))
+    if (hours > half.map({"a": _NOON, "p": _HOURS})).any():
+        return None
+    hours = hours.mask(half.notna(), hours % _NOON + _NOON * (half == "p"))
     written = hours.map(lambda hour: "" if hour != hour else f"{hour:02.0f}").astype(str)
-    return written + parts["rest"].fillna("").astype(str).str.replace(",", ".")
+    times: pd.Series[Any] = written + parts["rest"].fillna("").astype(str).str.replace(",", ".")
+    return times
+
+
+def _whole(year: Any) -> Any:
+    """Return years with four digits; `year` is a number or has some."""
+    return year + (year < _CENTURY) * (1900 + _CENTURY * (year < _FIRST_YEAR))
 
 
 def day_first_date(text: str) -> str | None:
@@ -91,7 +97,7 @@ def day_first_date(text: str) -> str | None:
     found = re.fullmatch(_YEAR_LAST, text)
     if found is None or found["half"] or (found["sign"] != "." and int(found["first"]) <= _MONTHS):
         return None
-    date = f"{'20' * (len(found['year']) == len('26'))}{found['year']}-{found['second']:0>2}-{found['first']:0>2}"
+    date = f"{_whole(int(found['year']))}-{found['second']:0>2}-{found['first']:0>2}"
     return f"{date} {found['hour']:0>2}{found['rest'].replace(',', '.')}" if found["hour"] else date
 
 

@@ -66,11 +66,13 @@ def _with_times_of_day(table: pd.DataFrame, names: Sequence[object], source: str
     clocks = (i for i, cells in columns if i != day and _fits(cells, CLOCK))
     if not dates.map(lambda text: _DAY.fullmatch(text) is not None).all() or (clock := next(clocks, None)) is None:
         return table, None
-    parts = table.iloc[:, clock].astype(str).str.extract(rf"^\s*{CLOCK}\s*$")
+    times = clock_of_day(table.iloc[:, clock].astype(str).str.extract(rf"^\s*{CLOCK}\s*$"))
+    if times is None:
+        return table, None
     table = table.copy(deep=False)
     given = table.iloc[:, day]
     there = given.notna() & table.iloc[:, clock].notna()
-    table.isetitem(day, (given.astype(str).str.strip() + " " + clock_of_day(parts)).where(there).array)
+    table.isetitem(day, (given.astype(str).str.strip() + " " + times).where(there).array)
     inform(
         f"The columns {names[day]!r} and {names[clock]!r} of {source} are read together as dates with times of the day."
     )

@@ -156,7 +156,7 @@ class MonitorStepper(Stepper):
         ModelError
             If there are more or fewer, one is no number, or `prepare` was not called.
         """
-        if not isinstance(inputs, np.ndarray):
+        if not (isinstance(inputs, np.ndarray) and inputs.dtype.kind in "fiub"):
             inputs = np.array([self._number(k, value) for k, value in enumerate(inputs)])
         if inputs.shape != self._bias.shape:
             names = ", ".join(self.inputs)
@@ -188,7 +188,7 @@ class MonitorStepper(Stepper):
     def _number(self, k: int, value: float | None) -> float:
         try:
             return np.nan if value is None else float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             name = [*self.inputs, f"value {k}"][min(k, len(self.inputs))]
             raise ModelError(
                 f"The sample of {name} is {value!r}. Give a number; NaN or None is a missing sample."

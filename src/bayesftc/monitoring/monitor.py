@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.controllers.bayesian.block import extended_mean
 from bayesftc.controllers.bayesian.estimator import StateEstimator
-from bayesftc.controllers.diagnosis.diagnose import ModelFinding, compared
+from bayesftc.controllers.diagnosis.diagnose import ModelFinding, diagnose_inputs
 from bayesftc.controllers.estimation.absurd import EXPLICABLE
 from bayesftc.controllers.learning.learn_modes import LearnedModes, RecordedRun, learn_modes
 from bayesftc.controllers.models.checks import as_vector
@@ -384,7 +384,7 @@ class Monitor:
         model = replace(model, names=SignalNames(inputs, tuple(self.sensors), states))  # for the sentences
         mean, _ = self.start(recording, model)
         start: Any = extended_mean(model, np.array(mean), mean)
-        return compared(model, recording.y, recording.u, start)
+        return diagnose_inputs(model, recording.y, recording.u, start)
 
     def run(
         self,

@@ -11,7 +11,7 @@ from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesftc.cosim.base.paths import is_file
+from bayesftc.cosim.base.paths import expanded, is_file
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.campaign.designs.design import Design, Grid, Points
 from bayesftc.cosim.campaign.designs.samples import LatinHypercube, SaltelliDesign, SobolSequence
@@ -219,8 +219,10 @@ def _texts(path: str | os.PathLike[str]) -> dict[str, str]:
 
 
 def _scenario_file(file: Path, named: str) -> Path:
-    beside = file.absolute().parent / named
-    if is_file(beside) or (beside.suffix == ".toml" and not is_file(Path(named))):
+    given = expanded(named)
+    beside = file.absolute().parent / given
+    of_a_file = given.suffix == ".toml" or given.parent != Path()
+    if is_file(beside) or (of_a_file and not is_file(given)):
         return find_scenario(beside)  # which names the files that are there
     return find_scenario(named)
 

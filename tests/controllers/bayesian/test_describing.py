@@ -113,6 +113,18 @@ def test_a_bayesian_controller_says_its_poles_and_why_it_has_no_probability():
     assert "There is no fault probability: GammaPrecision has no calibration" in text
 
 
+def test_only_the_pole_of_a_constant_that_no_control_moves_is_left_out():
+    """Both states are integrators, of which the control moves one: a second pole had been left out with the constant's."""
+    model = controllers.LinearModel(np.eye(2), [[0.1], [0.0]], [[1, 0], [1, 1], [0, 1]], [1e-3, 1e-6], 1e-2, dt=0.1)
+    controller = controllers.BayesianController(
+        model, controllers.FixedPrecision(), goal_on=[[1.0, 0.0]], goal_covariance=0.01
+    )
+    poles = controller.closed_loop_poles()
+    left = np.sort_complex(poles[np.abs(poles - 1.0) > 1e-9])
+    assert len(left) == len(poles) - 1
+    np.testing.assert_array_equal(np.sort_complex(controller._relevant_poles()), left)
+
+
 def test_an_unstable_loop_has_no_accuracy():
     """A costly control that leaves an unstable mode as it is."""
     model = controllers.LinearModel([[1.1]], [[1.0]], [[1.0]], 1e-3, 1e-2, dt=0.1)

@@ -51,6 +51,23 @@ def test_faulty_sensors_are_no_loads(seed):
     assert controllers.diagnose_recording(MODEL, *flown([], seed, faulty=True)) is None
 
 
+@pytest.mark.parametrize("loads", [[(300, 900, 0.8)], [(200, 400, 0.8), (600, 800, -0.8)]], ids=["one", "two"])
+@pytest.mark.parametrize("leaking", [0, 1], ids=["pumped tank", "other tank"])
+def test_loads_are_said_to_act_where_no_control_does(leaking, loads):
+    """Of two coupled tanks a pump fills the first one; water is also let in, or out, of the same or the other one."""
+    A, B = np.array([[0.95, 0.05], [0.05, 0.93]]), np.array([[0.1], [0.0]])
+    model = controllers.LinearModel(A, B, np.eye(2)[[0, 0, 1, 1]], 1e-6, 1e-4, dt=0.1)
+    rng, x, u = np.random.default_rng(3), np.zeros((900, 2)), np.where(np.arange(900) % 120 < 60, 0.5, -0.5)
+    load = sum(size * ((begin <= np.arange(900)) & (np.arange(900) < end)) for begin, end, size in loads)
+    for k in range(899):
+        x[k + 1] = A @ x[k] + B[:, 0] * u[k] + 0.1 * load[k] * np.eye(2)[leaking] + 1e-3 * rng.standard_normal(2)
+    y = x[:, [0, 0, 1, 1]] + 0.01 * rng.standard_normal((900, 4))
+    finding = controllers.diagnose_recording(model, y, u[:, np.newaxis])
+    assert (finding.kind, len(finding.values)) == ("onset", 3 * len(loads))
+    assert ("where no control does" in finding.sentence) == bool(leaking)
+    assert ("disturbance in design" in finding.sentence) == (not leaking)
+
+
 def test_the_sentence_has_the_times_and_sizes_of_both():
     words = sentence("onset", (30.0, 33.0, 2.0, 50.0, float("inf"), -3.0), PLAIN, control_units=("N",))
     assert (

@@ -1,5 +1,7 @@
 """Sensors that go their own course, and what is learned of healthy ones: against dense regressions, scipy and filterpy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -139,6 +141,8 @@ def test_noise_is_learned_as_by_its_gamma_distribution(joint):
     step = StateEstimator(CAR, precision, initial_mean=20.0, initial_covariance=0.5).online(compiled=False)
     one = KalmanFilter(1, 1, 1)
     one.x, one.P, one.F, one.B, one.Q = np.array([[20.0]]), np.array([[0.5]]), CAR.A, CAR.B, np.array([[0.001]])
+    swapped = replace(CAR, sensor_covariance=[4.0, 1.0])  # the order of the sensors has no effect on the joint form
+    other = StateEstimator(swapped, precision, initial_mean=20.0, initial_covariance=0.5).online(compiled=False)
     nominal, shape, rate = np.array([1.0, 4.0]), np.full(2, strength / 2), np.full(2, strength / 2)
     noise, rng, reached = np.ones(2), np.random.default_rng(8), []
     for k in range(300):
@@ -167,6 +171,7 @@ def test_noise_is_learned_as_by_its_gamma_distribution(joint):
         np.testing.assert_allclose(out.precision, 1 / (nominal * noise), rtol=1e-8)
         assert out.x_hat[0] == pytest.approx(one.x[0, 0], rel=1e-8)
         assert out.P[0, 0] == pytest.approx(one.P[0, 0], rel=1e-8)
+        np.testing.assert_allclose(other(y=list(y[::-1]), u=[50.0]).precision[::-1], out.precision, rtol=1e-8)
         reached.append(noise[1])
         one.predict(u=np.array([[50.0]]))
     assert max(reached) == 4.0  # its bound

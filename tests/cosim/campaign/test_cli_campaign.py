@@ -247,12 +247,19 @@ def test_a_fault_that_starts_too_late_is_found_by_either_name(tmp_path):
             assert len(unused_of_campaign(load_campaign(file), str(file))) == count
 
 
-def test_a_missing_scenario_is_looked_for_beside_the_campaign(tmp_path):
+def test_a_scenario_is_looked_for_beside_the_campaign(tmp_path, monkeypatch):
     """Not in the working directory, which the message had named."""
     (tmp_path / "room.toml").write_text(find_scenario("cruise_control").read_text())
     (tmp_path / "many.toml").write_text(FILE.replace("cruise_control", "roo.toml"))
     with pytest.raises(ScenarioError, match=rf"There is no scenario file {re.escape(str(tmp_path))}.*'room.toml'"):
         load_campaign(tmp_path / "many.toml")
+    (tmp_path / "many.toml").write_text(FILE.replace("cruise_control", "rooms/room"))
+    with pytest.raises(ScenarioError, match=re.escape(f"the folder {tmp_path / 'rooms'} does not exist")):
+        load_campaign(tmp_path / "many.toml")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "many.toml").write_text(FILE.replace("cruise_control", "~/room.toml"))
+    assert load_campaign(tmp_path / "below" / "many.toml")
 
 
 def test_a_scenario_is_told_from_a_campaign(bayesftc_, tmp_path):

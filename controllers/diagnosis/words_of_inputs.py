@@ -1,0 +1,112 @@
+"""Sentences about the recorded inputs of a monitor, which may be measured, where others speak of controls and actuators."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from bayesftc.controllers.diagnosis.phrases import beyond, since, strongly
+from bayesftc.cosim.base.numbers import counted
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.models.linear import LinearModel
+
+_REMEDY = "If its cause is recorded, make it an input of the model; else give the model more process noise."
+
+
+def _input(j: float, model: LinearModel) -> str:
+    return f"input {j:.0f}" if model.names is None else model.names.controls[int(j)]
+
+
+def _inputs(model: LinearModel) -> str:
+    return _input(0, model) if model.controls == 1 else "the inputs"
+
+
+def _sign(values: Sequence[float], model: LinearModel) -> str:
+    return (
+        f"{_input(values[1], model)} moves the plant in the opposite direction, {abs(values[0]):.3g} times as strongly as in the "
+        "model. Check its sign, unit and scale."
+    )
+
+
+def _gain(values: Sequence[float], model: LinearModel) -> str:
+    noise = " If it is measured, much noise in it has this effect, too." if values[0] < 1.0 else ""
+    return (
+        f"{_input(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check its unit and "
+        f"scale.{noise}"
+    )
+
+
+def _late(values: Sequence[float], model: LinearModel) -> str:
+    seconds = values[0]
+    late = f"as behind a lag of about {seconds:.2g} s" if values[1] else f"by {seconds:.3g} s"
+    return (
+        f"the plant follows {_inputs(model)} late, {late}. The time stamps of the sensors may be late (their delay in the model "
+        "file), the plant may have a lag that the model lacks, or a measured input has much noise."
+    )
+
+
+def _early(values: Sequence[float], model: LinearModel) -> str:
+    samples = counted(round(values[0] / float(model.step)), "sample")
+    return (
+        f"the plant follows {_inputs(model)} earlier than in the model, by {values[0]:.3g} s ({samples}). Check the delays "
+        "in the model file, and the time stamps."
+    )
+
+
+def _limit(values: Sequence[float], model: LinearModel) -> str:
+    return f"the plant does not follow {_input(values[2], model)} where it is {beyond(values)}: something behind it has a limit."
+
+
+def _loss(values: Sequence[float], model: LinearModel) -> str:
+    name = _input(values[3], model)
+    return f"{name} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of {name}, or of what it drives."
+
+
+def _load(values: Sequence[float], model: LinearModel) -> str:
+    sizes = " and of ".join(f"{_input(j, model)} by {value:.3g}" for j, value in enumerate(values))
+    return (
+        f"something beside {_inputs(model)} moves the plant all the time. It has the effect of a change of {sizes}. A measured "
+        f"input may have an offset. {_REMEDY}"
+    )
+
+
+def _onset(values: Sequence[float], model: LinearModel) -> str:
+    each = 2 + model.controls
+    times = ", and again ".join(since(values[k : k + each]) for k in range(0, len(values), each))
+    return f"something beside {_inputs(model)} moves the plant {times}, or a measured input is wrong then. {_REMEDY}"
+
+
+def _noise(values: Sequence[float], model: LinearModel) -> str:
+    return f"the plant is moved more at random than the model says. {_REMEDY}"
+
+
+def _nonlinear(values: Sequence[float], model: LinearModel) -> str:
+    return "the plant's motion depends on its state. Use a model for the range in which it is, and trust only clear alarms."
+
+
+def _otherwise(values: Sequence[float], model: LinearModel) -> str:
+    return (
+        "the plant moves differently from the model. Check what its numbers were derived from, and dt; or fit it to a recording "
+        "in which the inputs move the plant (LinearModel.identify)."
+    )
+
+
+OF_INPUTS: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
+    "sign": _sign,
+    "gain": _gain,
+    "late": _late,
+    "early": _early,
+    "limit": _limit,
+    "load": _load,
+    "onset": _onset,
+    "loss": _loss,
+    "noise": _noise,
+    "nonlinear": _nonlinear,
+    "dynamics": _otherwise,
+    "unknown": _otherwise,
+    "suspect": _otherwise,
+}
+"""The sentences by kind of the finding."""
+
+__all__ = ["OF_INPUTS"]
