@@ -68,6 +68,12 @@ FLEXIBLE = frozenset({"dynamics", "nonlinear"})
 WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
 """What begins during a run, and what acts all the time: where both explain it about as well, the latter does."""
 
+WHOLLY = 0.9
+"""Share of the evidence for a lasting loss from which on an effect that is other all the time explains a run about as well.
+
+A mass that differs from the model's is more than another effect of the control. While the control hardly moves, as before the
+first step of its goal, this shows, and looks as if the effect changed later."""
+
 SIMPLEST = 4
 """Rank of a full explanation with one parameter, which ends the search."""
 
@@ -439,7 +445,7 @@ def best_explanations(
                 # Noise to add to the quieter model is no noise that the user's model lacks: it may have more already.
                 best_is_noise = bool(counting) and counting[0].kind == "noise"
                 counting = [x for x in counting if x.kind != "noise" and not best_is_noise]
-        near = [x for x in counting if _near(x, counting[0])]
+        near = [x for x in counting if _near(x, counting[0]) or _holds_all_the_time(x, counting[0])]
         kinds = {x.kind for x in near}
         near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]
         if near and near[0].kind == "dynamics":  # the simple ones are special cases of it
@@ -487,6 +493,12 @@ def _near(x: Explanation, best: Explanation) -> bool:
     if x.kind == "noise" and best.kind in FLEXIBLE and x.total > MUCH * best.total:
         return True
     return x.total > best.total - (EVIDENCE if x.kind in SIMPLE else NEARLY)
+
+
+def _holds_all_the_time(x: Explanation, best: Explanation) -> bool:
+    """Return whether another effect of a control explains all of a run, of which the best explanation is a loss of effect."""
+    lasting = best.kind == "loss" and best.values[1] == np.inf
+    return lasting and x.kind in WHOLE["loss"] and x.total > WHOLLY * best.total and max(x.square) < EXPLAINED
 
 
 def _rank(x: Explanation) -> int:
