@@ -668,7 +668,10 @@ def test_a_column_in_degrees_fahrenheit_is_named(tmp_path):
     command = ["monitor", str(tmp_path / "plant.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
     (note,) = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
     assert note.startswith("b does not follow the other sensors: while they move by 1, it moves by 1.8. ")
-    assert "A factor of 1.8 is that from degC to degF." in note
+    assert (
+        "A factor of 1.8 is that from degC to degF. If these are the units, name the columns 'b [degF]' and 'a [degC]'"
+        in note
+    )
     named = table.rename(columns={"a": "a [degC]", "b": "b [degF]"})
     named.to_csv(tmp_path / "plant.csv", index=False)
     assert json.loads(RUNNER.invoke(app, [*command, "--overwrite"]).stdout)["notes"] == []

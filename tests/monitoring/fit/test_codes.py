@@ -35,6 +35,18 @@ def test_a_value_out_of_range_is_found_and_does_not_count_as_noise(seed, sensors
     np.testing.assert_allclose([sensor.std for sensor in fit_model(recording(y)).sensors.values()], expected, rtol=1e-6)
 
 
+@pytest.mark.parametrize("share", [0.004, 0.01, 0.04])
+def test_a_rare_value_that_no_other_sample_is_near_is_a_code(share):
+    """As 85.0 of a DS18B20 of hot water: it lies outside by some spans only, and other values of .1 K are more frequent."""
+    rng = np.random.default_rng(4)
+    y = (50 + altitude(1)).round(1)
+    y[rng.random(N) < share, 1] = 85.0
+    found = codes(recording(y))
+    assert found == {"s1": (85.0, pytest.approx(np.mean(y[:, 1] == 85.0)))}
+    wild = np.where(y == 85.0, rng.choice(np.arange(700, 1000), y.shape) / 10, y)  # outliers of any size
+    assert codes(recording(wild)) == {}
+
+
 def frozen(y):
     y[500:900, 0] = y[500, 0]
 

@@ -40,6 +40,19 @@ STRANGE = {
 SEEDS = [*range(3), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 25))]
 
 
+def test_another_factor_shows_where_the_quantity_rests_most_of_the_time():
+    """Hot water: short draws and heating, and long rests in which no two thermometers move together."""
+    rng, n = np.random.default_rng(2), 12000
+    level, t = np.full(n, 55.0), np.arange(n)
+    for start in rng.integers(0, n - 300, 12):
+        level += 4 * np.clip((t - start - 150) / 150, 0, 1) - 4 * np.clip((t - start) / 100, 0, 1)
+    y = level[:, None] * [1.0, 1.0, 1.8] + 0.08 * rng.standard_normal((n, 3)) + [0, 0, 32]
+    assert strangers(y.round(1)) == {2: pytest.approx(1.8, rel=0.02)}
+    y[:, 2] = (y[:, 2] - 32) / 1.8
+    y[4000:8000, 2] *= 1.8  # for a third of the recording
+    assert strangers(y.round(1)) == {}
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("level", [LEVEL, np.full(N, 6.0)])
 def test_healthy_sensors_with_faults_follow(seed, level):

@@ -27,9 +27,9 @@ class Code(NamedTuple):
 def codes(recording: Recording) -> dict[str, Code]:
     """Return the sensors with a value that seems to stand for a missing sample.
 
-    It is the most frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen
-    sensor repeats a value as well, but once, and values of a coarse resolution are near the others. A value that lies far outside
-    all other samples of the sensor is a code also if it is rare, or sent once.
+    It is a frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen sensor
+    repeats a value as well, but once, and values of a coarse resolution are near the others. Where no other sample of the sensor
+    is near it, a rare value is a code as well; far outside of them, also one that is sent once.
     """
     level = median(recording.y, 1)
     span = float(np.subtract(*np.nanquantile(level, [0.95, 0.05])))
@@ -66,29 +66,24 @@ def _code(y: Floats, i: int, span: float) -> Code | None:
     if not len(values):
         return None
     every, counts = np.unique(values, return_counts=True)
-    value, share = float(every[counts.argmax()]), float(counts.max() / len(values))
-    sent = values == value
-    times = int(sent[0]) + int((np.diff(sent.astype(int)) == 1).sum())
-    if share < FIT.code or times < FIT.code_times or sent.all():
-        return _outside(values, apart, span)
-    bias = float(np.median(apart[~sent]))
-    usual = MAD * float(np.median(np.abs(apart[~sent] - bias)))
-    away = float(np.quantile(np.abs(apart[sent] - bias), 0.1))
-    return Code(value, share) if away > max(FIT.code_far * usual, FIT.code_span * span) else None
-
-
-def _outside(values: Floats, apart: Floats, span: float) -> Code | None:
-    """Return the most frequent value that a sensor repeats far outside all its other samples, and those of the others."""
-    every, counts = np.unique(values, return_counts=True)
     gaps = np.concatenate([[np.inf], np.diff(every), [np.inf]])
-    alone = np.minimum(gaps[:-1], gaps[1:])
-    for k in sorted(np.flatnonzero(counts >= FIT.code_few), key=lambda k: -counts[k]):
+    nearest = np.minimum(gaps[:-1], gaps[1:])
+    frequent = counts >= max(FIT.code * len(values), FIT.code_few)
+    likely = frequent | ((counts >= FIT.code_few) & (nearest > FIT.code_span * span))
+    for k in sorted(np.flatnonzero(likely), key=lambda k: -counts[k]):
         sent = values == every[k]
-        if not np.isfinite(alone[k]) or alone[k] <= FIT.code_outside * span:
+        times = int(sent[0]) + int((np.diff(sent.astype(int)) == 1).sum())
+        if sent.all():
             continue
-        own = float(np.subtract(*np.quantile(values[~sent], [0.95, 0.05])))
-        away = float(np.quantile(np.abs(apart[sent] - np.median(apart[~sent])), 0.1))
-        if min(float(alone[k]), away) > FIT.code_outside * max(span, own) > 0:
+        bias = float(np.median(apart[~sent]))
+        usual = MAD * float(np.median(np.abs(apart[~sent] - bias)))
+        away = float(np.quantile(np.abs(apart[sent] - bias), 0.1))
+        least = max(FIT.code_far * usual, FIT.code_span * span)
+        own = float(np.subtract(*np.quantile(values[~sent], [0.995, 0.005])))
+        often = times >= (FIT.code_times if frequent[k] else FIT.code_few)
+        alone = frequent[k] or nearest[k] > least
+        outside = np.inf > min(float(nearest[k]), away) > FIT.code_outside * max(span, own) > 0
+        if (often and alone and away > least) or outside:
             return Code(float(every[k]), float(sent.mean()))
     return None
 

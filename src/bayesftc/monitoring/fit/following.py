@@ -90,20 +90,24 @@ def _scaled(y: Floats) -> dict[int, float]:
 def _factors(x: Floats) -> Floats | None:
     """Return how far each sensor moves while another moves by 1 (sensors x sensors), from the windows that show it.
 
-    None of too few such windows of all pairs; NaN for a pair that does not move together in most of its windows.
+    None of too few such windows of all pairs; NaN for a pair that does not move together in most of its windows. Of three sensors
+    or more, windows in which no two move together tell nothing: the quantity rests.
     """
     sensors = x.shape[2]
-    factors, seen = np.eye(sensors), 0
-    for i, j in combinations(range(sensors), 2):
-        both = _together(x[:, :, [i, j]])
-        one, other = (_covariance(both[:, :, k], both[:, :, k]) for k in (0, 1))
-        alike = _correlation(both[:, :, 0], both[:, :, 1])
-        moves = alike > FIT.one_motion
-        seen = max(seen, int(moves.sum()))
-        enough = moves.sum() >= max(FIT.fewest_windows, FIT.mostly * np.isfinite(alike).sum())
-        factors[i, j] = float(np.sqrt(np.median(one[moves] / other[moves]))) if enough else np.nan
+    pairs = list(combinations(range(sensors), 2))
+    together = [_together(x[:, :, [i, j]]) for i, j in pairs]
+    alike = np.array([_correlation(both[:, :, 0], both[:, :, 1]) for both in together])
+    moves = alike > FIT.one_motion
+    if moves.sum(axis=1).max() < FIT.fewest_windows:
+        return None
+    moving = moves.any(axis=0) if sensors > 2 else True
+    factors = np.eye(sensors)
+    for (i, j), both, its, seen in zip(pairs, together, moves, np.isfinite(alike) & moving, strict=True):
+        one, other = (_covariance(both[:, :, k], both[:, :, k])[its] for k in (0, 1))
+        enough = its.sum() >= max(FIT.fewest_windows, FIT.mostly * seen.sum())
+        factors[i, j] = float(np.sqrt(np.median(one / other))) if enough else np.nan
         factors[j, i] = 1.0 / factors[i, j]
-    return factors if seen >= FIT.fewest_windows else None
+    return factors
 
 
 def _windows(y: Floats) -> Iterator[Floats]:

@@ -16,7 +16,7 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.base.announcing import inform
-from bayesftc.cosim.base.recordings.columns import column_called
+from bayesftc.cosim.base.recordings.columns import bare_name, column_called
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.local_dates import day_first_date
 from bayesftc.cosim.base.recordings.turns import find_period
@@ -251,9 +251,10 @@ def _fahrenheit(slope: float, name: str, other: str) -> str:
     """Return a sentence if a sensor moves by the factor from degC to degF while another moves by 1, or by its inverse."""
     for factor, units in ((1.8, ("degF", "degC")), (1 / 1.8, ("degC", "degF"))):
         if abs(slope / factor - 1) < FAHRENHEIT:
+            renamed = [f"{bare_name(column)} [{unit}]" for column, unit in zip((name, other), units, strict=True)]
             return (
-                f" A factor of {slope:.3g} is that from {units[1]} to {units[0]}. If these are the units, end the names of the "
-                f"columns with them, as '{name} [{units[0]}]' and '{other} [{units[1]}]': then they are converted."
+                f" A factor of {slope:.3g} is that from {units[1]} to {units[0]}. If these are the units, name the columns "
+                f"{renamed[0]!r} and {renamed[1]!r}: then they are converted."
             )
     return ""
 
