@@ -27,7 +27,7 @@ class Code(NamedTuple):
 def codes(recording: Recording) -> dict[str, Code]:
     """Return the sensors with a value that seems to stand for a missing sample.
 
-    It is a frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen sensor
+    It is the most frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen sensor
     repeats a value as well, but once, and values of a coarse resolution are near the others. Where no other sample of the sensor
     is near it, a rare value is a code as well; far outside of them, also one that is sent once.
     """
@@ -68,7 +68,7 @@ def _code(y: Floats, i: int, span: float) -> Code | None:
     every, counts = np.unique(values, return_counts=True)
     gaps = np.concatenate([[np.inf], np.diff(every), [np.inf]])
     nearest = np.minimum(gaps[:-1], gaps[1:])
-    frequent = counts >= max(FIT.code * len(values), FIT.code_few)
+    frequent = (counts == counts.max()) & (counts >= FIT.code * len(values))
     likely = frequent | ((counts >= FIT.code_few) & (nearest > FIT.code_span * span))
     for k in sorted(np.flatnonzero(likely), key=lambda k: -counts[k]):
         sent = values == every[k]
