@@ -28,7 +28,7 @@ from bayesftc.monitoring import (
 from bayesftc.monitoring.gaps import GapWatch
 from bayesftc.monitoring.live import FINDING, LONGEST
 from bayesftc.monitoring.monitor import OPENING
-from bayesftc.monitoring.rest import LEAST, RestWatch, at_rest, held
+from bayesftc.monitoring.rest import LEAST, RestWatch, at_rest, held, known
 
 DT = 0.1
 NAN = np.nan
@@ -196,7 +196,7 @@ def test_smooth_averages_the_last_values_of_an_input():
     plain, smooth = (
         run(
             MonitorStepper(Monitor(DT, Integrator(std=1e-6), sensors("ab"), {"flow": Input(smooth=s)}), compiled=False),
-            np.column_stack([np.full((60, 2), 5.0), flow]),
+            np.column_stack([5.0 + 1e-6 * (np.arange(60)[:, None] % 2 + np.zeros(2)), flow]),  # no rest
         )["innovation"][:, 0]
         for s in (0.0, 0.3)
     )
@@ -259,6 +259,26 @@ def test_a_learner_without_probabilities_has_none():
     assert not watched(watch, {"fault_probability": live["fault_probability"]}, 400)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_logger_that_repeats_its_last_row_blames_no_sensor(seed):
+    """When it went on, all sensors had an offset for hours, although they agreed."""
+    rng, steps = np.random.default_rng(seed), 1200
+    level = 50.0 + 5.0 * np.sin(2 * np.pi * np.arange(steps) / 200)
+    y = (level[:, None] + 0.08 * rng.standard_normal((steps, 3))).round(2)
+    for begin in (320, 650, 930):
+        y[begin : begin + 20] = y[begin]
+    sensors = {name: Sensor(std=0.08, resolution=0.01) for name in "abc"}
+    for plant, start in (RandomWalk(std=0.16), (50.0, 1.0)), (ConstantRate(std=0.01), ((50.0, 0.0), (1.0, 0.2))):
+        monitor = Monitor(1.0, plant, sensors, joint=True, initial_mean=start[0], initial_std=start[1])
+        ran = monitor.run({name: Signal(np.arange(float(steps)), y[:, i]) for i, name in enumerate("abc")})
+        assert not ran.events
+        live = run(MonitorStepper(monitor, compiled=False), y)
+        assert np.nanmax(live["fault_probability"]) < 0.9  # of an alarm
+        for belief in (ran.x_hat[:, 0], live["x_hat"][:, 0]):
+            np.testing.assert_array_equal(belief[652:670], belief[652])
+            assert np.abs(belief - level)[672:900].max() < 0.5
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_rest_is_that_of_a_recording_but_for_its_first_steps(seed):
     rng, steps = np.random.default_rng(seed), 300
@@ -270,7 +290,9 @@ def test_a_rest_is_that_of_a_recording_but_for_its_first_steps(seed):
     rest = at_rest(y)
     expected = held({"p": p}, ["p"], y, rest)["p"]
     watch = RestWatch(3)
-    live = np.array([watch.feed(y[k], {"p": p[k]})["p"] for k in range(steps)])
+    seen, live = zip(*((watch.see(y[k]), watch.hold({"p": p[k]})["p"]) for k in range(steps)), strict=True)
+    np.testing.assert_array_equal(seen, known(rest))
+    live = np.array(live)
     begins = np.flatnonzero(rest & ~np.roll(rest, 1))
     early = np.zeros(steps, dtype=bool)
     for begin in begins:

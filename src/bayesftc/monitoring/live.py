@@ -21,7 +21,7 @@ from bayesftc.monitoring.columns import Input, Sensor
 from bayesftc.monitoring.gaps import GapWatch
 from bayesftc.monitoring.monitor import OPENING, Monitor
 from bayesftc.monitoring.recording import LEAST_LOSS, Recording, expected_loss
-from bayesftc.monitoring.rest import RestWatch
+from bayesftc.monitoring.rest import RestWatch, surprises
 from bayesftc.monitoring.run import judged_names, signal_names
 
 FINDING = 30
@@ -103,6 +103,7 @@ class MonitorStepper(Stepper):
         self._held = HeldValues(sensor.held for sensor in monitor.sensors.values())
         self._turns = Turns(sensor.period for sensor in monitor.sensors.values())
         self._running: Online | None = None
+        self._surprised, self._belief = False, np.zeros(0)
         self._k = -1
         self._enough = [OPENING if sensor.resolution is not None else FINDING for sensor in monitor.sensors.values()]
 
@@ -181,7 +182,9 @@ class MonitorStepper(Stepper):
         rows = list(self._opening)[first:]
         self._opening.clear()
         self.began = (self._k + 1 - len(rows)) * float(self.step)
-        self.estimator = self._monitor.estimator(self._recording(self._monitor, np.array([y for y, _ in rows])))
+        opening = self._recording(self._monitor, np.array([y for y, _ in rows]))
+        self.estimator = self._monitor.estimator(opening)
+        self._surprised = surprises(opening, self.estimator.model)
         self._running = self.estimator.online(compiled=self._compiled)
         return [self._judge(self._running, *row) for row in rows][-1]
 
@@ -239,10 +242,12 @@ class MonitorStepper(Stepper):
         )
 
     def _judge(self, online: Online, y: Floats, u: Floats) -> Floats:
-        signals = self._step_of(online, y, u)
+        rests = self._rest.see(y) and self._surprised
+        signals = self._step_of(online, np.full_like(y, np.nan) if rests else y, u)
+        signals["x_hat"] = self._belief = self._belief if rests else signals["x_hat"]
         if ONSET in signals:
             signals[ONSET] = signals[ONSET] + (self.began or 0.0)
-        signals |= self._gap.feed(y, self._rest.feed(y, {name: signals[name] for name in self._judged}))
+        signals |= self._gap.feed(y, self._rest.hold({name: signals[name] for name in self._judged}))
         return np.concatenate([signals[name].ravel() for name in self.outputs])
 
     @staticmethod

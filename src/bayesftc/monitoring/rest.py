@@ -1,19 +1,25 @@
 """Steps at which all sensors repeat their values at once: the quantity or the logger is at rest, and no sensor is frozen.
 
 The learner judges the repetitions of each sensor alone. In a parked car, where four wheel sensors send 0, it would detect four
-freezes.
+freezes. What the sensors send then counts as missing, and belief and probabilities are held.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.controllers.switching.sensor_kernels import COARSE
 from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.monitoring.recording import Recording
 
 LEAST = 3
 """Least steps of a rest: two coarse sensors can repeat values at once by chance, but rarely three times in a row."""
@@ -40,6 +46,24 @@ def at_rest(y: Floats) -> Flags:
     for begin, end in periods(alike):
         rest[begin:end] = end - begin >= LEAST
     return rest
+
+
+def known(rest: Flags) -> Flags:
+    """Return the steps of rests at which it is known that all sensors repeat their values."""
+    later = rest.copy()
+    for begin, _ in periods(rest):
+        later[begin : begin + LEAST - 1] = False
+    return later
+
+
+def surprises(recording: Recording, model: LinearModel) -> bool:
+    """Return whether a rest means that samples say nothing of the quantity, as those of a logger that repeats its last row.
+
+    They then count as missing: else they would be believed, and all sensors blamed when the logger goes on. Where all sensors are
+    coarse, they repeat their values also while the quantity moves by less than a step, and say that.
+    """
+    variances = np.diag(model.matrix("sensor_covariance"))
+    return bool(np.any(np.array(recording.resolution) ** 2 < COARSE * variances))
 
 
 def held(
@@ -88,30 +112,27 @@ class RestWatch:
         self._last = np.full(sensors, np.nan)
         self._equal = np.zeros(sensors, dtype=bool)
         self._since = np.full(sensors, SETTLES + 1)
+        self._was_held = np.zeros(sensors, dtype=bool)
         self._alike = 0
         self._given: deque[dict[str, Floats]] = deque(maxlen=LEAST)
 
-    def feed(self, y: Floats, signals: Mapping[str, Floats]) -> dict[str, Floats]:
-        """Return the signals of a step.
-
-        Parameters
-        ----------
-        y : ndarray, sensors
-            Samples.
-        signals : mapping of str to ndarray
-            By name, with one row per sensor.
-        """
+    def see(self, y: Floats) -> bool:
+        """Take the samples of a step, one for each sensor; return whether all are known to repeat their values."""
         there = np.isfinite(y)
         self._equal[there] = y[there] == self._last[there]
         self._last[there] = y[there]
         self._alike = self._alike + 1 if len(y) > 1 and self._equal.all() else 0
-        was_held = self._since <= SETTLES
+        self._was_held = self._since <= SETTLES
         self._since = np.zeros_like(self._since) if self._alike >= LEAST else self._since + there
+        return self._alike >= LEAST
+
+    def hold(self, signals: Mapping[str, Floats]) -> dict[str, Floats]:
+        """Return the signals of the step, each with one row per sensor."""
         is_held = self._since <= SETTLES
         given = {name: values.copy() for name, values in signals.items()}
         if self._given:
             for name, values in given.items():
-                begins, goes_on = is_held & ~was_held, is_held & was_held
+                begins, goes_on = is_held & ~self._was_held, is_held & self._was_held
                 values[begins] = self._given[0][name][begins]
                 values[goes_on] = self._given[-1][name][goes_on]
         self._given.append(given)

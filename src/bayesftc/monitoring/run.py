@@ -36,7 +36,7 @@ from bayesftc.monitoring.alarms import (
 from bayesftc.monitoring.gaps import in_gaps
 from bayesftc.monitoring.precision import default_precision
 from bayesftc.monitoring.recording import Recording
-from bayesftc.monitoring.rest import at_rest, held
+from bayesftc.monitoring.rest import at_rest, held, known, surprises
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,7 +73,8 @@ class Monitored:
         Alarms in the order of their start.
     rest : ndarray, steps
         Whether all sensors repeat their values at once, as in a parked car: then the quantity or the logger is at rest, which is
-        no fault. Meanwhile the fault probabilities of sensors keep their values, as in the gaps of the recording.
+        no fault. Meanwhile the fault probabilities of sensors keep their values, as in the gaps of the recording. So does the
+        belief, unless all sensors are coarse.
     why_no_probability : str or None
         Why there are no probabilities, as a sentence.
     actuators : tuple of str
@@ -311,8 +312,10 @@ def monitor_recording(
     judged = judged_names(precision)
     names = signal_names(precision)
     rest = at_rest(recording.y)
-    signals = estimate(estimator, recording.y, recording.u, names, compiled)
+    asleep = known(rest) & surprises(recording, model)
+    signals = estimate(estimator, np.where(asleep[:, np.newaxis], np.nan, recording.y), recording.u, names, compiled)
     signals = held(signals, judged, recording.y, rest, in_gaps(recording.y))
+    signals["x_hat"] = signals["x_hat"][np.maximum.accumulate(np.where(asleep, 0, np.arange(len(asleep))))]
     alarm = alarm or Alarm()
     monitored = Monitored(
         recording,

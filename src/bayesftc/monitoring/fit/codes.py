@@ -27,9 +27,9 @@ class Code(NamedTuple):
 def codes(recording: Recording) -> dict[str, Code]:
     """Return the sensors with a value that seems to stand for a missing sample.
 
-    It is the most frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen sensor
-    repeats a value as well, but once, and values of a coarse resolution are near the others. Where no other sample of the sensor
-    is near it, a rare value is a code as well; far outside of them, also one that is sent once.
+    It is the most frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen
+    sensor repeats a value as well, but once, and values of a coarse resolution are near the others. Where no other sample of the
+    sensor is near it, a rare value is a code as well; far outside of them, also one that is sent once.
     """
     level = median(recording.y, 1)
     span = float(np.subtract(*np.nanquantile(level, [0.95, 0.05])))
