@@ -11,7 +11,7 @@ for long. The fault probabilities of the precision learner, which a wrong model 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +31,7 @@ from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
-from bayesftc.controllers.diagnosis.words import sentence, several_sensors
+from bayesftc.controllers.diagnosis.words import faulty_sensors, sentence
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
@@ -88,8 +88,8 @@ RARELY = 0.01
 MOSTLY = 0.5
 """Share of a run from which on a blamed sensor is left out of all of it."""
 
-OFTEN = 0.1
-"""Least share of the samples with several blamed sensors in which one of them is blamed."""
+OFTEN = 0.2
+"""Least share of the time for which the most blamed sensor is blamed, for another one to be faulty as well."""
 
 LEAST_SAMPLES = 8
 """Least number of samples for a diagnosis."""
@@ -112,8 +112,8 @@ class ModelFinding:
         (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only where another kind would count without
         it, or `model_suspect` was raised),
-        ``"sensors"`` (several of them failed: nothing explains the run, and without the samples for which the controller blames
-        them nothing speaks against the model),
+        ``"sensors"`` (one or several of them failed: nothing explains the run, and without the samples for which the controller
+        blames them nothing speaks against the model),
         ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
@@ -244,11 +244,8 @@ def diagnose(
         result = ModelFinding("unknown", sentence("unknown", (), model))
     if result is not None and result.kind == "unknown":
         blamed = _blamed_together(signals, samples, name)
-        trusted = None if blamed is None else _trusted(model, samples, blamed)
-        if blamed is not None and trusted is not None and found(trusted) is None:
-            shares = blamed[blamed.sum(axis=1) > 1].mean(axis=0)
-            named = np.flatnonzero(shares > OFTEN) if np.sum(shares > OFTEN) > 1 else np.sort(np.argsort(-shares)[:2])
-            result = ModelFinding("sensors", several_sensors(named.tolist()))
+        if blamed is not None:
+            result = _without_blamed(model, samples, blamed, found) or result
     if result is None or result.kind == "nonlinear" or roles is None:
         return result
     far = far_goal(model, signals_of(roles, signals, drawn=False))  # type: ignore[arg-type]
@@ -274,6 +271,24 @@ def _blamed_together(signals: Mapping[str, Any], samples: Floats, name: str) -> 
     together = blamed.sum(axis=1)
     every = together == blamed.shape[1]
     return blamed if np.any((together > 1) & ~every) and np.mean(every) < RARELY else None
+
+
+def _without_blamed(
+    model: LinearModel, samples: Floats, blamed: NDArray[np.bool_], found: Callable[[Floats], ModelFinding | None]
+) -> ModelFinding | None:
+    """Return the finding without the samples of the sensors that are blamed for long, or else of all; None if it is no better.
+
+    Sensors that are blamed for a short time beside one that is blamed for long may be healthy, and the model wrong.
+    """
+    shares = blamed.mean(axis=0)
+    for chosen in dict.fromkeys((tuple(shares > OFTEN * shares.max()), tuple(shares > 0.0))):
+        trusted = _trusted(model, samples, blamed & np.array(chosen))
+        left = None if trusted is None else found(trusted)
+        if trusted is not None and left is None:
+            return ModelFinding("sensors", faulty_sensors(np.flatnonzero(chosen).tolist()))
+        if left is not None and left.kind != "unknown":
+            return left
+    return None
 
 
 def _trusted(model: LinearModel, samples: Floats, blamed: NDArray[np.bool_]) -> Floats | None:

@@ -101,13 +101,12 @@ def _actuators(
     )
 
 
-def several_sensors(blamed: Sequence[int]) -> str:
-    """Return the sentence about two or more sensors that the controller blames at once: without them, the model is right."""
+def faulty_sensors(blamed: Sequence[int]) -> str:
+    """Return the sentence about sensors that the controller blames: without them, the model is right."""
     *most, last = map(str, blamed)
-    return (
-        f"Sensors {', '.join(most)} and {last} are faulty at the same time. Without the samples for which the controller blames "
-        "them, nothing speaks against the model."
-    )
+    who = f"Sensors {', '.join(most)} and {last} are faulty at the same time." if most else f"Sensor {last} is faulty."
+    them = "them" if most else "it"
+    return f"{who} Without the samples for which the controller blames {them}, nothing speaks against the model."
 
 
 def _alone(model: LinearModel) -> str:

@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 from wrong_models import LEARNERS, Case, cases, loop, parts, run
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.diagnosis.diagnose import diagnose_recording
+from bayesftc.controllers.diagnosis.diagnose import _without_blamed, diagnose_recording
 from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
 from bayesftc.controllers.diagnosis.words import sentence
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
@@ -929,6 +929,30 @@ def test_sensors_that_fail_together_are_named_where_no_wrong_model_explains_the_
     finding = controllers.diagnose(loop.simulate(12.0, seed=1), loop)
     assert "sensors" in {finding.kind, *finding.others}
     assert "ensors 0, 1 and 2 are faulty at the same time." in finding.sentence
+
+
+def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called_faulty():
+    model = replace(MODEL, C=[[1.0]] * 3, sensor_covariance=np.eye(3))
+    blamed = np.zeros((500, 3), dtype=bool)
+    blamed[100:400, 0] = blamed[120:150, 1] = True
+    tried = []
+
+    def found(samples):
+        tried.append(np.isnan(samples).mean(axis=0).tolist())
+        return None if np.isnan(samples[130, 0]) else controllers.ModelFinding("unknown", "")
+
+    finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
+    assert (finding.kind, finding.sentence.partition(".")[0]) == ("sensors", "Sensor 0 is faulty")
+    assert tried == [[1.0, 0.0, 0.0]]  # it is left out of all of the run, and the others of no part
+    blamed[120:400, 1] = True
+    assert (
+        "Sensors 0 and 1 are faulty at the same time"
+        in _without_blamed(model, np.zeros((500, 3)), blamed, found).sentence
+    )
+    assert (
+        _without_blamed(model, np.zeros((500, 3)), blamed, lambda samples: controllers.ModelFinding("unknown", ""))
+        is None
+    )
 
 
 @pytest.mark.parametrize(("dt", "samples"), [(0.1, 15), (5.0, 12), (60.0, 35)])
