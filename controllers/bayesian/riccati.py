@@ -128,7 +128,10 @@ def _steady(
     effect = np.linalg.solve(root, B.T).T / units[:, None]  # of controls whose cost is the sum of their squares
     M = np.block([[change, -effect], [H * units, np.zeros((len(H), B.shape[1]))]])
     scale = np.linalg.norm(M, axis=1)
-    left, sizes, right = np.linalg.svd(M / np.where(scale > 0, scale, 1.0)[:, None])
+    M = M / np.where(scale > 0, scale, 1.0)[:, None]
+    lengths = np.linalg.norm(M[:, :n], axis=0)  # a state that the goals do not need costs nothing, and has no unit yet
+    columns = np.concatenate([1.0 / np.where(lengths > 0, lengths, 1.0), np.ones(B.shape[1])])
+    left, sizes, right = np.linalg.svd(M * columns)
     if sizes[-1] <= 1e-8 * sizes[0]:  # models by pulse responses are accurate to about 1e-9
         raise ModelError(
             "The goals cannot each be held at a value of its own in steady state. Either a constant control does not move an "
@@ -140,5 +143,6 @@ def _steady(
     free = right[len(sizes) :].T
     if free.shape[1]:
         whole = whole - free @ np.linalg.pinv(free[n:]) @ whole[n:]
+    whole = columns[:, None] * whole
     whole = np.vstack([units[:, None] * whole[:n], np.linalg.solve(root.T, whole[n:])])
     return whole[:, : len(H)], whole[:, len(H) :]

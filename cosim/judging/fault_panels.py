@@ -27,6 +27,8 @@ IGNORED = 100.0
 """Factor above the smallest expected standard deviation of a quantity; beyond it, a weight is below 1/10,000 of the largest."""
 SMALLEST = 0.01
 """Quantile of the expected standard deviations that counts as the smallest, because the minimum may last for one sample only."""
+OTHER = 1000.0
+"""Ratio of expected standard deviations from which sensors without units have panels of their own, as for metres and pascals."""
 LANE, FIRST_LANE = 0.11, 1.10
 """Height of a row of kinds and the middle of the lowest, in units of the probability."""
 HATCHED: dict[str, Any] = {"fc": "none", "ec": "0.8", "hatch": "///"}
@@ -42,16 +44,21 @@ CORRECTED: dict[str, Any] = {"facecolor": "white", "hatch": "//////", "lw": 0.8}
 
 
 def deviation_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes], None]]]:
-    """Return a panel of expected standard deviations for each unit of sensors."""
-    units: dict[str | None, list[SensorSignals]] = {}
-    for sensor in signals.sensors:
-        if sensor.precision is not None:
-            units.setdefault(sensor.unit, []).append(sensor)
+    """Return a panel of expected standard deviations for each unit; without units, for each quantity if their sizes differ."""
+    units: dict[tuple[str, str | None], list[SensorSignals]] = {}
+    shown = [sensor for sensor in signals.sensors if sensor.precision is not None]
+    names = {i: quantity.name for quantity in signals.quantities for i in quantity.sensors}
+    sizes = [_smallest(_expected(sensor)) for sensor in shown if not sensor.unit]
+    apart = max(sizes, default=0.0) > OTHER * min(sizes, default=np.inf)
+    for sensor in shown:
+        quantity = names.get(sensor.index, "") if apart and not sensor.unit else ""
+        units.setdefault((quantity, sensor.unit), []).append(sensor)
     panels: list[tuple[float, Callable[[Axes], None]]] = []
-    for unit, group in units.items():
+    for (quantity, unit), group in units.items():
         marks = _unused(signals, group)
         height = PLAIN + ROW * len(marks)
-        draw = partial(_draw_deviation, signals=signals, sensors=group, unit=unit, marks=marks, row=ROW / height)
+        what = f"deviation of {quantity}" if quantity else with_unit("deviation", unit)
+        draw = partial(_draw_deviation, signals=signals, sensors=group, what=what, marks=marks, row=ROW / height)
         panels.append((height, draw))
     return panels
 
@@ -75,7 +82,7 @@ def _unused(signals: LoopSignals, sensors: list[SensorSignals]) -> Marks:
 
 
 def _draw_deviation(
-    axis: Axes, *, signals: LoopSignals, sensors: list[SensorSignals], unit: str | None, marks: Marks, row: float
+    axis: Axes, *, signals: LoopSignals, sensors: list[SensorSignals], what: str, marks: Marks, row: float
 ) -> None:
     drawn = []
     for sensor in sensors:
@@ -88,16 +95,20 @@ def _draw_deviation(
             _mark(axis, signals, sensor, its, list(marks).index(sensor.index), row)
     if any("corrected" in its for its in marks.values()):
         axis.fill_between([], [], edgecolor="0.6", label="corrected: the inferred\noffset is subtracted", **CORRECTED)
-    axis.set_ylabel("expected standard\n" + with_unit("deviation", unit))
+    axis.set_ylabel(f"expected standard\n{what}")
     _logarithmic(axis, drawn, (len(marks) + 0.5) * row if marks else 0.0)
 
 
 def _most(signals: LoopSignals, sensor: SensorSignals, expected: Mapping[int, Floats]) -> float:
     """Return the largest expected standard deviation that has a weight beside the best sensor of the same quantity."""
     peers = next((q.sensors for q in signals.quantities if sensor.index in q.sensors), tuple(expected))
-    values = np.concatenate([expected[i] for i in peers if i in expected])
-    finite = values[np.isfinite(values)]
-    return IGNORED * float(np.quantile(finite, SMALLEST)) if len(finite) else np.inf
+    return IGNORED * _smallest(np.concatenate([expected[i] for i in peers if i in expected]))
+
+
+def _smallest(expected: Floats) -> float:
+    """Return the smallest expected standard deviation, for more than a moment; infinity of none."""
+    finite = expected[np.isfinite(expected)]
+    return float(np.quantile(finite, SMALLEST)) if len(finite) else np.inf
 
 
 def _expected(sensor: SensorSignals) -> Floats:

@@ -47,8 +47,8 @@ _TABLES = frozenset({".csv", ".tsv", ".xlsx", ".parquet", ".json", ".mat"})
 DIAGNOSE = "controllers.diagnose(result, loop)"
 """The call that looks for an error of the model; its room is above this one, and it takes seconds."""
 ESTIMATE_A_LOAD = (
-    "Where nobody knows the error, an estimated load (disturbance=True in design, model.with_disturbance) takes up much of what "
-    "acts where the control does, and noise= of further inputs what acts there."
+    "Where nobody knows the error, an estimated load, or a larger one (disturbance in design, model.with_disturbance), takes up "
+    "much of what acts where the control does, and noise= of further inputs what acts there."
 )
 """What often helps where nobody knows the error."""
 

@@ -375,3 +375,17 @@ def test_constants_come_last():
         LinearModel(np.eye(2), [[0], [1]], np.eye(2), 1e-4, 1e-4, dt=0.1, disturbances=1, constant=True)
     with pytest.raises(ModelError, match="into f and g"):
         controllers.NonlinearModel.from_linear(model)
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_the_unit_of_a_state_that_the_goal_does_not_need_has_no_effect(unit):
+    """In Pa such a state made the goal seem impossible to hold."""
+    found = []
+    for scale in (1.0, unit):
+        A, B, C = np.diag([0.9, 0.8]), np.array([[0.1], [0.1 * scale]]), np.eye(2)
+        model = LinearModel(A, B, C, [1e-4, 1e-4 * scale**2], [0.01, 0.01 * scale**2], dt=0.1)
+        controller = LQGController(model, FixedPrecision(), goal_on=[[1.0, 0.0]], goal_covariance=0.01)
+        regulator = controller.regulator
+        np.testing.assert_allclose(regulator.x_of_goal[:, 0], [1.0, 0.5 * scale], rtol=1e-5)
+        found.append((regulator.u_of_goal, regulator.gain[:, :1]))
+    np.testing.assert_allclose(*found, rtol=1e-7)

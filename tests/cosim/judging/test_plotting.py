@@ -43,6 +43,23 @@ def signals():
     return run_of(load_scenario("cruise_control").loop())
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e9])
+def test_expected_noise_of_metres_and_pascals_has_an_axis_for_each(scale):
+    """Without units nothing else tells that they differ: both were on one axis from 1e-4 to 1e5."""
+    A, B = [[0.9, 0.0], [0.0, 0.8]], [[0.1], [0.1 * scale]]
+    model = LinearModel(
+        A, B, np.eye(2)[[0, 0, 1, 1]], [1e-4, 1e-4 * scale**2], [0.01, 0.01, *[0.01 * scale**2] * 2], dt=0.1
+    )
+    plant = control.ss(A, B, np.eye(2), 0, 0.1, inputs=["u"], outputs=["x", "p"])
+    loop = cosim.closed_loop(
+        plant, LQGController(model, SwitchingPrecision(), goal_on=[[1.0, 0.0]]), control="u", measured=["x", "p"],
+        sensors=cosim.Sensors([2, 2], [0.1, 0.1 * scale]), reference=0.0,
+    )  # fmt: skip
+    labels = [axis.get_ylabel() for axis in plot_run(run_of(loop, 3.0, engine="interpreted"), "").figure.axes]
+    found = [label for label in labels if label.startswith("expected standard")]
+    assert found == [f"expected standard\ndeviation{of}" for of in ([""] if scale == 1.0 else [" of x", " of p"])]
+
+
 def panel(figure, beginning):
     """The only panel whose label begins so."""
     (found,) = [axis for axis in figure.axes if axis.get_ylabel().startswith(beginning)]
