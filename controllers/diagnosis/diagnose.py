@@ -31,6 +31,7 @@ from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
+from bayesftc.controllers.diagnosis.starts import wrong_start
 from bayesftc.controllers.diagnosis.words import faulty_sensors, sentence
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
@@ -113,7 +114,7 @@ class ModelFinding:
         (more process noise than in the model, or a load that changes all the time; only where another kind would count without
         it, or `model_suspect` was raised),
         ``"sensors"`` (one or several of them failed: nothing explains the run, and without the samples for which the controller
-        blames them nothing speaks against the model),
+        blames them nothing speaks against the model), ``"start"`` (the belief starts where the samples exclude it),
         ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
@@ -127,7 +128,7 @@ class ModelFinding:
         ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control) and standard
         deviation in a sample; of a load that the model does not have, the number that its disturbance would get, the standard
         deviation of its change in a sample, its mean, 0 if there is no evidence for one, and the share of the model's process
-        covariance that is left beside it; else empty.
+        covariance that is left beside it; ``start``: the belief, the first sample, and the sensor; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str
@@ -241,7 +242,12 @@ def diagnose(
 
     result = found(samples)
     if result is None and raised:
-        result = ModelFinding("unknown", sentence("unknown", (), model))
+        started = wrong_start(model, controller, samples, units[0])
+        result = (
+            ModelFinding("unknown", sentence("unknown", (), model))
+            if started is None
+            else ModelFinding("start", *started)
+        )
     if result is not None and result.kind == "unknown":
         blamed = _blamed_together(signals, samples, name)
         if blamed is not None:

@@ -931,6 +931,32 @@ def test_sensors_that_fail_together_are_named_where_no_wrong_model_explains_the_
     assert "ensors 0, 1 and 2 are faulty at the same time." in finding.sentence
 
 
+@pytest.mark.parametrize("told", [False, True])
+def test_a_belief_that_starts_elsewhere_is_no_wrong_model(told):
+    """A room and its radiator start warm; the default learner takes the room from the first samples, but not the radiator."""
+    room = control.ss(
+        [[-0.1 / 108, 0.1 / 108], [0.1 / 1008, -0.25 / 1008]],
+        [[1 / 108], [0]],
+        [[0, 1]],
+        0,
+        inputs=["heat"],
+        outputs=["T"],
+    )
+    plant = cosim.StateSpace(room, initial=[37.5, 15.0])
+    controller = controllers.design(
+        plant if told else room, measured="T", actuated="heat", sensors=2, sensor_std=0.1, dt=60.0, acceptable_error=0.3,
+        acceptable_control=2.0, disturbance=True, u_min=0.0, u_max=5.0,
+    )  # fmt: skip
+    sensors, goal = cosim.Sensors(count=2, std=0.1), cosim.Step(time=4 * 3600.0, before=15.0, after=18.0)
+    loop = cosim.closed_loop(plant, controller, control="heat", measured="T", sensors=sensors, reference=goal)
+    finding = controllers.diagnose(loop.simulate(24 * 3600.0, seed=1), loop)
+    if told:
+        assert finding is None
+        return
+    assert (finding.kind, finding.values) == ("start", (0.0, pytest.approx(15.0, abs=0.5), 0.0))
+    assert "The belief starts at T = 0, give or take " in finding.sentence
+
+
 def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called_faulty():
     model = replace(MODEL, C=[[1.0]] * 3, sensor_covariance=np.eye(3))
     blamed = np.zeros((500, 3), dtype=bool)
