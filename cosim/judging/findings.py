@@ -84,6 +84,8 @@ class Finding:
         samples from the belief in these (about 1 for a healthy sensor), ``"of the effect"`` for the share that is lost.
     probability : float or None
         Largest fault probability; None for a detection without probabilities.
+    alarms : int
+        Number of alarms, with short pauses between them: one for a fault that lasts, many for single outliers.
     """
 
     where: str
@@ -94,6 +96,7 @@ class Finding:
     size: float | None
     unit: str
     probability: float | None
+    alarms: int = 1
 
 
 def findings(signals: LoopSignals, threshold: float = ALARM, hold: float | None = None) -> list[Finding]:
@@ -157,6 +160,7 @@ def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:
         "size": "size",
         "unit": "unit",
         "probability": "probability",
+        "alarms": "alarms",
     }
     frame = pd.DataFrame([asdict(each) for each in found], columns=list(columns)).rename(columns=columns)
     return frame.astype(dict.fromkeys(("onset", "from", "until", "size", "probability"), float))
@@ -333,7 +337,8 @@ def _of(
     device: SensorSignals | ActuatorSignals, where: str, time: Floats, threshold: float, hold: float | None
 ) -> Iterator[Finding]:
     """Give the alarms of a sensor or an actuator, in parts."""
-    p = device.probability if _score(device) is device.probability else None
+    score = np.zeros(0) if (found_score := _score(device)) is None else found_score
+    p = device.probability if found_score is device.probability else None
     earlier: float | None = None
     for part, following in zip_longest(found := parts_of_device(device, time, threshold, hold), found[1:]):
         begin, end, kind = part.begin, part.end, part.kind
@@ -350,6 +355,7 @@ def _of(
             size,
             "" if size is None else UNITS.get(scale, device.unit or ""),
             None if p is None else float(np.nanmax(p[begin:end])),
+            len(periods(score[begin:end] >= threshold)),
         )
         if following is None or following.alarm != part.alarm:
             earlier = float(time[end - 1])

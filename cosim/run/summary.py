@@ -23,6 +23,11 @@ FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (a fault probability of 0.5 or more); one whose kind "
     f"changes has a row for each kind. {{}} Size: at the end of the row. {DASH}: not estimated."
 )
+MANY_ALARMS, ALARMS_REMARK = (
+    5,
+    " Alarms: how many a row has; many short ones are outliers, of which the last decides the size.",
+)
+"""Alarms in a row from which on the table has their number, and what it says."""
 UNIT_REMARKS = {
     "x noise": " x noise: times the standard deviation of the sensor's noise.",
     "x noise from the belief": " x noise from the belief: how far the samples are from the belief; about 1 without a fault.",
@@ -196,19 +201,26 @@ def findings_table(inferred: Sequence[Mapping[str, Any]], hold: float | None = N
     Pauses of at most `hold` seconds do not end an alarm.
     """
     longest = sorted(inferred, key=lambda each: each["start"] - each["end"])[:MOST_FINDINGS]
-    rows = []
+    rows, several = [], any(each.get("alarms", 1) >= MANY_ALARMS for each in longest)
     for each in sorted(longest, key=lambda each: each["start"]):
         unit = each["unit"].replace("{", "{{").replace("}", "}}")
         values = (each["kind"] or None, *(each[name] for name in ("onset", "start", "end", "size", "probability")))
         times = ["{:.5g}" if seconds is None or seconds < 1e5 else "{:.0f}" for seconds in values[1:4]]
-        rows.append((each["where"], values, ("{}", *times, f"{{:.3g}} {unit}".rstrip(), "{:.3f}")))
-    columns = ("kind", "onset (s)", "from (s)", "until (s)", "size", "probability")
+        forms = ["{}", *times, f"{{:.3g}} {unit}".rstrip(), "{:.3f}"]
+        if several:
+            values, forms = (*values, each.get("alarms", 1)), [*forms, "{:.0f}"]
+        rows.append((each["where"], values, tuple(forms)))
+    columns = ("kind", "onset (s)", "from (s)", "until (s)", "size", "probability", "alarms")[: 6 + several]
     left_out = len(inferred) - len(rows)
     only = f" The table has the {len(rows)} longest of {len(inferred)} rows." if left_out else ""
     process = PROCESS_REMARK if any(where == "process" for where, *_ in rows) else ""
     units = "".join(words for unit, words in UNIT_REMARKS.items() if any(each["unit"] == unit for each in longest))
     return FiguresTable(
-        "findings", FINDINGS, columns, tuple(rows), FINDINGS_REMARK.format(pauses(hold)) + units + process + only
+        "findings",
+        FINDINGS,
+        columns,
+        tuple(rows),
+        FINDINGS_REMARK.format(pauses(hold)) + ALARMS_REMARK * several + units + process + only,
     )
 
 

@@ -270,7 +270,7 @@ def test_inferred_faults_are_listed_with_kind_time_size_and_unit():
     loop = of_car(controllers.SwitchingPrecision(), faults=[cosim.Injection(sensor=1, start=3.0, magnitude=12.0)])
     result = loop.simulate(6.0, seed=1)
     found = result.findings()
-    assert list(found) == ["where", "kind", "onset", "from", "until", "size", "unit", "probability"]
+    assert list(found) == ["where", "kind", "onset", "from", "until", "size", "unit", "probability", "alarms"]
     jump = found.iloc[-1]
     assert (jump["where"], jump["kind"], jump["unit"]) == ("sensor 1", "Offset", "m/s")
     assert jump["from"] == pytest.approx(3.0, abs=0.2)
@@ -278,11 +278,27 @@ def test_inferred_faults_are_listed_with_kind_time_size_and_unit():
     assert jump["until"] == 6.0
     assert jump["size"] == pytest.approx(12.0, abs=1.5)
     assert jump["probability"] > 0.99
+    assert jump["alarms"] < 5
+    assert "Alarms: " not in repr(result.summary())
     table = result.summary()["findings"]
     assert table.loc["sensor 1", "kind"] == "Offset"
     assert f"{jump['size']:.3g} m/s" in repr(result.summary())
     assert "Faults that the controller infers" in result._repr_html_()
     assert len(result.findings(threshold=0.999999, hold=0.0)) >= 1
+
+
+def test_outliers_are_told_from_a_lasting_offset_by_the_number_of_their_alarms():
+    faults = [cosim.Spikes(sensor=1, start=3.0, magnitude=12.0, probability=0.05)]
+    result = of_car(controllers.SwitchingPrecision([controllers.Offset()]), faults=faults).simulate(20.0, seed=1)
+    found = result.findings()
+    longest = found.loc[(found["until"] - found["from"]).idxmax()]
+    p = result["controller.fault_probability"][:, 1]
+    time = result.time
+    inside = (time >= longest["from"]) & (time <= longest["until"])
+    assert longest["alarms"] == np.sum(np.diff((p[inside] >= 0.5).astype(int), prepend=0) == 1) > 5
+    text = repr(result.summary())
+    assert "probability  alarms" in text
+    assert "many short ones are outliers" in text
 
 
 def test_an_alarm_of_the_process_is_explained_below_the_table():
