@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from bayesftc.controllers.switching.default_time import DefaultTime
 from bayesftc.controllers.switching.fault_modes import (
@@ -47,7 +48,7 @@ def default_precision(
         Share of the samples that a healthy sensor repeats, for all or for each.
     joint : bool
         Whether sensors are judged together: two that agree then outvote a third one that drifts slowly. Only then is there the
-        mode `Unmodelled`, for a sensor that lags, say.
+        mode `Unmodelled`, for a sensor that lags, say. The noise of two sensors is then as stated, and not learned.
 
     Returns
     -------
@@ -71,4 +72,6 @@ def default_precision(
         DroppedOut(**rare),
         Burst(scale=5.0),
     )
-    return SwitchingPrecision(modes, loss=tuple(loss), joint=joint, outages=True)
+    learner = SwitchingPrecision(modes, loss=tuple(loss), joint=joint, outages=True)
+    # Of two sensors only the difference tells. Learned noise sides with the one that seems quieter, too surely.
+    return replace(learner, noise_factor=1.0) if joint and len(loss) == 2 else learner
