@@ -45,7 +45,8 @@ def refuse_unstabilisable(model: LinearModel) -> None:
     if lost:
         raise ModelError(
             f"The model cannot be stabilised: no control moves {_modes(lost)}. Actuate a further input, or leave that part of "
-            "the plant out of the model."
+            "the plant out of the model. A load that lasts may have a long lag instead of an integrator, or be estimated as a "
+            "disturbance of the control (disturbance=True in design)."
         )
 
 

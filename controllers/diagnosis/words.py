@@ -150,9 +150,11 @@ def _late(values: Sequence[float], model: LinearModel) -> str:
     seconds = values[0]
     if values[1]:
         how = f"the control acts late: the actuator has a lag with a time constant of about {seconds:.2g} s"
+        lag = "Add a state with this lag between the control and the plant that you design for. Less exactly, g"
     else:
         how = f"the control acts late, by {seconds:.3g} s ({counted(round(seconds / float(model.step)), 'sample')})"
-    return f"{how}. Give the model this delay (LinearModel.with_delays), or weaken the control."
+        lag = "G"
+    return f"{how}. {lag}ive the model this delay (LinearModel.with_delays), or weaken the control."
 
 
 def _early(values: Sequence[float], model: LinearModel) -> str:
@@ -236,12 +238,14 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
     """Return the sentence about a load on a control that changes all the time, of which the model has none."""
     unit = behind(units[load]) if len(units) == model.controls else ""
     std, mean, share = values
-    less = "" if share == 1.0 else f", give all other process noise {share**0.5:.2g} times its standard deviation"
+    seems = f" All other process noise seems to be {share**0.5:.2g} times as large as stated: state less only if this stays."
+    less = "" if share == 1.0 else seems
     average = f", on average by {mean:.3g}{unit}" if mean else ""
+    lasting = ", or disturbance=True, which follows one that lasts sooner" if mean else ""
     return (
         f"a load acts, and changes all the time. It has the effect of a change of {named(load, model)}{average}. Estimate it "
-        f"(about disturbance={std**2:.2g} in design and in a scenario; of a LinearModel: with_disturbance({std**2:.2g})){less}, "
-        "or say where process noise acts (noise)."
+        f"(about disturbance={std**2:.2g} in design and in a scenario{lasting}; of a LinearModel: "
+        f"with_disturbance({std**2:.2g})), or say where process noise acts (noise).{less}"
     )
 
 

@@ -107,7 +107,7 @@ class Step(Source):
     time : float
         Seconds. When the output changes.
     after, before : float
-        Value of the output from then on, and until then.
+        Value of the output from ``time`` on (``after``), and until then (``before``).
     unit : str or None
         Unit of the output.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bayesftc.cosim.base.numbers import MAD
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.diagram import Diagram
@@ -410,10 +411,10 @@ def _name(kinds: Sequence[str], number: int) -> str:
 def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list[str]]:
     """Return notes on quantities of which all sensors have an alarm, without a fault, although they agree.
 
-    The reason is the belief at the start (``"start"``) if the alarms begin with the run, and no fault of an input has begun, or
-    else the model (``"model"``).
+    The reason is named (``"named"``) if all are called noisier, or if the alarms begin with the run, and no fault of an input has
+    begun: then it is the belief at the start. Else it is some error of the model (``"model"``).
     """
-    notes: dict[str, list[str]] = {"start": [], "model": []}
+    notes: dict[str, list[str]] = {"named": [], "model": []}
     begun = [int(i.faulty.argmax()) for i in signals.inputs if i.faulty is not None and i.faulty.any()]
     for quantity in signals.quantities:
         group = [signals.sensors[i] for i in quantity.sensors]
@@ -425,12 +426,20 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
         if first is None:
             continue
         of, wrong = "model", "the plant behaves unlike the controller's model"
+        sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
+        if all(_noisier(s, first) for s in group):
+            noise = float(np.median([_noise(one - other) for one, other in combinations(samples, 2)]))
+            notes["named"].append(
+                f"{sensors} sensors of {quantity.name} are blamed from t = {t:g} s because they are noisier than the model says: "
+                f"by their differences, each has noise with a standard deviation of about {noise:.2g}{behind(quantity.unit)}. "
+                "State that in the controller's model (sensor_std in design, or sensor_covariance)"
+            )
+            continue
         if first * decimation < AT_ONCE and min(begun, default=first + 1) > first:
             of, wrong = (
-                "start",
+                "named",
                 "the controller's belief at the start (initial_mean, initial_spread) or its model is wrong",
             )
-        sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
         notes[of].append(f"{sensors} sensors of {quantity.name} agree but are blamed from t = {t:g} s: {wrong}")
     return notes
 
@@ -510,8 +519,21 @@ def _agree(difference: Floats, begin: int, end: int) -> bool:
     there = difference[begin:end][np.isfinite(difference[begin:end])]
     if len(there) < LEAST:
         return False
-    noise = float(np.median(np.abs(np.diff(finite)))) * MAD / 2.0**0.5
-    return bool(np.sqrt(np.mean(there * there)) <= AGREE * noise)
+    return bool(np.sqrt(np.mean(there * there)) <= AGREE * 2.0**0.5 * _noise(finite))
+
+
+def _noise(difference: Floats) -> float:
+    """Return the standard deviation of the noise of each of two sensors, from the changes of their difference."""
+    finite = difference[np.isfinite(difference)]
+    return float(np.median(np.abs(np.diff(finite)))) * MAD / 2.0
+
+
+def _noisier(sensor: SensorSignals, first: int) -> bool:
+    """Return whether a sensor is mostly called noisier while it is blamed, from a sample on."""
+    if sensor.kind is None or sensor.alarm is None or "Noisier" not in sensor.kinds:
+        return False
+    blamed = np.flatnonzero(sensor.alarm[first : first + MOST]) + first
+    return bool(np.mean(sensor.kind[blamed] == 1 + sensor.kinds.index("Noisier")) > 0.5)
 
 
 def never_began(diagram: Diagram, signals: Mapping[str, Floats]) -> Iterator[str]:

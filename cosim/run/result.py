@@ -271,9 +271,9 @@ class Result(Mapping[str, Floats]):
             f"model of {block} suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s"
             for block, k in self._suspect.items()
         ]
-        model, start, often = (self._agreement[of] for of in ("model", "start", "often"))
+        model, named, often = (self._agreement[of] for of in ("model", "named", "often"))
         limited = [note for note, _ in self._limited]
-        return [*notes, *(f"{text}{why}" for text in wrong or model), *start, *([] if wrong else often), *limited]
+        return [*notes, *(f"{text}{why}" for text in wrong or model), *named, *([] if wrong else often), *limited]
 
     def _sentences(self) -> list[str]:
         """Return the notes as sentences."""
@@ -282,15 +282,15 @@ class Result(Mapping[str, Floats]):
             f"The model of {block} is suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s."
             for block, k in self._suspect.items()
         ]
-        model, start, often = (
-            [f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("model", "start", "often")
+        model, named, often = (
+            [f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("model", "named", "often")
         )
         cause = (
             f"If it is wrong, sensors may be blamed because of it. {DIAGNOSE} looks for the cause. {ESTIMATE_A_LOAD}"
         )
         blamed = [] if wrong else [f"{text} {self._advice}" for text in often]
         limited = [f"The {note}. {advice}" for note, advice in self._limited]
-        return [*notes, *(f"{text} {cause}" for text in wrong or model), *start, *blamed, *limited]
+        return [*notes, *(f"{text} {cause}" for text in wrong or model), *named, *blamed, *limited]
 
     @cached_property
     def _suspect(self) -> dict[str, int]:
@@ -324,15 +324,17 @@ class Result(Mapping[str, Floats]):
 
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:
-        """Notes on healthy sensors that are blamed: all that agree (``"model"``, ``"start"``), or else one ``"often"``."""
+        """Notes on healthy sensors that are blamed: all that agree (``"model"``, or ``"named"``: why), or one ``"often"``."""
         from bayesftc.cosim.judging.findings import blamed_together, often_blamed
         from bayesftc.cosim.judging.roles import signals_of
 
         roles = self.roles
         if roles is None or f"{roles.controller}.fault_probability" not in self:
-            return {"start": [], "model": [], "often": []}
+            return {"named": [], "model": [], "often": []}
         signals = signals_of(roles, self, drawn=False)
         together = blamed_together(signals, self.decimation)
+        if any(together.values()):  # the kinds of faults, which are not read before, may say why
+            together = blamed_together(signals_of(roles, self), self.decimation)
         often = None if any(together.values()) else often_blamed(signals)
         return {**together, "often": [] if often is None else [often[1]]}
 

@@ -354,6 +354,23 @@ def test_a_result_says_that_the_belief_began_elsewhere_than_the_plant(mean):
     assert notes == ([f"both sensors of v agree but are blamed from t = 0 s: {wrong}"] if mean == 0.0 else [])
 
 
+def test_a_result_says_that_sensors_are_noisier_than_stated_and_how_noisy():
+    """All kinds said so, but the note blamed the plant, and asked for an estimated load."""
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]] * 3, 1e-3, 1.0, dt=0.02)
+    loop = cosim.closed_loop(
+        cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}),
+        controllers.BayesianController(model, initial_mean=20.0), control="force", measured="v",
+        sensors=cosim.Sensors(3, 6.0), reference=20.0,
+    )  # fmt: skip
+    result = loop.simulate(8.0, seed=1)
+    (note,) = [note for note in result.notes if note.startswith("all 3 sensors of v")]
+    assert "because they are noisier than the model says" in note
+    assert float(re.search(r"a standard deviation of about ([\d.]+) m/s\. State", note)[1]) == pytest.approx(
+        6.0, rel=0.1
+    )
+    assert "behaves unlike" not in repr(result.summary())
+
+
 def _two_masses(stiffness: float, damping: float) -> control.StateSpace:
     A = [
         [0, 1, 0, 0],

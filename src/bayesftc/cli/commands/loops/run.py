@@ -226,8 +226,8 @@ def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block,
         of: [f"{note[0].upper()}{note[1:]}." for note in notes]
         for of, notes in blamed_together(signals, decimation).items()
     }
-    if together["start"]:
-        return together["start"]
+    if together["named"]:
+        return together["named"]
     often = often_blamed(signals)
     if often is None or numbers["model"]:
         return []
