@@ -15,6 +15,9 @@ from bayesftc.cosim.types import Floats
 
 MAD = 1.4826
 """Standard deviation of normal numbers, relative to the median of their absolute deviations from the middle."""
+ROUNDING = 1e-12
+"""Half of an interval, relative to its mean, that is 0 but for rounding."""
+
 MOST_DIGITS = 8
 """Most digits of a mean beside its interval."""
 
@@ -64,9 +67,10 @@ def check_count(owner: object, name: str, most: int | None = None) -> None:
 def with_half(value: float, half: float) -> str:
     """Return a mean with half of its interval: two digits of the half, and as many decimals of the mean as these have.
 
-    Without a half (NaN, infinity), with one of 0, or without a mean, it is the mean with four digits; a mean never has more than
-    eight.
+    Without a half (NaN, infinity), with one of 0 but for rounding, or without a mean, it is the mean with four digits; a mean
+    never has more than eight.
     """
+    half = 0.0 if isfinite(value) and half < ROUNDING * abs(value) else half
     if not (isfinite(value) and isfinite(half) and half > 0):
         return f"{value:.4g}" + (" ± 0" if half == 0 else "")
     decimals = 1 - _exponent(half)
