@@ -120,7 +120,8 @@ def _steady(
     """Return the maps from the goal and from the other states to the cheapest (x_ss, u_ss), one below the other.
 
     ``x = A x + B u + ...`` and ``H x + ... = r`` leave as many directions free as there are more controls than goals. Of all
-    solutions the one with the smallest ``u' input_cost u`` is taken, and among these the one with the smallest x, in `units`.
+    solutions the one with the smallest ``u' input_cost u`` is taken, and among these the one with the smallest x, in units in
+    which each state has effects of size 1.
     """
     n = len(A)
     root = np.linalg.cholesky(input_cost)

@@ -209,7 +209,7 @@ def moved_at_random(judge: Judge, found: list[Explanation]) -> list[Explanation]
         return [replace(x, values=of_all.values) for x, of_all in zip(noise, random, strict=True)]
     if ahead < -NEARLY or _best_evidence(random) < EVIDENCE:
         return [x for x in found if x.kind != "noise" or x.values[3:] in ((), (1.0,))]
-    return ranked(best_of_each([*others, *random]))
+    return ranked(x for x in best_of_each([*others, *random]) if x.counts)
 
 
 def _best_evidence(found: Sequence[Explanation]) -> float:

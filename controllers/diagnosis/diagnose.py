@@ -70,7 +70,7 @@ WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
 """What begins during a run, and what acts all the time: where both explain it about as well, the latter does."""
 
 WHOLLY = 0.9
-"""Share of the evidence for a lasting loss from which on an effect that is other all the time explains a run about as well.
+"""Share of the evidence for a lasting loss from which on an effect that is other all the time is named beside it.
 
 A mass that differs from the model's is more than another effect of the control. While the control hardly moves, as before the
 first step of its goal, this shows, and looks as if the effect changed later."""
@@ -241,17 +241,15 @@ def diagnose(
         return _finding(model, samples, u, controller.initial_mean, alone=raised, inferred=inferred, units=units)
 
     result = found(samples)
-    if result is None and raised:
-        started = wrong_start(model, controller, samples, units[0])
-        result = (
-            ModelFinding("unknown", sentence("unknown", (), model))
-            if started is None
-            else ModelFinding("start", *started)
-        )
+    if nothing := result is None and raised:
+        result = ModelFinding("unknown", sentence("unknown", (), model))
     if result is not None and result.kind == "unknown":
         blamed = _blamed_together(signals, samples, name)
         if blamed is not None:
             result = _without_blamed(model, samples, blamed, found) or result
+    if nothing and result is not None and result.kind == "unknown":
+        started = wrong_start(model, controller, samples, units[0])
+        result = result if started is None else ModelFinding("start", *started)
     if result is None or result.kind == "nonlinear" or roles is None:
         return result
     far = far_goal(model, signals_of(roles, signals, drawn=False))  # type: ignore[arg-type]
@@ -284,14 +282,16 @@ def _without_blamed(
 ) -> ModelFinding | None:
     """Return the finding without the samples of the sensors that are blamed for long, or else of all; None if it is no better.
 
-    Sensors that are blamed for a short time beside one that is blamed for long may be healthy, and the model wrong.
+    Sensors that are blamed for a short time beside one that is blamed for long may be healthy: they are not named.
     """
     shares = blamed.mean(axis=0)
-    for chosen in dict.fromkeys((tuple(shares > OFTEN * shares.max()), tuple(shares > 0.0))):
-        trusted = _trusted(model, samples, blamed & np.array(chosen))
+    named = np.flatnonzero(shares > OFTEN * shares.max()).tolist()
+    for chosen in dict.fromkeys((tuple(named), tuple(np.flatnonzero(shares).tolist()))):
+        trusted = _trusted(model, samples, blamed & np.isin(np.arange(len(shares)), chosen))
         left = None if trusted is None else found(trusted)
         if trusted is not None and left is None:
-            return ModelFinding("sensors", faulty_sensors(np.flatnonzero(chosen).tolist()))
+            together = bool(np.any(blamed[:, named].sum(axis=1) > 1))
+            return ModelFinding("sensors", faulty_sensors(named, together=together))
         if left is not None and left.kind != "unknown":
             return left
     return None
@@ -466,9 +466,10 @@ def best_explanations(
                 # Noise to add to the quieter model is no noise that the user's model lacks: it may have more already.
                 best_is_noise = bool(counting) and counting[0].kind == "noise"
                 counting = [x for x in counting if x.kind != "noise" and not best_is_noise]
-        near = [x for x in counting if _near(x, counting[0]) or _holds_all_the_time(x, counting[0])]
+        near = [x for x in counting if _near(x, counting[0])]
         kinds = {x.kind for x in near}
         near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]
+        near += [x for x in counting if x not in near and _holds_all_the_time(x, counting[0])]
         if near and near[0].kind == "dynamics":  # the simple ones are special cases of it
             near.sort(key=lambda x: x.kind not in SIMPLE)
         rank = max(map(_rank, near), default=-1)

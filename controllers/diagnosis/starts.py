@@ -47,7 +47,7 @@ def wrong_start(
             unit = behind(units[i]) if units else ""
             return (
                 f"The belief starts at {name} = {belief[i]:.4g}{unit}, give or take {std[i]:.2g}{unit}, but its first samples "
-                f"are about {first[0][i]:.4g}{unit}. From another start the model explains the run. States that no sensor "
+                f"are about {first[0][i]:.4g}{unit}. From another start the model may explain the run. States that no sensor "
                 "measures then start wrong, too, and take long to settle. Design for the plant where it starts (cosim.StateSpace("
                 "system, initial=...)), or give the controller initial_mean=..., or a larger initial_covariance=... (design: "
                 "initial_spread=...).",

@@ -23,7 +23,8 @@ ALIKE = "All sensors disagree with the model in the same way"
 APART = "By the model, sensors of different quantities disagree"
 
 AS_LIKELY, AS_MUCH = "nearly as likely by this run", "which explains nearly as much of this run"
-"""What is said of another explanation: by its likelihood, and of noise, which has few parameters, by what it explains."""
+"""What is said of another explanation: by its likelihood, or by what it explains: of noise, which has few parameters, and of an
+effect that is other all the time instead of lost."""
 
 _DISTURBANCE = "disturbance in design and in a scenario; LinearModel.with_disturbance"
 
@@ -71,7 +72,8 @@ def sentence(
     which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
     actuators = _actuators(found, model, inferred) if moved and not recorded else ""
     first, *more = said
-    either = "".join(f" Or, {AS_MUCH if said[text] == 'noise' else AS_LIKELY}: {text}" for text in more)
+    whole = {"noise", *(("gain", "sign") if kind == "loss" else ())}
+    either = "".join(f" Or, {AS_MUCH if said[text] in whole else AS_LIKELY}: {text}" for text in more)
     return f"{which}: {first}{either}{actuators}{_alone(model)}"
 
 
@@ -101,10 +103,11 @@ def _actuators(
     )
 
 
-def faulty_sensors(blamed: Sequence[int]) -> str:
-    """Return the sentence about sensors that the controller blames: without them, the model is right."""
+def faulty_sensors(blamed: Sequence[int], *, together: bool = True) -> str:
+    """Return the sentence about sensors that the controller blames, some at once: without them, the model is right."""
     *most, last = map(str, blamed)
-    who = f"Sensors {', '.join(most)} and {last} are faulty at the same time." if most else f"Sensor {last} is faulty."
+    at_once = " at the same time" if together else ""
+    who = f"Sensors {', '.join(most)} and {last} are faulty{at_once}." if most else f"Sensor {last} is faulty."
     them = "them" if most else "it"
     return f"{who} Without the samples for which the controller blames {them}, nothing speaks against the model."
 
@@ -150,11 +153,14 @@ def _late(values: Sequence[float], model: LinearModel) -> str:
     seconds = values[0]
     if values[1]:
         how = f"the control acts late: the actuator has a lag with a time constant of about {seconds:.2g} s"
-        lag = "Add a state with this lag between the control and the plant that you design for. Less exactly, g"
+        remedy = (
+            "Add a state with this lag between the control and the plant that you design for. Less exactly, give the model a "
+            "delay of about that time"
+        )
     else:
         how = f"the control acts late, by {seconds:.3g} s ({counted(round(seconds / float(model.step)), 'sample')})"
-        lag = "G"
-    return f"{how}. {lag}ive the model this delay (LinearModel.with_delays), or weaken the control."
+        remedy = "Give the model this delay"
+    return f"{how}. {remedy} (LinearModel.with_delays), or weaken the control."
 
 
 def _early(values: Sequence[float], model: LinearModel) -> str:
@@ -238,10 +244,13 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
     """Return the sentence about a load on a control that changes all the time, of which the model has none."""
     unit = behind(units[load]) if len(units) == model.controls else ""
     std, mean, share = values
-    seems = f" All other process noise seems to be {share**0.5:.2g} times as large as stated: state less only if this stays."
+    seems = (
+        f" All other process noise seems to have {share**0.5:.2g} times the stated standard deviation: state less only if "
+        "diagnose still says so with the load estimated."
+    )
     less = "" if share == 1.0 else seems
     average = f", on average by {mean:.3g}{unit}" if mean else ""
-    lasting = ", or disturbance=True, which follows one that lasts sooner" if mean else ""
+    lasting = ", or disturbance=True: if the load lasts, its estimate follows sooner" if mean else ""
     return (
         f"a load acts, and changes all the time. It has the effect of a change of {named(load, model)}{average}. Estimate it "
         f"(about disturbance={std**2:.2g} in design and in a scenario{lasting}; of a LinearModel: "
@@ -255,7 +264,9 @@ def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     times = ", and another one ".join(map(since, loads))
     if elsewhere:
         return (
-            f"a load acts {times}, where no control does. If such loads belong to normal operation, measure them, or estimate "
+            f"{'a load acts' if len(loads) == 1 else 'two loads act,'} {times}, "
+            f"{'' if len(loads) == 1 else 'at least one of them '}where no control does. If such "
+            "loads belong to normal operation, measure them, or estimate "
             "them where they act (disturbance=True is for loads where a control acts): in the plant that you design for, add an "
             "input there with a lag before it, and give noise to that input. The guide 'How do I get rid of a steady error?' has "
             "an example."

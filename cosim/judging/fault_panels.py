@@ -48,8 +48,12 @@ def deviation_panels(signals: LoopSignals) -> list[tuple[float, Callable[[Axes],
     units: dict[tuple[str, str | None], list[SensorSignals]] = {}
     shown = [sensor for sensor in signals.sensors if sensor.precision is not None]
     names = {i: quantity.name for quantity in signals.quantities for i in quantity.sensors}
-    sizes = [_smallest(_expected(sensor)) for sensor in shown if not sensor.unit]
-    apart = max(sizes, default=0.0) > OTHER * min(sizes, default=np.inf)
+    least: dict[str, float] = {}
+    for sensor in shown:
+        name = names.get(sensor.index, "")
+        if not sensor.unit and np.isfinite(size := _smallest(_expected(sensor))):
+            least[name] = min(size, least.get(name, size))
+    apart = max(least.values(), default=0.0) > OTHER * min(least.values(), default=np.inf)
     for sensor in shown:
         quantity = names.get(sensor.index, "") if apart and not sensor.unit else ""
         units.setdefault((quantity, sensor.unit), []).append(sensor)

@@ -51,6 +51,9 @@ MOST = 100
 MANY_FALSE_ALARMS = 0.05
 """Share of a sensor's fault-free time in alarm from which a run has a note."""
 
+LOUDER = 1.5
+"""Ratio of the noise of sensors to the expected one from which this is the reason why all of them are blamed."""
+
 LOOK_AT_MODEL = (
     "Look at the model first: gain, time constants and delay of the plant, an input that it lacks, a constant offset of other "
     "sensors (such as gyros), an error that other sensors share (with_sensor_errors, common=True), noise that is larger than "
@@ -86,7 +89,7 @@ class Finding:
     probability : float or None
         Largest fault probability; None for a detection without probabilities.
     alarms : int
-        Number of alarms, with short pauses between them: one for a fault that lasts, many for single outliers.
+        Number of alarms, with short pauses between them: often one for a fault that lasts, many for single outliers.
     """
 
     where: str
@@ -338,8 +341,8 @@ def _of(
     device: SensorSignals | ActuatorSignals, where: str, time: Floats, threshold: float, hold: float | None
 ) -> Iterator[Finding]:
     """Give the alarms of a sensor or an actuator, in parts."""
-    score = np.zeros(0) if (found_score := _score(device)) is None else found_score
-    p = device.probability if found_score is device.probability else None
+    score = _score(device)
+    p = device.probability if score is device.probability else None
     earlier: float | None = None
     for part, following in zip_longest(found := parts_of_device(device, time, threshold, hold), found[1:]):
         begin, end, kind = part.begin, part.end, part.kind
@@ -356,7 +359,7 @@ def _of(
             size,
             "" if size is None else UNITS.get(scale, device.unit or ""),
             None if p is None else float(np.nanmax(p[begin:end])),
-            len(periods(score[begin:end] >= threshold)),
+            len(periods(np.asarray(score)[begin:end] >= threshold)),
         )
         if following is None or following.alarm != part.alarm:
             earlier = float(time[end - 1])
@@ -427,8 +430,8 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
             continue
         of, wrong = "model", "the plant behaves unlike the controller's model"
         sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
-        if all(_noisier(s, first) for s in group):
-            noise = float(np.median([_noise(one - other) for one, other in combinations(samples, 2)]))
+        noise = float(np.median([_noise(one - other) for one, other in combinations(samples, 2)]))
+        if all(_noisier(s, first, noise) for s in group):
             notes["named"].append(
                 f"{sensors} sensors of {quantity.name} are blamed from t = {t:g} s because they are noisier than the model says: "
                 f"by their differences, each has noise with a standard deviation of about {noise:.2g}{behind(quantity.unit)}. "
@@ -528,9 +531,14 @@ def _noise(difference: Floats) -> float:
     return float(np.median(np.abs(np.diff(finite)))) * MAD / 2.0
 
 
-def _noisier(sensor: SensorSignals, first: int) -> bool:
-    """Return whether a sensor is mostly called noisier while it is blamed, from a sample on."""
-    if sensor.kind is None or sensor.alarm is None or "Noisier" not in sensor.kinds:
+def _noisier(sensor: SensorSignals, first: int, noise: float) -> bool:
+    """Return whether a sensor is mostly called noisier while it is blamed, from a sample on, and has more noise than expected.
+
+    Errors that all sensors share, as those of a plant that moves more than its model, do not count in their own `noise`.
+    """
+    if sensor.kind is None or sensor.alarm is None or sensor.precision is None or "Noisier" not in sensor.kinds:
+        return False
+    if not noise * noise * sensor.precision[0] > LOUDER**2:
         return False
     blamed = np.flatnonzero(sensor.alarm[first : first + MOST]) + first
     return bool(np.mean(sensor.kind[blamed] == 1 + sensor.kinds.index("Noisier")) > 0.5)

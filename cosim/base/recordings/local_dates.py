@@ -26,7 +26,7 @@ _YEAR_FIRST = (
     rf"\s*(?P<year>\d{{4}})(?P<sign>[./-])(?P<first>\d{{1,2}})(?P=sign)(?P<second>\d{{1,2}})(?:[T, ]+{CLOCK})?\s*"
 )
 
-_MONTHS, _DAYS, _NOON, _HOURS = 12, 31, 12, 23
+_MONTHS, _DAYS, _NOON, _LAST_HOUR = 12, 31, 12, 24
 
 _CENTURY, _FIRST_YEAR = 100, 69
 """Years with two digits are from 1969 to 2068, as POSIX has it."""
@@ -72,14 +72,14 @@ def with_iso_dates(cells: pd.Series[Any], source: str) -> pd.Series[Any]:
 
 
 def clock_of_day(parts: pd.DataFrame) -> pd.Series[Any] | None:
-    """Return times of the day from 00:00 to 23:59 from the parts of `CLOCK`; None if there is one such as 13:00 AM.
+    """Return times of the day from 00:00 to 23:59 from the parts of `CLOCK`; None if there is one such as 13:00 AM or 25:00.
 
     An empty text stands for none. The hour 13 with PM, as some loggers write it, is 13.
     """
     import pandas as pd
 
     hours, half = pd.to_numeric(parts["hour"], errors="coerce"), parts["half"].str.lower()
-    if (hours > half.map({"a": _NOON, "p": _HOURS})).any():
+    if (hours > half.map({"a": _NOON}).fillna(_LAST_HOUR)).any():
         return None
     hours = hours.mask(half.notna(), hours % _NOON + _NOON * (half == "p"))
     written = hours.map(lambda hour: "" if hour != hour else f"{hour:02.0f}").astype(str)

@@ -1,7 +1,7 @@
 """Steps at which all sensors repeat their values at once: the quantity or the logger is at rest, and no sensor is frozen.
 
 The learner judges the repetitions of each sensor alone. In a parked car, where four wheel sensors send 0, it would detect four
-freezes. What the sensors send then counts as missing, and belief and probabilities are held.
+freezes. What the sensors send then counts as missing, and belief and probabilities are held; see `surprises`.
 """
 
 from __future__ import annotations
@@ -59,11 +59,12 @@ def known(rest: Flags) -> Flags:
 def surprises(recording: Recording, model: LinearModel) -> bool:
     """Return whether a rest means that samples say nothing of the quantity, as those of a logger that repeats its last row.
 
-    They then count as missing: else they would be believed, and all sensors blamed when the logger goes on. Where all sensors are
-    coarse, they repeat their values also while the quantity moves by less than a step, and say that.
+    They then count as missing: else they would be believed, and all sensors blamed when the logger goes on. Coarse sensors repeat
+    their values also while the quantity moves by less than a step, and say that: beside a single other one, which may be frozen,
+    they count on.
     """
     variances = np.diag(model.matrix("sensor_covariance"))
-    return bool(np.any(np.array(recording.resolution) ** 2 < COARSE * variances))
+    return int(np.sum(np.array(recording.resolution) ** 2 < COARSE * variances)) > 1
 
 
 def held(

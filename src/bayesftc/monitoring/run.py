@@ -74,7 +74,7 @@ class Monitored:
     rest : ndarray, steps
         Whether all sensors repeat their values at once, as in a parked car: then the quantity or the logger is at rest, which is
         no fault. Meanwhile the fault probabilities of sensors keep their values, as in the gaps of the recording. So does the
-        belief, unless all sensors are coarse.
+        belief, and there is no innovation, unless all sensors but one are coarse.
     why_no_probability : str or None
         Why there are no probabilities, as a sentence.
     actuators : tuple of str

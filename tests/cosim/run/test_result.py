@@ -354,8 +354,19 @@ def test_a_result_says_that_the_belief_began_elsewhere_than_the_plant(mean):
     assert notes == ([f"both sensors of v agree but are blamed from t = 0 s: {wrong}"] if mean == 0.0 else [])
 
 
-def test_a_result_says_that_sensors_are_noisier_than_stated_and_how_noisy():
-    """All kinds said so, but the note blamed the plant, and asked for an estimated load."""
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_result_says_that_sensors_are_noisier_than_stated_and_how_noisy(shared):
+    """All kinds said so, but the note blamed the plant, and asked for an estimated load. Noise of the plant is none of theirs."""
+    if shared:
+        model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]] * 3, 1e-3, 1.0, dt=0.02)
+        system = control.ss([[0.999]], [[2e-4]], [[1.0]], 0, 0.02, inputs=["force"], outputs=["v"])
+        plant = cosim.StateSpace(system, initial=[20.0], process_noise=[[30.0]])
+        loop = cosim.closed_loop(
+            plant, controllers.BayesianController(model, initial_mean=20.0), control="force", measured="v",
+            sensors=cosim.Sensors(3, 1.0), reference=20.0,
+        )  # fmt: skip
+        assert not any("noisier" in note for seed in range(4) for note in loop.simulate(8.0, seed=seed).notes)
+        return
     model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]] * 3, 1e-3, 1.0, dt=0.02)
     loop = cosim.closed_loop(
         cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}),

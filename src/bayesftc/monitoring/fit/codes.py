@@ -29,7 +29,7 @@ def codes(recording: Recording) -> dict[str, Code]:
 
     It is the most frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen
     sensor repeats a value as well, but once, and values of a coarse resolution are near the others. Where no other sample of the
-    sensor is near it, a rare value is a code as well; far outside of them, also one that is sent once.
+    sensor is near it, a rare value is a code as well; far outside of them, also one that is sent in one stretch.
     """
     level = median(recording.y, 1)
     span = float(np.subtract(*np.nanquantile(level, [0.95, 0.05])))
@@ -82,7 +82,7 @@ def _code(y: Floats, i: int, span: float) -> Code | None:
         own = float(np.subtract(*np.quantile(values[~sent], [0.995, 0.005])))
         often = times >= (FIT.code_times if frequent[k] else FIT.code_few)
         alone = frequent[k] or nearest[k] > least
-        outside = np.inf > min(float(nearest[k]), away) > FIT.code_outside * max(span, own) > 0
+        outside = min(float(nearest[k]), away) > FIT.code_outside * max(span, own) > 0
         if (often and alone and away > least) or outside:
             return Code(float(every[k]), float(sent.mean()))
     return None

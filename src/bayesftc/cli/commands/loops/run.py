@@ -227,7 +227,7 @@ def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block,
         for of, notes in blamed_together(signals, decimation).items()
     }
     if together["named"]:
-        return together["named"]
+        return [*together["named"], *([] if numbers["model"] else together["model"])]
     often = often_blamed(signals)
     if often is None or numbers["model"]:
         return []

@@ -327,7 +327,7 @@ def _print(
     if numbers["rest"]:
         say(
             f"For {numbers['rest']:g} s all sensors repeat their values at once: the quantity or the logger is at rest. "
-            "Belief and fault probabilities keep their values in this time."
+            "The fault probabilities keep their values in this time."
         )
     if recording.gaps:
         say(_gaps(recording))
