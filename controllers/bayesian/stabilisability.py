@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.controllers.models.linear import LinearModel
-from bayesftc.cosim.base.balance import balanced
+from bayesftc.cosim.control.balance import balanced
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesftc.cosim.base.balance import balanced
+from bayesftc.cosim.control.balance import balanced
 from bayesftc.cosim.types import Floats
 
 _EXACT = 1e-8

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesftc.cosim.base.balance import balanced
 from bayesftc.cosim.base.numbers import short
+from bayesftc.cosim.control.balance import balanced
 from bayesftc.cosim.types import Floats
 
 GRID = 4000
