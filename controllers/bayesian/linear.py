@@ -416,11 +416,10 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
         poles = self.closed_loop_poles()
         for eigenvalue in unreached(A, B):
-            far = np.abs(poles - eigenvalue)
-            if (
-                abs(abs(eigenvalue) - 1.0) <= 1e-9 and far.min() < 1e-6
-            ):  # else a repeated one, of which the control moves this
-                poles = np.delete(poles, np.argmin(far))
+            apart = np.abs(poles - eigenvalue)
+            # Of a repeated eigenvalue the control may move one copy, which is then no pole of the loop.
+            if abs(abs(eigenvalue) - 1.0) <= 1e-9 and apart.min() < 1e-6:
+                poles = np.delete(poles, np.argmin(apart))
         return poles
 
 

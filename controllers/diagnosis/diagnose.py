@@ -291,7 +291,7 @@ def _without_blamed(
         left = None if trusted is None else found(trusted)
         if trusted is not None and left is None:
             together = bool(np.any(blamed[:, named].sum(axis=1) > 1))
-            return ModelFinding("sensors", faulty_sensors(named, together=together))
+            return ModelFinding("sensors", faulty_sensors(named, together=together, alone=len(chosen) == len(named)))
         if left is not None and left.kind != "unknown":
             return left
     return None

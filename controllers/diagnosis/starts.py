@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.units import behind
+from bayesftc.cosim.diagram.wiring import UNLIKELY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from bayesftc.controllers.models.linear import LinearModel
     from bayesftc.cosim.types import Floats
-
-UNLIKELY = 5.0
-"""Standard deviations between the belief at the start and every sensor's first sample from which on the start is wrong."""
 
 
 def wrong_start(

@@ -103,12 +103,15 @@ def _actuators(
     )
 
 
-def faulty_sensors(blamed: Sequence[int], *, together: bool = True) -> str:
-    """Return the sentence about sensors that the controller blames, some at once: without them, the model is right."""
+def faulty_sensors(blamed: Sequence[int], *, together: bool, alone: bool) -> str:
+    """Return the sentence about sensors that the controller blames for long: without their samples, the model is right.
+
+    `together`: some are blamed at once. `alone`: the samples for which it blames others, for a short time, are not left out.
+    """
     *most, last = map(str, blamed)
     at_once = " at the same time" if together else ""
     who = f"Sensors {', '.join(most)} and {last} are faulty{at_once}." if most else f"Sensor {last} is faulty."
-    them = "them" if most else "it"
+    them = "any sensor" if not alone else "them" if most else "it"
     return f"{who} Without the samples for which the controller blames {them}, nothing speaks against the model."
 
 

@@ -970,6 +970,14 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
     assert (finding.kind, finding.sentence.partition(".")[0]) == ("sensors", "Sensor 0 is faulty")
     assert tried == [[1.0, 0.0, 0.0]]  # it is left out of all of the run, and the others of no part
+
+    def only_without_all(samples):
+        return None if np.isnan(samples[130]).sum() == 2 else controllers.ModelFinding("unknown", "")
+
+    finding = _without_blamed(model, np.zeros((500, 3)), blamed, only_without_all)
+    assert finding.sentence.startswith(
+        "Sensor 0 is faulty. Without the samples for which the controller blames any sensor,"
+    )
     blamed[120:400, 1] = True
     assert (
         "Sensors 0 and 1 are faulty at the same time"
