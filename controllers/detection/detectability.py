@@ -15,6 +15,7 @@ from bayesftc.controllers.detection.beta_law import BetaLaw, beta_law, loop_law
 from bayesftc.controllers.models.checks import as_number
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.gamma import GammaPrecision
+from bayesftc.cosim.base.numbers import with_article
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -300,8 +301,8 @@ def _learner_and_model(
     learner: object = precision
     if isinstance(precision, LinearModel | BayesianController | StateEstimator):
         raise ModelError(
-            f"detectability has a {type(precision).__name__} as its precision. The learner comes first: detectability(precision, "
-            "model), or detectability(model=...)."
+            f"detectability has {with_article(type(precision).__name__)} as its precision. The learner comes first: "
+            "detectability(precision, model), or detectability(model=...)."
         )
     if isinstance(model, BayesianController | StateEstimator):
         if isinstance(model, BayesianController) and model.belief != "filtered":

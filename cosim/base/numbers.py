@@ -27,6 +27,11 @@ def counted(number: int, one: str) -> str:
     return f"{number} {one}" + "s" * (number != 1)
 
 
+def with_article(noun: str) -> str:
+    """Return a noun behind its article: ``"an int"``, ``"a list"``."""
+    return ("an " if noun[0] in "aeiouAEIO" else "a ") + noun
+
+
 def real(value: object) -> float:
     """Return a number as a float: NaN for anything else (strings, truth values), infinity if it is too large for a float."""
     if isinstance(value, bool) or not isinstance(value, Real):

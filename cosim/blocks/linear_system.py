@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import with_article
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
@@ -88,7 +89,7 @@ def normalised(system: Any) -> Any:
     else:
         raise ModelError(
             f"StateSpace takes a StateSpace, TransferFunction or NonlinearIOSystem of python-control, "
-            f"not a {type(system).__name__}."
+            f"not {with_article(type(system).__name__)}."
         )
     if dt is None and converted.nstates:
         raise ModelError("The system has dt=None; give it dt=0 (continuous time) or its sample time in seconds.")

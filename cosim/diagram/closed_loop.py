@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.invalid import invalid_values
-from bayesftc.cosim.base.numbers import counted, real
+from bayesftc.cosim.base.numbers import counted, real, with_article
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
@@ -441,8 +441,8 @@ def _check_input_faults(chain: Sequence[Fault], size: int, name: str) -> None:
             )
         if isinstance(fault, Fault) and fault.sensor >= size:
             raise ModelError(
-                f"input_faults has a {type(fault).__name__} with sensor={fault.sensor} for {name!r}, which has {size} "
-                f"element{'s' if size > 1 else ''}, numbered from 0; leave sensor out where there is one."
+                f"input_faults has {with_article(type(fault).__name__)} with sensor={fault.sensor} for {name!r}, which has "
+                f"{size} element{'s' if size > 1 else ''}, numbered from 0; leave sensor out where there is one."
             )
 
 

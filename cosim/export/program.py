@@ -163,8 +163,8 @@ def _refuse_python(schedule: Schedule) -> None:
         if definition is not None and not definition.compiled:
             raise ModelError(
                 f"The block {node.name!r} ({type(node.block).__name__}) calls Python, which is not available in the exported C. "
-                "Write its step function by the rules of step functions (docs/reference/write-a-block.md), without "
-                "compiled=False. Use a classifier that is linear in its features, and filter='own' for filters."
+                "Write a plant or a block of your own as step functions (docs/how-to/own-plant-in-python.md). For detection use "
+                "a classifier that is linear in its features; for filters, filter='own'."
             )
         for kernel in (definition.output, definition.update) if definition is not None else ():
             for function in foreign_functions(kernel) if isinstance(kernel, FunctionType) else ():

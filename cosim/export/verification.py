@@ -219,7 +219,7 @@ def verify_fmu(
     if not isinstance(diagram, Diagram):
         raise ModelError(
             f"verify_fmu() needs the diagram whose blocks the FMU replaces, such as the loop of closed_loop(). It is "
-            f"{brief(diagram)}. Name a block with blocks=."
+            f"{brief(diagram)}. Put a single block into a cosim.Diagram, with sources at its inputs."
         )
     fmu = FMU(path, timing=timing, isolate=isolate)
     stand_in = StandIn(fmu, diagram, blocks)

@@ -14,7 +14,7 @@ from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.judging.metrics import false_alarm_rate, figures, periods
+from bayesftc.cosim.judging.metrics import false_alarm_rate, false_alarms, figures, periods
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.run.result import ESTIMATE_A_LOAD
 from bayesftc.cosim.types import Floats
@@ -148,6 +148,7 @@ def numbers_of(signals: LoopSignals) -> dict[str, Any]:
         "hold": step and usual_hold(step),
         **figures(signals).to_dict(),
         "findings": plain_findings(signals),
+        "false_alarms": np.sum([(0, 0), *map(false_alarms, signals.sensors)], axis=0).tolist(),
     }
 
 

@@ -59,6 +59,43 @@ class Reliability:
     def __repr__(self) -> str:
         return short(self)
 
+    def between(self, low: float = 0.1, high: float = 0.9) -> tuple[float, float]:
+        """Return the share of the samples in bins whose mean probability lies between two numbers, and their calibration error.
+
+        Nearly all probabilities of a run are near zero or one, and the calibration error of all samples is theirs. Whoever acts
+        on a probability of 50 % needs that of the others.
+
+        Parameters
+        ----------
+        low, high : float
+            The probabilities between which the bins lie.
+
+        Returns
+        -------
+        share, error : float
+            Share of the samples, and their calibration error; NaN without a sample.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from bayesftc import cosim
+        >>> probability = np.repeat([0.01, 0.5, 0.99], [900, 20, 80])
+        >>> faulty = np.arange(1000) >= 915
+        >>> result = cosim.reliability(probability, faulty, equal="widths")
+        >>> [round(number, 3) for number in (result.calibration_error, *result.between())]
+        [0.015, 0.02, 0.25]
+        """
+        inner = (self.samples > 0) & (low < self.predicted) & (self.predicted < high)
+        samples = float(self.samples[inner].sum())
+        gaps = np.abs(self.predicted - self.observed)[inner] @ self.samples[inner]
+        return samples / float(self.samples.sum()), float(gaps) / samples if samples else NAN
+
+    def label(self) -> str:
+        """Return the calibration error in words for a figure, beside that of the probabilities from 0.1 to 0.9."""
+        share, error = self.between()
+        inner = f";\n{error:.3f} for the {share:.2%} of samples from 0.1 to 0.9" if share else ""
+        return f"calibration error {self.calibration_error:.3f}{inner}"
+
     def plot(self, title: str | None = None) -> Figure:
         """Return the reliability diagram: share of faulty samples over mean probability, and the samples of each bin.
 

@@ -21,8 +21,7 @@ def plot_reliability(reliability: Reliability, figure: Figure, title: str | None
     figure.set_layout_engine("constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     above.plot([0, 1], [0, 1], color="0.3", ls=":", lw=1.2, label="perfect calibration")
-    error = f"bins of samples (calibration error {reliability.calibration_error:.3f})"
-    above.plot(reliability.predicted, reliability.observed, "o-", color=BLUE, lw=1.5, ms=5, label=error)
+    above.plot(reliability.predicted, reliability.observed, "o-", color=BLUE, lw=1.5, ms=5, label=reliability.label())
     above.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), ylabel="share of faulty samples")
     above.legend(loc="upper left", frameon=False, fontsize=9)
     filled = reliability.samples > 0

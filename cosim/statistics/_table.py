@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import with_article
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.types import Floats
 
@@ -32,7 +33,9 @@ def check_columns(table: pd.DataFrame, names: Sequence[str]) -> None:
         The columns.
     """
     if not hasattr(table, "columns"):
-        raise ModelError(f"The table is a {type(table).__name__}; give a pandas table with a row for each run.")
+        raise ModelError(
+            f"The table is {with_article(type(table).__name__)}; give a pandas table with a row for each run."
+        )
     for i, name in enumerate(names):
         if name not in table.columns:
             raise UnknownNameError(f"The table has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import with_article
 from bayesftc.cosim.base.units import conversion, split
 from bayesftc.cosim.errors import FMUError, ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fmi.binaries.groups import type_range
@@ -54,13 +55,13 @@ def start_values(
         variable = variables[name]
         if not variable.settable:
             raise FMUError(
-                f"{name!r} of the FMU {archive.path.name} cannot be set: it is {_a(variable.causality)} that the FMU computes "
-                f"({variable.variability}). Set the variables that it depends on."
+                f"{name!r} of the FMU {archive.path.name} cannot be set: it is {with_article(variable.causality)} that "
+                f"the FMU computes ({variable.variability}). Set the variables that it depends on."
             )
         if variable.type in {"Binary", "Clock"}:
             raise FMUError(
-                f"{name!r} of the FMU {archive.path.name} is {_a(variable.causality)} of type {variable.type}, which cannot be "
-                "set here; leave it at its start value."
+                f"{name!r} of the FMU {archive.path.name} is {with_article(variable.causality)} of type {variable.type}, which "
+                "cannot be set here; leave it at its start value."
             )
     structural = {n: v for n, v in values.items() if variables[n].causality == "structuralParameter"}
     checked = {n: _converted(archive, description, variables[n], v) for n, v in structural.items()}
@@ -145,10 +146,6 @@ def value_of(variable: FMUVariable, values: Mapping[str, Value]) -> Value:
 def as_floats(value: Value) -> float | tuple[Any, ...]:
     """Return a value as floats, for float64 ports."""
     return tuple(as_floats(row) for row in value) if isinstance(value, tuple) else float(value)
-
-
-def _a(word: str) -> str:
-    return ("an " if word[0] in "aeiou" else "a ") + word
 
 
 def _converted(archive: Archive, description: FMUDescription, variable: FMUVariable, value: Any) -> Value:

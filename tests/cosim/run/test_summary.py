@@ -45,7 +45,34 @@ def test_a_share_of_alarms_is_not_called_false_alarms(loop, result):
     summary = result.summary()
     shares = [each.false_alarm_rate for each in figures(loop_signals(loop, result)).sensors]
     assert summary["sensors"].loc["blamed while healthy (share of fault-free time)"].tolist() == shares
-    assert "false alarms" not in repr(summary)
+    assert "False alarms" not in repr(summary)
+
+
+def test_alarms_that_begin_without_a_fault_are_counted():
+    """As by `cosim.judge_alarms`."""
+    servo = cosim.FMU(fmus.path("PositionServo"))
+    learner = controllers.SwitchingPrecision().rarer(0.01)  # it expects faults every few seconds
+    controller = controllers.design(
+        servo, measured="angle", actuated="voltage", sensors=3, sensor_std=0.01, precision=learner
+    )
+    loop = cosim.closed_loop(
+        servo,
+        controller,
+        control="voltage",
+        measured="angle",
+        sensors=cosim.Sensors(3, std=0.01),
+        faults=[cosim.Bias(sensor=1, start=20.0, stop=25.0, magnitude=0.1)],
+        reference=1.0,
+    )
+    result = loop.simulate(40.0, seed=1)
+    step = float(result.time[1])
+    faulty = np.column_stack([np.zeros_like(result.time), result["bias_1.active"], np.zeros_like(result.time)]) > 0.5
+    judged = cosim.judge_alarms(result["controller.fault_probability"], faulty, threshold=0.5, step=step)
+    rate = judged.false_alarms / judged.hours
+    assert judged.false_alarms >= 3
+    assert (
+        f"False alarms, which begin without a fault: {judged.false_alarms}, a rate of {rate:.2g} an hour of each sensor."
+    ) in repr(result.summary())
 
 
 @pytest.mark.parametrize(
