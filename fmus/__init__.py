@@ -5,6 +5,13 @@
 makes an FMU from it and a C file with the functions of ``c/model.h``.
 """
 
+from typing import Any
+
+from bayesftc._public import unknown
 from bayesftc.fmus._catalogue import names, path
 
 __all__ = ["names", "path"]
+
+
+def __getattr__(name: str) -> Any:
+    raise unknown(name, __all__, __name__)

@@ -19,9 +19,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("_interrupt",),
-    ("fmus",),
     ("cosim.errors",),
     ("_public",),
+    ("fmus",),
     ("cosim.types",),
     ("cosim.base",),
     ("cosim.base.recordings",),

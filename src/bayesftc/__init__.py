@@ -20,6 +20,8 @@ del _root
 
 
 def __getattr__(name: str) -> ModuleType:
-    if name in {"cosim", "controllers", "fmus", "examples", "monitoring"}:
+    from bayesftc._public import PACKAGES, unknown
+
+    if name in {*PACKAGES, "examples"}:
         return import_module(f"bayesftc.{name}")
-    raise AttributeError(f"module 'bayesftc' has no attribute {name!r}")
+    raise unknown(name, __all__, "bayesftc")

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 import lazy_loader  # type: ignore[import-untyped]
+
+PACKAGES = ("cosim", "controllers", "monitoring", "fmus")
+"""The packages with public names."""
 
 _WORDS = {
     "add": ("cosim.Sum",),
@@ -50,9 +54,16 @@ def public_names(package: str, file: str) -> tuple[Callable[[str], Any], Callabl
     def get(name: str) -> Any:
         if name in names or name.startswith("_"):
             return load(name)
-        raise AttributeError(f"{package} has no {name!r}; {_hint(name, names, package)}")
+        raise unknown(name, names, package)
 
     return get, listed, names
+
+
+def unknown(name: str, names: list[str], package: str) -> AttributeError:
+    """Return the error of a package that lacks a public name. A name of another package is said to be there."""
+    if name.startswith("_"):  # Python itself asks for it
+        return AttributeError(f"module {package!r} has no attribute {name!r}")
+    return AttributeError(f"{package} has no {name!r}; {_hint(name, names, package)}")
 
 
 def meant(name: str) -> tuple[str, ...]:
@@ -63,10 +74,13 @@ def meant(name: str) -> tuple[str, ...]:
 def _hint(name: str, names: list[str], package: str) -> str:
     from bayesftc.cosim.errors import did_you_mean
 
+    elsewhere = [f"{each}.{name}" for each in PACKAGES if name in import_module(f"bayesftc.{each}").__all__]
+    if elsewhere:
+        return f"it is {' or '.join(elsewhere)}."
     here = [f"bayesftc.{each}".removeprefix(f"{package}.") for each in meant(name)]
     if here and name.lower() not in {each.lower() for each in names}:
         return f"did you mean {' or '.join(map(repr, here))}?"
     return did_you_mean(name, names)
 
 
-__all__ = ["meant", "public_names"]
+__all__ = ["PACKAGES", "meant", "public_names", "unknown"]

@@ -341,7 +341,7 @@ def test_a_rest_of_all_sensors_is_said_and_no_fault(tmp_path):
     arguments = ["monitor", str(tmp_path / "tank.csv"), "--model", str(tmp_path / "model.toml")]
     done = RUNNER.invoke(app, arguments)
     assert done.exit_code == 0, done.output
-    assert "For 9.9 s all sensors repeat their values at once" in done.output
+    assert "All sensors repeat their values at once, for 9.9 s in all" in done.output
     assert "No fault was found" in done.output
     assert json.loads(RUNNER.invoke(app, [*arguments, "--json"]).output)["rest"] == pytest.approx(9.9)
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from bayesftc import _public, controllers, cosim
+import bayesftc
+from bayesftc import _public, controllers, cosim, fmus, monitoring
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import choose
 
@@ -23,6 +24,23 @@ def test_a_name_of_another_tool_gets_the_one_here(package, name, hint):
     with pytest.raises(AttributeError, match="has no") as caught:
         getattr(package, name)
     assert str(caught.value).endswith(hint)
+
+
+@pytest.mark.parametrize(
+    ("package", "name", "there"),
+    [
+        (bayesftc, "design", "controllers.design"),
+        (bayesftc, "FMU", "cosim.FMU"),
+        (cosim, "design", "controllers.design"),
+        (controllers, "closed_loop", "cosim.closed_loop"),
+        (controllers, "Monitor", "monitoring.Monitor"),
+        (monitoring, "diagnose", "controllers.diagnose"),
+        (fmus, "FMU", "cosim.FMU"),
+    ],
+)
+def test_a_name_of_another_package_is_said_to_be_there(package, name, there):
+    with pytest.raises(AttributeError, match=f"^{package.__name__} has no '{name}'; it is {there}[.]$"):
+        getattr(package, name)
 
 
 def test_all_suggested_names_are_public():

@@ -19,6 +19,9 @@ from bayesftc._public import meant
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.scenario._place import Place
 
+OF_FILES = ("bayesftc.scenario.", "bayesftc.monitoring.model_file")
+"""Modules whose classes are sections of files. Nobody who writes a file knows them by name, unlike what ``kind`` names."""
+
 SCALARS = {float: "number", int: "whole number", str: "text in quotes", bool: "true or false"}
 
 
@@ -52,7 +55,8 @@ def build(cls: Callable[..., Any], table: object, place: Place, *, given: Mappin
     missing = [name for name, required in known.items() if required and name not in values]
     if missing:
         phrase = expected(hints[missing[0]])
-        raise place.error(f"lacks {missing[0]!r}, which {cls.__name__} needs. Add {missing[0]} = ... ({phrase}).")
+        needed = "" if cls.__module__.startswith(OF_FILES) else f", which {cls.__name__} needs"
+        raise place.error(f"lacks {missing[0]!r}{needed}. Add {missing[0]} = ... ({phrase}).")
     with place.named():
         return cls(**values, **given)
 

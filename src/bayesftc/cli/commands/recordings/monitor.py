@@ -326,8 +326,8 @@ def _print(
         console.print(actuators)
     if numbers["rest"]:
         say(
-            f"For {numbers['rest']:g} s all sensors repeat their values at once: the quantity or the logger is at rest. The "
-            "fault probabilities keep their values in this time."
+            f"All sensors repeat their values at once, for {numbers['rest']:g} s in all: the quantity or the logger is at rest. "
+            "The fault probabilities keep their values in this time."
         )
     if recording.gaps:
         say(_gaps(recording))
