@@ -11,8 +11,9 @@ from bayesftc.controllers.bayesian.estimator import StateEstimator
 from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.types import Floats
 
-SHORT = 1000
-"""Recordings of up to this many steps run interpreted by default, because compiling takes seconds."""
+SHORT = 250
+"""Recordings of up to this many steps run interpreted by default: compiling takes some seconds once on a machine, and an
+interpreted step of `SwitchingPrecision` with three sensors 12 ms, so that both are equally long at 300 steps."""
 
 
 def estimate(

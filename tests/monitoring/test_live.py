@@ -272,7 +272,7 @@ def test_a_logger_that_repeats_its_last_row_blames_no_sensor(seed):
         monitor = Monitor(1.0, plant, sensors, joint=True, initial_mean=start[0], initial_std=start[1])
         ran = monitor.run({name: Signal(np.arange(float(steps)), y[:, i]) for i, name in enumerate("abc")})
         assert not ran.events
-        live = run(MonitorStepper(monitor, compiled=False), y)
+        live = run(MonitorStepper(monitor), y)
         assert np.nanmax(live["fault_probability"]) < 0.9  # of an alarm
         for belief in (ran.x_hat[:, 0], live["x_hat"][:, 0]):
             np.testing.assert_array_equal(belief[652:670], belief[652])
