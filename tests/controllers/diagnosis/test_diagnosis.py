@@ -159,7 +159,7 @@ def test_a_load_that_changes_all_the_time_is_no_other_dynamics_of_a_model_withou
     assert diagnose_recording(model.with_disturbance(estimated), y, u) is None
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize(("error", "effort"), [(0.2, 4.0), (0.02, 40.0)], ids=["calm", "quick"])
 def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
@@ -289,6 +289,7 @@ def test_what_begins_during_a_run_is_dated_and_measured(faults, load, kind, valu
     assert re.search(words, finding.sentence)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("every", [10, 20])
 def test_a_load_is_named_beside_a_slow_only_sensor_of_a_rate(every):
     """Observers of other models diverged between its samples, and the diagnosis ended in an error of numpy."""
@@ -397,30 +398,29 @@ def test_the_samples_of_a_closed_loop_need_no_name(tmp_path):
         assert controllers.check_kalman(one, controller) == controllers.check_kalman(named, controller)
 
 
-FEWER = {("pendulum: limit", "SER"): 93, ("pendulum: limit", "switching"): 92}
-"""As in the table of docs/explanation/wrong-models.md. The first was 95 before sine and cosine had the same bits everywhere:
-after the pendulum has fallen, a run depends on the last place. The second is called a load that begins."""
+RUNS = 20
+"""Runs of each case: the table of docs/explanation/wrong-models.md is of these. A hundred of each take five hours."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("learner", LEARNERS)
 @pytest.mark.parametrize("case", [c for c in cases() if c.named], ids=lambda c: c.name)
-def test_wrong_models_are_named_in_95_of_100_runs(case, learner):
+def test_wrong_models_are_named(case, learner):
     controller = parts(case, LEARNERS[learner])[1]
     right = 0
-    for result in run(case, LEARNERS[learner], range(100)):
+    for result in run(case, LEARNERS[learner], range(RUNS)):
         finding = controllers.diagnose(result, controller)
         right += finding is not None and bool({finding.kind, *finding.others} & case.named)
-    assert right >= FEWER.get((case.name, learner), 95)
+    assert right >= 0.95 * RUNS
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [c for c in cases() if not c.named], ids=lambda c: c.name)
-def test_right_models_are_blamed_in_under_1_of_100_runs(case):
+def test_right_models_are_not_blamed(case):
     controller = parts(case, LEARNERS["fixed"])[1]
-    results = run(case, LEARNERS["fixed"], range(100))
-    assert sum(controllers.diagnose(result, controller) is not None for result in results) <= 1
-    assert sum(result["controller.model_suspect"].max() >= 0.5 for result in results) <= 1
+    results = run(case, LEARNERS["fixed"], range(RUNS))
+    assert not any(controllers.diagnose(result, controller) for result in results)
+    assert not any(result["controller.model_suspect"].max() >= 0.5 for result in results)
 
 
 def by_numpy(model, y, u, mean):
@@ -900,6 +900,7 @@ def pitching(gust=1.0):
     )
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("gust", [1.0, 6.0])
 def test_strong_gusts_are_noise_and_no_other_dynamics(gust):
     """The filter of such a plant has no steady state without a little more noise, and the elevator no error at all."""
@@ -1011,6 +1012,7 @@ def test_a_wrong_model_under_which_all_sensors_are_blamed_is_no_fault_of_sensors
     assert "sensors" not in {finding.kind, *finding.others}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("count", [3, 4])
 def test_a_wrong_model_beside_a_faulty_sensor_is_no_fault_of_several_sensors(count):
     """A gain of .4 and one biased sensor: the healthy ones alone speak against the model."""

@@ -115,6 +115,7 @@ def hovering(seed, steps=6000):
     return heights
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("every", [2, 5, 10])
 def test_a_sparse_sensor_changes_the_noise_of_no_other(every, seed):
@@ -879,6 +880,7 @@ def flows(seed, sensors, gain):
     return 60.0 * t, (y + rng.standard_normal(y.shape) * [0.08, 0.1, 0.12][:sensors]).round(3)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("sensors", [2, 3])
 def test_a_gain_error_is_divided_out(seed, sensors, tmp_path):
@@ -914,6 +916,7 @@ def test_sensors_without_a_gain_error_get_no_gain(seed, sensors):
     assert "gain" not in text
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("count", [0.2, 0.5])
 @pytest.mark.parametrize("fault", ["none", "drift", "offset"])
 def test_rounding_errors_last_until_the_quantity_has_moved_by_a_step(count, fault):
