@@ -96,7 +96,10 @@ class Judge:
 
     def part(self, white: Floats, k: int) -> Floats:
         """Return the innovations of one set that count, under H explanations (H x scalars)."""
-        return np.asarray(white[k][:, self.masks[k]][:, :, list(self.bank.sensors[k])].reshape(len(white[k]), -1))
+        mask, chosen = self.masks[k], self.bank.sensors[k]
+        counting = white[k] if mask.all() else white[k][:, mask]
+        # np.take copies in the order of the result, so that reshape need not copy once more.
+        return np.take(counting, chosen, axis=2).reshape(len(counting), -1)
 
     def beginnings(self, white: Floats) -> list[Floats]:
         """Return an orthonormal basis of the effects of unknown initial states on each set's innovations (scalars x basis).

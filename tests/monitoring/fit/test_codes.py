@@ -20,6 +20,7 @@ def recording(y):
     return recorded({f"s{i}": Signal(0.1 * np.arange(N), column.round(3)) for i, column in enumerate(y.T)})
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("code", [0.0, -1.0, 65535.0])
 @pytest.mark.parametrize("sensors", [2, 3, 4])
 @pytest.mark.parametrize("seed", range(3))
