@@ -1,16 +1,25 @@
-"""The model file of a monitor, in TOML."""
+"""The model file of a monitor, in TOML: reading and writing."""
 
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from fractions import Fraction
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.controllers.switching.actuator_settings import check_controls
 from bayesftc.controllers.switching.learner import SwitchingPrecision
+from bayesftc.cosim.base.paths import expanded
+from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.campaign.store.durable import write_whole
+from bayesftc.cosim.errors import RecordingError
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Input, Sensor, SensorErrors
 from bayesftc.monitoring.models import PLANT_MODELS
@@ -18,6 +27,7 @@ from bayesftc.monitoring.monitor import Monitor
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import as_table, build, build_one_of
+from bayesftc.scenario._written import toml
 
 SECTIONS = ("dt", "time", "invalid", "joint", "model", "sensors", "inputs", "errors", "precision", "alarm")
 
@@ -95,7 +105,11 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     [[0.01, 0.0], [0.0, 0.04]]
     """
     file = find_scenario(path, "monitor's model")
-    content, root = read_toml(file), Place(str(file))
+    return _made(read_toml(file), Place(str(file)))
+
+
+def _made(content: Mapping[str, Any], root: Place) -> Monitor:
+    """Return the monitor of a file's content."""
     root.refuse_unknown(content, SECTIONS, "section")
     for name in ("dt", "model", "sensors"):
         if name not in content:
@@ -156,3 +170,60 @@ def _precision(table: object, place: Place) -> tuple[PrecisionLearner | None, bo
         return None, False
     learner: PrecisionLearner = build_one_of(LEARNERS, table, place)
     return learner, isinstance(learner, SwitchingPrecision) and "loss" not in as_table(table, place)
+
+
+def save_monitor(monitor: Monitor, path: str | os.PathLike[str]) -> Path:
+    """Write a model file, as `bayesftc.monitoring.Monitor.save` describes."""
+    file = expanded(path)
+    # With a learner of one's own, `joint` has no effect, and a file refuses it.
+    head = Head(0.0, monitor.time, monitor.invalid, monitor.joint and monitor.precision is None)
+    content: dict[str, Any] = {
+        "dt": _plain(monitor.dt),
+        **_changed(head, but="dt"),
+        "model": {**_plain(monitor.plant, kind=True), **_changed(Start(monitor.initial_mean, monitor.initial_std))},
+        "sensors": {name: _plain(sensor) for name, sensor in monitor.sensors.items()},
+        "inputs": {name: _plain(each) for name, each in monitor.inputs.items()},
+        "errors": [_plain(each) for each in monitor.errors],
+        "alarm": _plain(monitor.alarm),
+    }
+    content = {name: value for name, value in content.items() if name == "dt" or value not in ({}, [])}
+    if monitor.precision is not None:
+        learner = _plain(monitor.precision, kind=True)
+        content["precision"] = {k: v for k, v in learner.items() if k != "loss" or not monitor.own_loss}
+    text = toml(content)
+    _made(tomllib.loads(text), Place(str(file)))  # a class of one's own has no name that a file knows
+    try:
+        write_whole(file, text.encode())
+    except OSError as error:
+        raise RecordingError(f"{file} cannot be written: {error.strerror or error}. Name another file.") from None
+    return file
+
+
+def _plain(value: Any, *, kind: bool = False) -> Any:
+    """Return a setting as texts, numbers, lists and tables; `kind`: whether the class of a table must be named."""
+    if is_dataclass(value):
+        return ({"kind": type(value).__name__} if kind else {}) | _changed(value)
+    if isinstance(value, Mapping):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, Fraction):
+        return float(value) if rational_step(float(value)) == value else str(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(each, kind=True) for each in value]
+    return value
+
+
+def _changed(thing: Any, but: str = "") -> dict[str, Any]:
+    """Return the settings of a dataclass that differ from their defaults."""
+    settings = {}
+    for each in fields(thing):
+        value = getattr(thing, each.name)
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        if each.init and each.name != but and not each.metadata.get("derived") and not _same(value, default):
+            settings[each.name] = _plain(value, kind=True)
+    return settings
+
+
+def _same(value: Any, default: Any) -> bool:
+    return value is default or (default is not MISSING and _plain(value, kind=True) == _plain(default, kind=True))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -158,7 +159,8 @@ class Monitor:
         """Return a monitor with a model fitted to a recording of sensors of one quantity, and the recording for its `run`.
 
         The monitor is for this recording and for later ones, from files or tables with the same columns; `run` subtracts the
-        biases that the fit has found. `as_model_file` writes a model file, as ``bayesftc monitor --fit`` does.
+        biases that the fit has found. `save` writes a model file; `as_model_file` returns the text of one with remarks, which
+        ``bayesftc monitor --fit`` writes.
 
         Parameters
         ----------
@@ -230,6 +232,49 @@ class Monitor:
         given = {"errors": fitted.errors, "joint": fitted.joint, "initial_mean": mean, "initial_std": std, **settings}
         monitor = cls(recording.dt, fitted.plant, sensors, **given)
         return monitor, monitor.recording(recording)
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a model file, for ``bayesftc monitor --model`` and `load_monitor`; an existing one is replaced.
+
+        Parameters
+        ----------
+        path : str or path
+            The TOML file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        RecordingError
+            If it cannot be written.
+        ScenarioError
+            If a setting cannot stand in a file, such as a model of the motion that you have written.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> from bayesftc import monitoring
+        >>> sensors = {"a": monitoring.Sensor(std=0.1, unit="m"), "b": monitoring.Sensor(std=0.2, bias=0.5)}
+        >>> monitor = monitoring.Monitor(0.1, monitoring.RandomWalk(std=0.02), sensors, joint=True)
+        >>> with TemporaryDirectory() as folder:
+        ...     file = monitor.save(Path(folder, "tank.toml"))
+        ...     print(*file.read_text().split(chr(10))[:6], sep=chr(10))
+        ...     monitoring.load_monitor(file).sensors == sensors
+        dt = 0.1
+        joint = true
+        <BLANKLINE>
+        [model]
+        kind = "RandomWalk"
+        std = 0.02
+        True
+        """
+        from bayesftc.monitoring.model_file import save_monitor
+
+        return save_monitor(self, path)
 
     @property
     def _input_errors(self) -> bool:
