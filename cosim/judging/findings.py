@@ -14,7 +14,8 @@ from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.judging.metrics import false_alarm_rate, false_alarms, figures, periods
+from bayesftc.cosim.judging.alarms import judge_alarms
+from bayesftc.cosim.judging.metrics import false_alarm_rate, figures, periods
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.run.result import ESTIMATE_A_LOAD
 from bayesftc.cosim.types import Floats
@@ -148,8 +149,20 @@ def numbers_of(signals: LoopSignals) -> dict[str, Any]:
         "hold": step and usual_hold(step),
         **figures(signals).to_dict(),
         "findings": plain_findings(signals),
-        "false_alarms": np.sum([(0, 0), *map(false_alarms, signals.sensors)], axis=0).tolist(),
+        "alarms": _alarms_of(signals, step),
     }
+
+
+def _alarms_of(signals: LoopSignals, step: float | None) -> dict[str, Any] | None:
+    """Return the figures of the alarms of all sensors, as those of `judge_alarms`; None where faults or alarms are not known."""
+    scores, faulty = [], []
+    for sensor in signals.sensors:
+        if sensor.alarm is not None and sensor.faulty is not None:
+            scores.append(sensor.alarm.astype(float) if sensor.probability is None else sensor.probability)
+            faulty.append(sensor.faulty)
+    if not scores or step is None:
+        return None
+    return judge_alarms(np.transpose(scores), np.transpose(faulty), threshold=ALARM, step=step).to_dict()
 
 
 def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:

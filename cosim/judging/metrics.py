@@ -305,16 +305,6 @@ def false_alarm_rate(signals: SensorSignals) -> float:
     return _share(alarm[~faulty if missing is None else ~(faulty | missing)])
 
 
-def false_alarms(signals: SensorSignals) -> tuple[int, int]:
-    """Return how many alarms of a sensor begin without a fault, as of `cosim.judge_alarms`, and its fault-free samples."""
-    faulty, alarm = signals.faulty, signals.alarm
-    if faulty is None or alarm is None:
-        return 0, 0
-    present = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing
-    healthy = ~faulty[present]
-    return sum(bool(healthy[begin]) for begin, _ in periods(alarm[present])), int(healthy.sum())
-
-
 def input_faults(signals: InputSignals) -> InputFaults:
     """Return the number and the size of the faults of an input of the plant."""
     faulty, difference = signals.faulty, _difference(signals.received, signals.sent)

@@ -41,8 +41,8 @@ PROCESS_REMARK = (
 NOTHING_FOUND = "The controller infers no fault."
 BEFORE = "A fault that begins while its sensor is blamed already counts as detected at once."
 FALSE_ALARMS = (
-    "False alarms, which begin without a fault: {}, a rate of {:.2g} an hour of each sensor. A learner that expects rarer "
-    "faults, such as controllers.SwitchingPrecision().rarer(100), has fewer, and detects faults later."
+    "False alarms: {}, which is {} to {} an hour of each sensor (95 % interval). One begins whenever a fault probability rises "
+    "to 0.5 without a fault. How to have fewer: docs/how-to/alarm-threshold.md."
 )
 """What is said below the table of sensors of alarms that begin without a fault."""
 EARLY = 0.01
@@ -150,7 +150,7 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
         Those of `bayesftc.cosim.judging.metrics.Figures.to_dict`, ``units``, the unit of each quantity, ``findings``, the
         inferred faults, which are None if nothing is inferred, and possibly ``law``, a sentence about the lag of the controller,
         ``step``, the time between two rows in seconds, ``hold``, the longest pause within an alarm in seconds, and
-        ``false_alarms``, how many alarms of sensors begin without a fault, and in how many fault-free samples.
+        ``alarms``, the figures of the alarms of all sensors (`bayesftc.cosim.Alarms.to_dict`).
     """
     if numbers["tracking"]:
         rows = [
@@ -174,7 +174,7 @@ def tables_of(numbers: Mapping[str, Any]) -> Iterator[FiguresTable]:
         "Faults and their detection",
         tuple(s["title"] for s in sensors),
         tuple(_of_sensors(sensors, step)),
-        NOTHING_FOUND if inferred == [] else _below_sensors(sensors, numbers.get("false_alarms"), step),
+        NOTHING_FOUND if inferred == [] else _below_sensors(sensors, numbers.get("alarms")),
     )
     for key, heading, listed, remark in (
         ("inputs", "Faults between the controller and the plant", INPUT_ROWS, ""),
@@ -191,14 +191,12 @@ def _known(errors: Mapping[str, Any]) -> bool:
     return any(value is not None and isfinite(value) for value in errors.values())
 
 
-def _below_sensors(
-    sensors: Sequence[Mapping[str, Any]], false_alarms: tuple[int, int] | None, step: float | None
-) -> str:
+def _below_sensors(sensors: Sequence[Mapping[str, Any]], alarms: Mapping[str, Any] | None) -> str:
     """Return what is said below the table of sensors, of which some are blamed."""
     remarks = []
-    if false_alarms and step and false_alarms[0]:
-        alarms, samples = false_alarms
-        remarks.append(FALSE_ALARMS.format(alarms, alarms / (samples * step) * 3600.0))
+    if alarms and alarms["false_alarms"]:
+        bounds = (f"{bound:.2g}" if bound < 100 else f"{bound:.0f}" for bound in alarms["false_alarms_per_hour_ci"])
+        remarks.append(FALSE_ALARMS.format(alarms["false_alarms"], *bounds))
     if any(map(_blamed_before, sensors)):
         remarks.append(BEFORE)
     return " ".join(remarks)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from fractions import Fraction
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc import controllers, monitoring
 from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.controllers.switching.actuator_settings import check_controls
@@ -19,7 +19,7 @@ from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.campaign.store.durable import write_whole
-from bayesftc.cosim.errors import RecordingError
+from bayesftc.cosim.errors import RecordingError, ScenarioError
 from bayesftc.monitoring.alarms import Alarm
 from bayesftc.monitoring.columns import Input, Sensor, SensorErrors
 from bayesftc.monitoring.models import PLANT_MODELS
@@ -105,11 +105,7 @@ def load_monitor(path: str | os.PathLike[str]) -> Monitor:
     [[0.01, 0.0], [0.0, 0.04]]
     """
     file = find_scenario(path, "monitor's model")
-    return _made(read_toml(file), Place(str(file)))
-
-
-def _made(content: Mapping[str, Any], root: Place) -> Monitor:
-    """Return the monitor of a file's content."""
+    content, root = read_toml(file), Place(str(file))
     root.refuse_unknown(content, SECTIONS, "section")
     for name in ("dt", "model", "sensors"):
         if name not in content:
@@ -176,22 +172,26 @@ def save_monitor(monitor: Monitor, path: str | os.PathLike[str]) -> Path:
     """Write a model file, as `bayesftc.monitoring.Monitor.save` describes."""
     file = expanded(path)
     # With a learner of one's own, `joint` has no effect, and a file refuses it.
-    head = Head(0.0, monitor.time, monitor.invalid, monitor.joint and monitor.precision is None)
+    joint = monitor.joint and monitor.precision is None
     content: dict[str, Any] = {
         "dt": _plain(monitor.dt),
-        **_changed(head, but="dt"),
-        "model": {**_plain(monitor.plant, kind=True), **_changed(Start(monitor.initial_mean, monitor.initial_std))},
+        **({"time": monitor.time} if monitor.time != Head.time else {}),
+        **({"invalid": _plain(monitor.invalid)} if monitor.invalid else {}),
+        **({"joint": True} if joint else {}),
+        "model": {**_named_kind(monitor.plant), **_changed(Start(monitor.initial_mean, monitor.initial_std))},
         "sensors": {name: _plain(sensor) for name, sensor in monitor.sensors.items()},
         "inputs": {name: _plain(each) for name, each in monitor.inputs.items()},
         "errors": [_plain(each) for each in monitor.errors],
         "alarm": _plain(monitor.alarm),
     }
-    content = {name: value for name, value in content.items() if name == "dt" or value not in ({}, [])}
+    content = {name: value for name, value in content.items() if value not in ({}, [])}
     if monitor.precision is not None:
-        learner = _plain(monitor.precision, kind=True)
-        content["precision"] = {k: v for k, v in learner.items() if k != "loss" or not monitor.own_loss}
+        content["precision"] = _named_kind(monitor.precision)
+        if isinstance(monitor.precision, SwitchingPrecision):  # a file without its loss has that of the sensors' rates
+            content["precision"].pop("loss", None)
+            if not monitor.own_loss:
+                content["precision"]["loss"] = _plain(monitor.precision.loss)
     text = toml(content)
-    _made(tomllib.loads(text), Place(str(file)))  # a class of one's own has no name that a file knows
     try:
         write_whole(file, text.encode())
     except OSError as error:
@@ -199,31 +199,43 @@ def save_monitor(monitor: Monitor, path: str | os.PathLike[str]) -> Path:
     return file
 
 
-def _plain(value: Any, *, kind: bool = False) -> Any:
-    """Return a setting as texts, numbers, lists and tables; `kind`: whether the class of a table must be named."""
+def _plain(value: Any) -> Any:
+    """Return a setting as texts, numbers, lists and tables."""
     if is_dataclass(value):
-        return ({"kind": type(value).__name__} if kind else {}) | _changed(value)
+        return _changed(value)
     if isinstance(value, Mapping):
         return {str(name): _plain(each) for name, each in value.items()}
     if isinstance(value, Fraction):
         return float(value) if rational_step(float(value)) == value else str(value)
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
     if isinstance(value, list | tuple):
-        return [_plain(each, kind=True) for each in value]
+        return [_named_kind(each) if is_dataclass(each) else _plain(each) for each in value]
     return value
 
 
-def _changed(thing: Any, but: str = "") -> dict[str, Any]:
+def _named_kind(thing: Any) -> dict[str, Any]:
+    """Return the table of an object whose class is chosen by ``kind``."""
+    name = type(thing).__name__
+    if not any(getattr(package, name, None) is type(thing) for package in (controllers, monitoring)):
+        raise ScenarioError(f"The class {name} is your own, and a model file can name only those of this package.")
+    return {"kind": name, **_changed(thing)}
+
+
+def _changed(thing: Any) -> dict[str, Any]:
     """Return the settings of a dataclass that differ from their defaults."""
     settings = {}
     for each in fields(thing):
         value = getattr(thing, each.name)
         default = each.default if each.default_factory is MISSING else each.default_factory()
-        if each.init and each.name != but and not each.metadata.get("derived") and not _same(value, default):
-            settings[each.name] = _plain(value, kind=True)
+        if each.init and not each.metadata.get("derived") and not _same(value, default):
+            settings[each.name] = _named_kind(value) if is_dataclass(value) else _plain(value)
     return settings
 
 
 def _same(value: Any, default: Any) -> bool:
-    return value is default or (default is not MISSING and _plain(value, kind=True) == _plain(default, kind=True))
+    if value is default or default is MISSING:
+        return value is default
+    return is_dataclass(value) == is_dataclass(default) and _plain([value]) == _plain([default])
