@@ -8,12 +8,21 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers.bayesian.estimator import StateEstimator
+from bayesftc.controllers.precision.base import PrecisionLearner
 from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.types import Floats
 
 SHORT = 250
-"""Recordings of up to this many steps run interpreted by default: compiling takes some seconds once on a machine, and an
-interpreted step of `SwitchingPrecision` with three sensors 12 ms, so that both are equally long at 300 steps."""
+"""Recordings of up to this many steps run interpreted by default, if sensors are judged together: compiling takes some seconds
+once on a machine, and an interpreted step of the joint form with three sensors 12 ms, so that both are equally long at 300."""
+
+QUICK = 10
+"""How much longer a recording may be with any other learner, whose interpreted steps take a tenth of that."""
+
+
+def is_short(steps: int, precision: PrecisionLearner) -> bool:
+    """Return whether compiling for a recording would probably take longer than an interpreted run."""
+    return steps <= SHORT * (1 if getattr(precision, "joint", False) else QUICK)
 
 
 def estimate(
@@ -32,7 +41,7 @@ def estimate(
     compiled : bool or None
         Whether to run compiled; None decides by the length of the recording.
     """
-    step = estimator.online(compiled=len(y) > SHORT if compiled is None else compiled)
+    step = estimator.online(compiled=not is_short(len(y), estimator.precision) if compiled is None else compiled)
     recorded = {name: np.empty((len(y), *estimator.port(name).shape)) for name in names}
     for k in range(len(y)):
         out = step(y=y[k], u=u[k])

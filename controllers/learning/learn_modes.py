@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.controllers.bayesian.estimator import StateEstimator
-from bayesftc.controllers.bayesian.recorded import SHORT, estimate, innovation_covariances
+from bayesftc.controllers.bayesian.recorded import estimate, innovation_covariances, is_short
 from bayesftc.controllers.learning import kernels
 from bayesftc.controllers.learning.resolution import find_resolution
 from bayesftc.controllers.models.checks import Matrix, as_number, as_numbers
@@ -251,7 +251,7 @@ def _expect(
     variance = np.ascontiguousarray(np.diagonal(innovation_covariances(estimator, estimates["P"]), axis1=1, axis2=2))
     units = np.array(precision.offset_units(model))  # a copy: compiled functions accept no read-only arrays
     modes = precision.modes
-    smooth, offsets, scatter = _passes(len(y) > SHORT if compiled is None else compiled)
+    smooth, offsets, scatter = _passes(not is_short(len(y), precision) if compiled is None else compiled)
     begun, lasts = np.empty((2, *y.shape, len(modes)))
     counts, sizes = np.zeros((kernels.FAULTY + 1, len(modes))), np.zeros((len(modes), 3))
     smooth(filtered, precision.chances(model), begun, lasts, counts)

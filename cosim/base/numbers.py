@@ -28,8 +28,9 @@ def counted(number: int, one: str) -> str:
 
 
 def with_article(noun: str) -> str:
-    """Return a noun behind its article: ``"an int"``, ``"a list"``."""
-    return ("an " if noun[0] in "aeiouAEIO" else "a ") + noun
+    """Return a noun behind its article: ``"an int"``, ``"a list"``, ``"an FMU"``."""
+    spelled = noun[0] in "AEFILMNORSX" and noun[:2].isupper()  # as letters: an FMU, an LQGController
+    return ("an " if spelled or noun[0] in "aeiouAEIO" or noun == "ndarray" else "a ") + noun
 
 
 def real(value: object) -> float:

@@ -60,10 +60,10 @@ class Reliability:
         return short(self)
 
     def between(self, low: float = 0.1, high: float = 0.9) -> tuple[float, float]:
-        """Return the share of the samples in bins whose mean probability lies between two numbers, and their calibration error.
+        """Return how many samples are in bins whose mean probability lies between two numbers, and their calibration error.
 
-        Nearly all probabilities of a run are near zero or one, and the calibration error of all samples is theirs. Whoever acts
-        on a probability of 50 % needs that of the others.
+        Where nearly all probabilities are near zero or one, the calibration error of all samples is theirs. Whoever acts on a
+        probability of 50 % needs that of the others. Bins of equal width tell them apart.
 
         Parameters
         ----------
@@ -72,8 +72,8 @@ class Reliability:
 
         Returns
         -------
-        share, error : float
-            Share of the samples, and their calibration error; NaN without a sample.
+        samples, error : float
+            Number of the samples, and their calibration error; NaN without a sample.
 
         Examples
         --------
@@ -83,17 +83,21 @@ class Reliability:
         >>> faulty = np.arange(1000) >= 915
         >>> result = cosim.reliability(probability, faulty, equal="widths")
         >>> [round(number, 3) for number in (result.calibration_error, *result.between())]
-        [0.015, 0.02, 0.25]
+        [0.015, 20.0, 0.25]
         """
         inner = (self.samples > 0) & (low < self.predicted) & (self.predicted < high)
         samples = float(self.samples[inner].sum())
         gaps = np.abs(self.predicted - self.observed)[inner] @ self.samples[inner]
-        return samples / float(self.samples.sum()), float(gaps) / samples if samples else NAN
+        return samples, float(gaps) / samples if samples else NAN
 
     def label(self) -> str:
-        """Return the calibration error in words for a figure, beside that of the probabilities from 0.1 to 0.9."""
-        share, error = self.between()
-        inner = f";\n{error:.3f} for the {share:.2%} of samples from 0.1 to 0.9" if share else ""
+        """Return the calibration error in words for a figure, beside that of the bins from 0.1 to 0.9."""
+        samples, error = self.between()
+        inner = (
+            f";\n{error:.3f} in bins from 0.1 to 0.9 ({samples:.0f} of {self.samples.sum():.0f} samples)"
+            if samples
+            else ""
+        )
         return f"calibration error {self.calibration_error:.3f}{inner}"
 
     def plot(self, title: str | None = None) -> Figure:

@@ -22,6 +22,6 @@ del _root
 def __getattr__(name: str) -> ModuleType:
     from bayesftc._public import PACKAGES, unknown
 
-    if name in {*PACKAGES, "examples"}:
+    if name in {*PACKAGES, "fmus", "examples"}:
         return import_module(f"bayesftc.{name}")
     raise unknown(name, __all__, "bayesftc")

@@ -8,8 +8,8 @@ from typing import Any
 
 import lazy_loader  # type: ignore[import-untyped]
 
-PACKAGES = ("cosim", "controllers", "monitoring", "fmus")
-"""The packages with public names."""
+PACKAGES = ("cosim", "controllers", "monitoring")
+"""The packages with public names, other than `path` and `names` of fmus, which may mean anything."""
 
 _WORDS = {
     "add": ("cosim.Sum",),
@@ -75,7 +75,7 @@ def _hint(name: str, names: list[str], package: str) -> str:
     from bayesftc.cosim.errors import did_you_mean
 
     elsewhere = [f"{each}.{name}" for each in PACKAGES if name in import_module(f"bayesftc.{each}").__all__]
-    if elsewhere:
+    if elsewhere and not meant(name):
         return f"it is {' or '.join(elsewhere)}."
     here = [f"bayesftc.{each}".removeprefix(f"{package}.") for each in meant(name)]
     if here and name.lower() not in {each.lower() for each in names}:

@@ -14,7 +14,6 @@ from bayesftc.cli.commands.recordings._faults import print_disagreements, print_
 from bayesftc.cli.commands.recordings.monitor import monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.bayesian import recorded
-from bayesftc.controllers.learning import learn_modes
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
 from bayesftc.monitoring import Alarm, Disagreement, FaultEvent, Monitor, Signal, align, load_monitor
 
@@ -25,7 +24,6 @@ RUNNER = CliRunner()
 def compiled(monkeypatch):
     """Run compiled, as recordings of more than a thousand steps do: these of 600 steps would take four times as long."""
     monkeypatch.setattr(recorded, "SHORT", 0)
-    monkeypatch.setattr(learn_modes, "SHORT", 0)
 
 
 MODEL = """
@@ -341,7 +339,7 @@ def test_a_rest_of_all_sensors_is_said_and_no_fault(tmp_path):
     arguments = ["monitor", str(tmp_path / "tank.csv"), "--model", str(tmp_path / "model.toml")]
     done = RUNNER.invoke(app, arguments)
     assert done.exit_code == 0, done.output
-    assert "All sensors repeat their values at once, for 9.9 s in all" in done.output
+    assert "For 9.9 s in total, all sensors repeat their values" in done.output
     assert "No fault was found" in done.output
     assert json.loads(RUNNER.invoke(app, [*arguments, "--json"]).output)["rest"] == pytest.approx(9.9)
 

@@ -18,6 +18,7 @@ PACKAGES = {"cosim": cosim, "controllers": controllers}
         (cosim, "Observer", "did you mean 'bayesftc.controllers.StateEstimator'?"),
         (controllers, "KalmanFilter", "did you mean 'StateEstimator'?"),
         (controllers, "LQG", "did you mean 'LQGController'?"),
+        (cosim, "Offset", "did you mean 'Bias'?"),  # not controllers.Offset, a mode of a learner
     ],
 )
 def test_a_name_of_another_tool_gets_the_one_here(package, name, hint):

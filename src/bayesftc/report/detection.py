@@ -184,6 +184,6 @@ def reliability_figure(contents: Contents, found: Found) -> tuple[Figure, str] |
     return made, (
         f"Reliability of the fault probability, {_chosen(with_probability)}: samples in ten bins of equal width. On the dotted "
         "line the probability equals the share of samples with a fault, above it faults are more frequent. Intervals (95 %) over "
-        "seeds. The calibration error is the mean distance from the line, weighted by the samples of each bin. Nearly all are "
-        "near 0 or 1, so a second number is of those from 0.1 to 0.9 alone."
+        "seeds. The calibration error is the mean distance from the line, weighted by the samples of each bin; the "
+        "second number is that of the bins from 0.1 to 0.9 alone."
     )

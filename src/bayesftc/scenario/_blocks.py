@@ -96,7 +96,7 @@ def _block(table: Mapping[str, Any], place: Place, around: Surroundings) -> Bloc
         if "name" in rest:
             raise (place / "name").error("has no effect, because the section names the block. Leave it out.")
         rest.setdefault("channels", 1)
-    return build(cls, rest, place)  # type: ignore[no-any-return]
+    return build(cls, rest, place, of_kind=True)  # type: ignore[no-any-return]
 
 
 def subsystem(table: Mapping[str, Any], place: Place, around: Surroundings) -> Subsystem:

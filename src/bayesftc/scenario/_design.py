@@ -67,7 +67,7 @@ def _of_plant(
     for name in ("plant", "fmu", "measured", "actuated", "sensors"):
         if name in table:
             raise (place / name).error("is already set by [plant] and [sensors]. Leave it out here.")
-    return build(function, settings, place, given=from_file)
+    return build(function, settings, place, given=from_file, of_kind=True)
 
 
 def _numbers(sensors: Sensors, place: Place, what: str) -> int | list[int]:

@@ -19,13 +19,17 @@ from bayesftc._public import meant
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.scenario._place import Place
 
-OF_FILES = ("bayesftc.scenario.", "bayesftc.monitoring.model_file")
-"""Modules whose classes are sections of files. Nobody who writes a file knows them by name, unlike what ``kind`` names."""
-
 SCALARS = {float: "number", int: "whole number", str: "text in quotes", bool: "true or false"}
 
 
-def build(cls: Callable[..., Any], table: object, place: Place, *, given: Mapping[str, Any] | None = None) -> Any:
+def build(
+    cls: Callable[..., Any],
+    table: object,
+    place: Place,
+    *,
+    given: Mapping[str, Any] | None = None,
+    of_kind: bool = False,
+) -> Any:
     """Return an instance of a dataclass, or a function's result, made from a table of the file.
 
     Parameters
@@ -38,6 +42,8 @@ def build(cls: Callable[..., Any], table: object, place: Place, *, given: Mappin
         Its place in the file.
     given : mapping, optional
         Fields with values from elsewhere; they are no keys of the table.
+    of_kind : bool
+        Whether the key ``kind`` has named the class. Nobody who writes a file knows the name of any other.
 
     Raises
     ------
@@ -55,7 +61,7 @@ def build(cls: Callable[..., Any], table: object, place: Place, *, given: Mappin
     missing = [name for name, required in known.items() if required and name not in values]
     if missing:
         phrase = expected(hints[missing[0]])
-        needed = "" if cls.__module__.startswith(OF_FILES) else f", which {cls.__name__} needs"
+        needed = f", which {cls.__name__} needs" if of_kind else ""
         raise place.error(f"lacks {missing[0]!r}{needed}. Add {missing[0]} = ... ({phrase}).")
     with place.named():
         return cls(**values, **given)
@@ -83,7 +89,7 @@ def choose(
 def build_one_of(classes: Collection[type[Any]], table: object, place: Place, **given: Any) -> Any:
     """Return an instance of the class that the table's ``kind`` names."""
     cls, rest = choose(classes, table, place)
-    return build(cls, rest, place, given=given)
+    return build(cls, rest, place, given=given, of_kind=True)
 
 
 def as_table(value: object, place: Place) -> Mapping[str, Any]:

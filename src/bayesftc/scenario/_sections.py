@@ -199,7 +199,7 @@ def controller(
         raise root.error(
             f"lacks the section [model], which {cls.__name__} needs. Add [model] with A, B, C, ... below it."
         )
-    return build(cls, rest, place, given=given)  # type: ignore[no-any-return]
+    return build(cls, rest, place, given=given, of_kind=True)  # type: ignore[no-any-return]
 
 
 def _model(

@@ -247,7 +247,9 @@ def _design(content: dict[str, Any], root: Place) -> Design | None:
         place = root / "samples" / i
         cls, rest = choose(SAMPLES, table, place)
         ranges = as_table(rest.pop("ranges", None), place / "ranges")
-        designs.append(build(cls, rest, place, given={"ranges": {n: _range(r) for n, r in ranges.items()}}))
+        designs.append(
+            build(cls, rest, place, given={"ranges": {n: _range(r) for n, r in ranges.items()}}, of_kind=True)
+        )
     if "factors" in content:
         place = root / "factors"
         factors = as_table(content.pop("factors"), place)

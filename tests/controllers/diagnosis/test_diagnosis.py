@@ -161,7 +161,7 @@ def test_a_load_that_changes_all_the_time_is_no_other_dynamics_of_a_model_withou
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize(("error", "effort"), [(0.2, 4.0), (0.02, 40.0)], ids=["calm", "quick"])
+@pytest.mark.parametrize(("error", "effort"), [(0.02, 40.0), (0.2, 4.0)], ids=["quick", "calm"])
 def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
     """The model has the gust as white noise. The control that answers it looked as if it had lost its effect."""
     gust = [[0, 1, 0], [0, -0.2, 0.7], [0, 0, -1 / 1.5]], [[0, 0], [0.7, 0], [0, 1 / 1.5]]
@@ -901,7 +901,7 @@ def pitching(gust=1.0):
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("gust", [1.0, 6.0])
+@pytest.mark.parametrize("gust", [6.0, 1.0])
 def test_strong_gusts_are_noise_and_no_other_dynamics(gust):
     """The filter of such a plant has no steady state without a little more noise, and the elevator no error at all."""
     loop = pitching(gust)
@@ -1013,7 +1013,7 @@ def test_a_wrong_model_under_which_all_sensors_are_blamed_is_no_fault_of_sensors
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.parametrize("count", [3, 4])
+@pytest.mark.parametrize("count", [4, 3])
 def test_a_wrong_model_beside_a_faulty_sensor_is_no_fault_of_several_sensors(count):
     """A gain of .4 and one biased sensor: the healthy ones alone speak against the model."""
     plant = control.ss([[0.98]], [[0.04]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"])

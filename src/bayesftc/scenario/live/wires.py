@@ -129,7 +129,7 @@ def _wire(table: object, place: Place, folder: Path) -> Wire:
     if "from" in rest:
         given["source"] = convert(rest.pop("from"), Names, place / "from")
     wire = {name: rest.pop(name) for name in of_wire if name in rest}
-    given["bridge"] = _at(build(cls, rest, place), folder)
+    given["bridge"] = _at(build(cls, rest, place, of_kind=True), folder)
     return build(Wire, wire, place, given=given)  # type: ignore[no-any-return]
 
 

@@ -66,8 +66,8 @@ def test_the_only_sensor_of_a_quantity_is_believed_unless_the_start_is_certain()
     assert (np.abs(estimate - x)[-1] < 0.1, probability[-1, 0] > 0.9) == (True, True)
 
 
-@pytest.mark.sampled(2)
-@pytest.mark.parametrize("faulty", range(3))
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("faulty", [0, 2, 1])
 @pytest.mark.parametrize("position", [0.0, 2.0])
 def test_one_faulty_sensor_of_three_does_not_say_where(faulty, position):
     x, estimate, probability = drive(model("ppp"), position, offsets=5.0 * np.eye(3)[faulty])

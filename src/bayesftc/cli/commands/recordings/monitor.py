@@ -326,7 +326,7 @@ def _print(
         console.print(actuators)
     if numbers["rest"]:
         say(
-            f"All sensors repeat their values at once, for {numbers['rest']:g} s in all: the quantity or the logger is at rest. "
+            f"For {numbers['rest']:g} s in total, all sensors repeat their values: the quantity or the logger is at rest. "
             "The fault probabilities keep their values in this time."
         )
     if recording.gaps:
