@@ -38,6 +38,10 @@ LIKELY = 8
 LEAST_PUSHED = 8
 """Least number of samples of a push."""
 
+LEAST_LOSS = 0.05
+"""Least share of a control's effect whose change is one. Of a control far from zero, as an absolute temperature, 1 % looks like a
+load, and a load like it."""
+
 ROUNDS = 2
 """Number of times that each of two loads is fitted anew beside the other, at each width of the fine search."""
 
@@ -63,7 +67,8 @@ def changes(judge: Judge, others: Sequence[Explanation] = ()) -> list[Explanatio
             continue
         acting = coarse.best(kind, coarse.along) if best.columns == coarse.states else None
         one = _placed(judge, kind, best, acting, width)
-        results.append(one)
+        if kind == "onset" or abs(one.values[2] - 1.0) >= LEAST_LOSS:
+            results.append(one)
         if kind == "onset" and one.total > EVIDENCE and not any(_explains(x) and x.total > one.total for x in others):
             among = {*regular[::2], *likely}
             if (pair := coarse.best_two(best.columns, among)) is not None:

@@ -64,7 +64,8 @@ def derivative(f: Callable[[Floats], Floats], at: Floats) -> Floats:
         kink |= bool(kinks.any())
     if not np.isfinite(whole).all():
         raise ModelError(
-            "The equations cannot be evaluated near the operating point, or jump there; give another one (at=...)."
+            f"The equations cannot be evaluated near the operating point, or jump there. Of state and inputs together it is "
+            f"{[float(f'{each:.4g}') for each in at]}; give another one (at=...)."
         )
     if kink:
         warn_user(

@@ -189,11 +189,12 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     }
     units |= received
     read = sensor_node.port("y")
+    blocks = {node.name: node.block for node in diagram.nodes}
     sensors = tuple(
         SensorRole(
             _source(diagram, controller, y, i),
             units[i] if i in units else read.unit_of(i) if i < read.size else None,
-            tuple(faults_before(diagram, controller, i)),
+            tuple(fault for fault in faults_before(diagram, controller, i) if not is_dead_time(blocks[fault])),
         )
         for i in range(y.size)
     )

@@ -158,8 +158,21 @@ def with_rates(diagram: Diagram, before: Diagram | None = None) -> Diagram:
             fault = blocks[name]
             if isinstance(fault, Fault) and fault.sensor == i:
                 blocks[name] = replace(fault, spacing=every)
+                _warn_of_rounding(name, blocks[name], diagram.step)
     blocks[controller.name] = for_rates(controller.block, rates, controller.every, former)
     return diagram.rewired(blocks)
+
+
+def _warn_of_rounding(name: str, fault: Block, step: Fraction) -> None:
+    """Warn if a delay of a slow sensor is not a multiple of the time between its samples: a fault acts on the samples alone."""
+    if isinstance(fault, Delay) and fault.spacing > 1:
+        late, between = float(fault.numbers(step)[0] * step), float(fault.spacing * step)
+        if abs(late - fault.delay) > 0.5 * float(step):
+            warn_user(
+                f"{name!r} delays sensor {fault.sensor} by {fault.delay:g} s, but the sensor has a sample every {between:g} s, "
+                f"and a fault acts on its samples: they are {late:g} s late. Give a multiple of {between:g} s, or write the dead "
+                "time into the plant."
+            )
 
 
 def for_rates(controller: Block, rates: Sequence[int], steps: int = 1, former: Sequence[int] = ()) -> Block:

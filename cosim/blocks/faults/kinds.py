@@ -444,8 +444,8 @@ class Lag(Fault):
 class Delay(Fault):
     """The channel has the sample of `delay` seconds ago.
 
-    As an input fault from the start to the end of a run it is the dead time of an actuator. `loop.linear()` and the check of a
-    model before a run include such delays.
+    From the start to the end of a run it is the dead time of a sensor, or as an input fault that of an actuator, and no fault in
+    tables and figures. `loop.linear()` and the check of a model before a run include such delays.
 
     Parameters
     ----------

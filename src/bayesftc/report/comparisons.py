@@ -95,6 +95,8 @@ def _undecided(each: Pair) -> str:
     value, half = each.difference.value, each.half
     if half != half:
         return f". {text_of(each.first)} has {value:.3g} more, but with one seed this may be noise."
+    if value == 0.0 and half == 0.0:
+        return f", the same as with {text_of(each.first)} in every run."
     return (
         f", but not certainly: {text_of(each.first)} − {text_of(each.second)} is {value:.3g}, with a 95 % interval from "
         f"{value - half:.3g} to {value + half:.3g}."

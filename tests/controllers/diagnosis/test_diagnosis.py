@@ -366,6 +366,21 @@ def test_a_load_and_a_weak_actuator_are_both_named_if_the_control_does_not_chang
     assert "a change of the control by -1.5" in finding.sentence
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_load_beside_a_control_far_from_zero_is_no_loss_of_effect(seed):
+    """A jacket at 300 K: one per cent of the control's effect is as much as the load."""
+    rng = np.random.default_rng(seed)
+    model = controllers.LinearModel([[0.95]], [[0.05]], [[1.0]] * 2, 1e-4, 0.01, dt=1.0).about(
+        [300.0], [300.0], [300.0] * 2
+    )
+    x, u = np.full(600, 300.0), 300.0 + np.repeat(rng.choice([-1.0, 1.0], 12), 50)
+    for k in range(599):
+        x[k + 1] = 0.95 * x[k] + 0.05 * (u[k] + 3.0 * (k > 200)) + 0.01 * rng.standard_normal()
+    finding = controllers.diagnose_recording(model, x[:, None] + 0.1 * rng.standard_normal((600, 2)), u[:, None])
+    assert finding.kind == "onset"
+    assert "loss" not in finding.others
+
+
 @pytest.mark.slow
 def test_numbers_of_findings_are_those_of_the_plant():
     def values(wrong):

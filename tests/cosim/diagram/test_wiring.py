@@ -1,5 +1,7 @@
 """Names of what sensors read, from the connections of a loop."""
 
+import warnings
+
 import control
 import numpy as np
 import pytest
@@ -53,6 +55,28 @@ def test_faults_and_learner_know_how_often_a_sensor_has_a_sample(same_bits):
     sensors = figures(signals_of(result.roles, result)).sensors
     assert [(each.missing_share, each.faults, each.seen_as_missing) for each in sensors] == [(0, 1, 0), (0, 1, 0)]
     assert "samples missing" not in str(result.summary())
+
+
+def test_a_dead_time_of_a_sensor_is_no_fault():
+    """The figures counted a fault from the first step to the last, of a sensor whose dead time the model knows."""
+    late, frozen = cosim.Delay(sensor=1, delay=0.3), cosim.Freeze(sensor=0, start=2.0, stop=4.0)
+    result = slow_loop(every=1, faults=[late, frozen]).simulate(10.0, seed=1)
+    sensors = figures(signals_of(result.roles, result)).sensors
+    assert [each.faults for each in sensors] == [1, 0]
+    assert not result.summary()["errors"]["before faults"].isna().any()
+    begun = cosim.Delay(sensor=1, delay=0.3, start=1.0)
+    result = slow_loop(every=1, faults=[begun]).simulate(10.0, seed=1)
+    assert figures(signals_of(result.roles, result)).sensors[1].faults == 1
+
+
+def test_a_delay_of_a_slow_sensor_that_is_no_multiple_of_its_sample_time_is_warned_of():
+    with pytest.warns(UserWarning, match=r"'delay_1' delays sensor 1 by 0.3 s.*every 0.5 s.*they are 0.5 s late"):
+        loop = slow_loop(faults=[cosim.Delay(sensor=1, delay=0.3)])
+    y = loop.simulate(2.0, seed=1, record=["sensors.y", "delay_1.y"])
+    np.testing.assert_array_equal(y["delay_1.y"][5::5, 1], y["sensors.y"][:-5:5, 1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        slow_loop(faults=[cosim.Delay(sensor=1, delay=1.0), cosim.Delay(sensor=0, delay=0.3)])
 
 
 def test_the_pauses_of_a_healthy_slow_sensor_are_no_dropouts():

@@ -223,7 +223,7 @@ def _codes(
         yield (
             f"{name} is exactly {value} in {100 * code.share:.2g}% of its samples, while {others} not near {value}. The noise of "
             f"{name} is fitted without these samples. If {value} means 'no measurement', add {option}: otherwise the monitor "
-            "takes them for faults."
+            "takes them for samples."
         )
 
 
