@@ -185,7 +185,8 @@ def test_an_fmu_that_cannot_begin_fails_only_its_own_runs(lying):
 def test_an_fmu_that_does_not_repeat_itself_is_found_out(lying):
     path, ways = lying("2.0")
     plant = cosim.FMU(path, parameters={"v0": 0.0, "b": ways["REMEMBERS"]})
-    campaign = cosim.Campaign(loop(plant), duration=1.0, seeds=4, record=["plant.v"])
+    # Few runs are not compared, but get new FMUs, if one run takes longer than making those for all, as on a busy machine.
+    campaign = cosim.Campaign(loop(plant), duration=1.0, seeds=40, record=["plant.v"])
     with pytest.warns(RuntimeWarning, match="gives other results after its initial state"):
         table = campaign.run(executor=cosim.Threads(1)).table
     assert (table["status"] == "ok").all()
