@@ -456,16 +456,20 @@ def best_explanations(
         if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
         found = explanations(judge)
-        counting = [x for x in found if x.counts]
-        if counting and (calmer := quieter(judge)) is not judge:
-            judge, found = calmer, explanations(calmer)
-            counting = [x for x in found if x.counts]
-        if counting or alone:
-            counting = moved_at_random(judge, ranked(counting + [x for x in noisier(judge, found) if x.counts]))
-            if judge.model is not model:
+        if any(x.counts for x in found) and (calmer := quieter(judge)) is not judge:
+            counting = _counting(calmer, explanations(calmer))
+            if counting and counting[0].kind == "noise":
+                # Less noise of all states, and more of some, explains the run: no finding, unless the model as it is lacks noise,
+                # or another cause explains more.
+                gained = counting[0].total + float(np.sum(judge.first - calmer.first))
+                counting = _counting(judge, found)
+                if counting and counting[0].kind != "noise" and counting[0].total <= gained:
+                    counting = []
+            else:
                 # Noise to add to the quieter model is no noise that the user's model lacks: it may have more already.
-                best_is_noise = bool(counting) and counting[0].kind == "noise"
-                counting = [x for x in counting if x.kind != "noise" and not best_is_noise]
+                counting = [x for x in counting if x.kind != "noise"]
+        else:
+            counting = _counting(judge, found) if alone or any(x.counts for x in found) else []
         near = [x for x in counting if _near(x, counting[0])]
         kinds = {x.kind for x in near}
         near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]
@@ -482,6 +486,12 @@ def best_explanations(
         if rank > best:
             fallback, best = near, rank
     return fallback
+
+
+def _counting(judge: Judge, found: list[Explanation]) -> list[Explanation]:
+    """Return the explanations that count, noise among them, from the best one on."""
+    counting = [x for x in found if x.counts]
+    return moved_at_random(judge, ranked(counting + [x for x in noisier(judge, found) if x.counts]))
 
 
 def _without(model: LinearModel, bank: Observers, samples: Floats) -> tuple[Observers, Floats]:
