@@ -39,8 +39,8 @@ LEAST_PUSHED = 8
 """Least number of samples of a push."""
 
 LEAST_LOSS = 0.05
-"""Least share of a control's effect whose change is one. Of a control far from zero, as an absolute temperature, 1 % looks like a
-load, and a load like it."""
+"""A change of a control's effect by a smaller share is none. Where the control is far from zero, as an absolute temperature, a
+load looks like a change by 1 %."""
 
 ROUNDS = 2
 """Number of times that each of two loads is fitted anew beside the other, at each width of the fine search."""

@@ -456,20 +456,7 @@ def best_explanations(
         if min(mask.sum() for mask in judge.masks) < LEAST_SAMPLES:
             continue
         found = explanations(judge)
-        if any(x.counts for x in found) and (calmer := quieter(judge)) is not judge:
-            counting = _counting(calmer, explanations(calmer))
-            if counting and counting[0].kind == "noise":
-                # Less noise of all states, and more of some, explains the run: no finding, unless the model as it is lacks noise,
-                # or another cause explains more.
-                gained = counting[0].total + float(np.sum(judge.first - calmer.first))
-                counting = _counting(judge, found)
-                if counting and counting[0].kind != "noise" and counting[0].total <= gained:
-                    counting = []
-            else:
-                # Noise to add to the quieter model is no noise that the user's model lacks: it may have more already.
-                counting = [x for x in counting if x.kind != "noise"]
-        else:
-            counting = _counting(judge, found) if alone or any(x.counts for x in found) else []
+        counting = _with_fitted_noise(judge, found) if alone or any(x.counts for x in found) else []
         near = [x for x in counting if _near(x, counting[0])]
         kinds = {x.kind for x in near}
         near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]
@@ -486,6 +473,23 @@ def best_explanations(
         if rank > best:
             fallback, best = near, rank
     return fallback
+
+
+def _with_fitted_noise(judge: Judge, found: list[Explanation]) -> list[Explanation]:
+    """Return the explanations that count beside less process noise of all states, if the run has less than the model states."""
+    calmer = quieter(judge) if any(x.counts for x in found) else judge
+    if calmer is judge:
+        return _counting(judge, found)
+    counting = _counting(calmer, explanations(calmer))
+    if not counting or counting[0].kind != "noise":
+        # Noise to add to the quieter model is no noise that the user's model lacks: it may have more already.
+        return [x for x in counting if x.kind != "noise"]
+    # Less noise of all states, and more of some, explains the run: no finding, unless the model as it is lacks noise, or another
+    # cause explains more.
+    gained = counting[0].total + float(np.sum(judge.first - calmer.first))
+    counting = _counting(judge, found)
+    lacking = counting and (counting[0].kind == "noise" or counting[0].total > gained)
+    return counting if lacking else []
 
 
 def _counting(judge: Judge, found: list[Explanation]) -> list[Explanation]:

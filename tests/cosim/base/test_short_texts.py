@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from bayesftc import controllers, cosim, fmus, monitoring
-from bayesftc.cosim.base.numbers import with_half
+from bayesftc.cosim.base.numbers import with_article, with_half
 
 
 def test_a_result_shows_four_digits_and_units_and_has_all_of_them():
@@ -133,3 +133,19 @@ def test_descriptions_and_fits_are_short_and_have_tables():
 
 def test_the_outputs_of_a_step_have_a_table():
     assert "<td" in cosim.Integrator().online(dt=0.5, compiled=False)(u=2.0)._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("noun", "article"),
+    [
+        ("int", "an"),
+        ("list", "a"),
+        ("FMU", "an"),
+        ("LQGController", "an"),
+        ("LinearModel", "a"),
+        ("PID", "a"),
+        ("Offset", "an"),
+    ],
+)
+def test_an_article_is_that_of_the_sound(noun, article):
+    assert with_article(noun) == f"{article} {noun}"

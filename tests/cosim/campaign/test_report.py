@@ -541,6 +541,13 @@ def test_no_difference_is_claimed_that_noise_may_have_made(stored):
     assert "It is higher" not in text
 
 
+def test_levels_that_agree_in_every_run_are_the_same(stored):
+    values = np.tile(np.random.default_rng(3).normal(size=8), 4)
+    text = read(report(stored(grid(mass=[80.0, 100.0], precision=["a", "b"]), 8, {"rmse": values}))).words
+    assert re.search(r"on average, the same as with (precision = )?[ab] in every run\.", text)
+    assert "not certainly" not in text
+
+
 @pytest.mark.slow
 def test_false_claims_are_as_rare_as_they_say(stored):
     """Of campaigns whose levels do not differ, one in twenty at most says that they do."""

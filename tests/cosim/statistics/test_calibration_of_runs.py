@@ -104,3 +104,18 @@ def test_what_is_no_probability_is_told():
         calibration(np.full((2, 20), 3.0), np.zeros((2, 20), bool))
     with pytest.raises(ModelError, match="2 runs of probability and 1 of faulty"):
         calibration(np.zeros((2, 20)), np.zeros((1, 20), bool))
+
+
+def test_probabilities_between_are_judged_apart():
+    """The many near 0 and 1 are right, and the error of the others is that which numpy finds."""
+    rng = np.random.default_rng(0)
+    p = np.concatenate([np.full(5000, 0.001), np.full(500, 0.999), rng.uniform(0.15, 0.85, 200)])
+    faulty = rng.random(len(p)) < np.where((p > 0.1) & (p < 0.9), p / 2, p)
+    result = reliability(p, faulty, equal="widths")
+    inner = (p > 0.1) & (p < 0.9)
+    places = np.floor(10 * p[inner])
+    gaps = [abs((p[inner] - faulty[inner])[places == k].sum()) for k in np.unique(places)]
+    assert result.between() == (200.0, pytest.approx(sum(gaps) / 200))
+    assert f"in bins from 0.1 to 0.9 (200 of {len(p)} samples)" in result.label()
+    samples, error = reliability(p[~inner], faulty[~inner], equal="widths").between()
+    assert (samples, np.isnan(error)) == (0.0, True)
