@@ -57,6 +57,11 @@ def wrong_order(time: Floats, values: Floats, origin: datetime | None) -> str:
                 f"A signal's times go back by an hour: {jump}. The clock was probably set back. Write the times in "
                 f"UTC or with their offset, as 2026-10-25T02:00:00+01:00. In pandas, with your own column and zone: {IN_UTC}."
             )
+        if _written_again(time, values, k):
+            return (
+                f"A signal's rows are written twice: {jump}, with the same samples as before. Leave out the second ones, in "
+                "pandas by table.drop_duplicates()."
+            )
         return f"A signal's times do not increase: {jump}. Sort the recording by time."
     same = np.flatnonzero(steps == 0)
     if not len(same):
@@ -72,6 +77,14 @@ def wrong_order(time: Floats, values: Floats, origin: datetime | None) -> str:
             f"the order in which they were recorded and your own time zone: {IN_UTC}."
         )
     return text
+
+
+def _written_again(time: Floats, values: Floats, k: int) -> bool:
+    """Return whether all samples after a jump back, up to its time, have stood before it."""
+    known = dict(zip(time[: k + 1].tolist(), values[: k + 1].tolist(), strict=True))
+    new = time[k + 1 :] > time[k]
+    again = slice(k + 1, k + 1 + (int(np.argmax(new)) if new.any() else len(new)))
+    return all(known.get(t) == v for t, v in zip(time[again].tolist(), values[again].tolist(), strict=True))
 
 
 def _set_back(steps: Floats, k: int, origin: datetime | None) -> bool:

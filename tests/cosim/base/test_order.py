@@ -57,6 +57,18 @@ def test_another_jump_back_is_to_be_sorted():
     assert wrong_order(np.arange(5.0), np.zeros(5), LOCAL) == ""
 
 
+def test_rows_that_are_written_twice_are_told_from_rows_out_of_order():
+    time = np.array([0.0, 60.0, 120.0, 180.0, 60.0, 120.0, 180.0, 240.0])
+    again = np.array([1.0, 2.0, 3.0, 4.0, 2.0, 3.0, 4.0, 5.0])
+    assert wrong_order(time, again, None) == (
+        "A signal's rows are written twice: 60 s follows 180 s, with the same samples as before. Leave out the second ones, in "
+        "pandas by table.drop_duplicates()."
+    )
+    assert wrong_order(time[:-1], again[:-1], None) == wrong_order(time, again, None)
+    different = np.where(np.arange(8) == 5, 9.0, again)
+    assert wrong_order(time, different, None).endswith("Sort the recording by time.")
+
+
 def test_repeated_samples_count_once_and_different_ones_are_named():
     time, values = np.array([0.0, 1.0, 1.0, 1.0, 2.0]), np.array([5.0, 6.0, 6.0, 6.0, 7.0])
     kept = without_repeats(time, values)
