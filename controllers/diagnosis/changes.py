@@ -105,7 +105,7 @@ def _likely(judge: Judge) -> list[int]:
     all instants would be near the largest load.
     """
     steps = len(judge.recording.u)
-    loads = judge.pushes(np.repeat(judge.model.matrix("B").T[:, np.newaxis], steps, axis=1), whole=True)
+    loads = judge.lasting[:, : judge.model.controls]
     sets = []
     for k, chosen in enumerate(judge.bank.sensors):
         e = np.zeros((steps, len(chosen)))
@@ -175,21 +175,36 @@ class _Pushes:
     """The normal equations of pushes from each of some instants to the end: along B, along each state, and of each control."""
 
     def __init__(self, judge: Judge, instants: Sequence[int]):
-        model, u = judge.model, judge.recording.u
-        p, plant = model.controls, model.plant_states
-        B = model.matrix("B").T
-        constant = np.vstack([B, np.eye(model.states)[:plant]])[:, np.newaxis, :] * np.ones((1, len(u), 1))
-        kinds = np.concatenate([constant, u.T[:, :, np.newaxis] * B[:, np.newaxis, :]])
-        late = np.arange(len(u))[:, np.newaxis] >= np.array([[k] for k in instants])[:, :, np.newaxis]
-        self.judge, self.instants, self.each = judge, list(instants), len(kinds)
+        p, plant = judge.model.controls, judge.model.plant_states
+        self.judge, self.instants, self.each = judge, list(instants), 2 * p + plant
         along, states, controls = np.split(np.arange(self.each), [p, p + plant])
         self.along, self.states = tuple(map(int, along)), tuple(map(int, states))
         self.columns: dict[str, list[tuple[int, ...]]] = {
             "onset": [self.along, self.states],
             "loss": [(int(j),) for j in controls],
         }
-        responses = judge.pushes((late[:, np.newaxis] * kinds).reshape(-1, *kinds.shape[1:]))
+        responses = self._responses()
         self.sets = [self._equations(responses, k) for k in range(len(judge.bank))]
+
+    def _responses(self) -> Floats:
+        """Return the responses to all pushes (sets x pushes x T x m): for each instant the constant ones, then the controls."""
+        judge, u = self.judge, self.judge.recording.u
+        B, steps = judge.model.matrix("B").T, len(u)
+        late = np.arange(steps) >= np.array(self.instants)[:, np.newaxis]
+
+        def late_ones(pushes: Floats) -> Floats:
+            each = judge.pushes((late[:, np.newaxis, :, np.newaxis] * pushes).reshape(-1, *pushes.shape[1:]))
+            return each.reshape(len(each), len(self.instants), -1, *each.shape[2:])
+
+        responses = np.zeros((len(judge.bank), len(self.instants), self.each, *judge.recording.y.shape))
+        first = len(self.along) + len(self.states)
+        responses[:, :, first:] = late_ones(u.T[:, :, np.newaxis] * B[:, np.newaxis])
+        if judge.whole:  # a constant push that begins later has the same response, later
+            for i, k in enumerate(self.instants):
+                responses[:, i, :first, k:] = judge.lasting[:, :, : steps - k]
+        else:
+            responses[:, :, :first] = late_ones(judge.constant)
+        return responses.reshape(len(responses), -1, *responses.shape[3:])
 
     def _equations(self, responses: Floats, k: int) -> tuple[Floats, Floats, float, int]:
         """Return products of the responses with each other and with the innovations, the latter's square, and their number."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -165,6 +166,22 @@ class Judge:
         """Return the responses of the innovations to pushes (H x T x n) of any size; `whole`: as if no sample were missing."""
         scale = np.maximum(np.abs(pushes).max(axis=(1, 2), keepdims=True), 1e-300)
         return np.asarray(self._responses(pushes / scale, 0.0, whole=whole) * scale[:, 0, 0][:, None, None])
+
+    @property
+    def whole(self) -> bool:
+        """Whether no sample is missing and none is left out."""
+        return self.recording.begins == (0,) and bool(np.isfinite(self.recording.y).all())
+
+    @property
+    def constant(self) -> Floats:
+        """Constant pushes along each control and each state of the plant (H x T x n)."""
+        along = np.vstack([self.model.matrix("B").T, np.eye(self.model.states)[: self.model.plant_states]])
+        return np.repeat(along[:, np.newaxis], len(self.recording.u), axis=1)
+
+    @cached_property
+    def lasting(self) -> Floats:
+        """Responses to the constant pushes from the first sample on, as if no sample were missing (sets x H x T x m)."""
+        return self.pushes(self.constant, whole=True)
 
     def offset(self, readings: Floats) -> Floats:
         """Return the response of the innovations to constant readings of the sensors (sets x T x m)."""
