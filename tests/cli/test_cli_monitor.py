@@ -431,6 +431,7 @@ def tank(tmp_path, begin, end=60.0):
     return ["monitor", str(tmp_path / "tank.csv"), "--fit", "--model"]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("begin", [35.2, 36.0, 45.0])
 def test_an_offset_that_lasts_to_the_end_is_not_learnt(tmp_path, begin):
     """A fit to a recording takes it for a fault, says so, and the monitor finds it, also without a stretch."""

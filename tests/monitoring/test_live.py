@@ -259,6 +259,7 @@ def test_a_learner_without_probabilities_has_none():
     assert not watched(watch, {"fault_probability": live["fault_probability"]}, 400)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_logger_that_repeats_its_last_row_blames_no_sensor(seed):
     """When it went on, all sensors had an offset for hours, although they agreed."""

@@ -124,6 +124,7 @@ def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
     assert "process_covariance" in finding.sentence
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("names", [None, controllers.SignalNames(["force"], ["x", "x"], ["x", "v"])])
 def test_a_load_that_wanders_faster_than_the_disturbance_of_the_model_is_no_other_dynamics(names):
     """More noise of a disturbance was no explanation, so that other dynamics or nonlinear terms were the best one."""
@@ -146,6 +147,7 @@ def test_a_load_that_wanders_faster_than_the_disturbance_of_the_model_is_no_othe
     assert diagnose_recording(plant.with_disturbance(larger), y, u) is None
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("mean", [0.0, -3.0])
 def test_a_load_that_changes_all_the_time_is_no_other_dynamics_of_a_model_without_one(mean):
     """Without this explanation the best one was noise of the speed, or in a short beginning of the run a limit or a sign."""
@@ -196,7 +198,7 @@ def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
     assert finding(5.0 * share, disturbance=estimated) is None
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("limit", "reference"),
     [*product([2.0, 3.0, 5.0], [cosim.Sine(1.0, 2.0)]), *product([0.5, 1.0], [cosim.Sine(0.7, 6.0)])],
@@ -257,7 +259,7 @@ def test_an_offset_has_the_unit_of_its_sensors_and_each_quantity_its_own_remedy(
     assert "std=[1.0, 0.05, 0.05], time_constant=1e5, sensors=[0, 1, 2]" in both
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("faults", "load", "kind", "values", "words"),
     [
@@ -333,7 +335,7 @@ def chamber(disturbance, reference, **faults):
     )  # fmt: skip
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("disturbance", [400.0, 4000.0])
 @pytest.mark.parametrize("reference", [5.0, cosim.Sine(3.0, 1200.0, offset=4.0)], ids=["constant", "changing"])
@@ -1021,6 +1023,7 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
     )
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("dt", "samples"), [(0.1, 15), (5.0, 12), (60.0, 35)])
 def test_a_long_dead_time_of_a_slow_plant_is_found(dt, samples):
     """Longest are 1 s or 40 samples, whichever is more: with 1 s alone, a minute in a plant of 5 s was called nonlinear."""

@@ -30,6 +30,7 @@ def flown(loads, seed, *, faulty):
     return y, u
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("faulty", [False, True])
 def test_two_loads_are_named_apart(faulty):
     y, u = flown([(300, 340, 0.8), (500, 900, -1.2)], 1, faulty=faulty)

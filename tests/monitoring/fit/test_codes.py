@@ -76,6 +76,7 @@ def test_what_repeats_otherwise_is_no_code(change):
         assert codes(recording(y)) == {}
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("code", [-9999.0, 65535.0, 850.0])
 @pytest.mark.parametrize("steps", [slice(900, 910), slice(40, None, 400)])
 def test_a_rare_value_far_outside_all_others_is_found_even_once(code, steps):

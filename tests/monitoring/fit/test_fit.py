@@ -348,6 +348,7 @@ def thermometers(rng, steps=6000):
     return pd.DataFrame(y, columns=["north", "roof", "shelter"], index=t)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_fault_outside_of_a_long_stretch_does_not_count(seed):
     """With the noise and lasting errors of the whole recording healthy sensors had 11 to 42 alarms in ten days."""
@@ -362,6 +363,7 @@ def test_a_fault_outside_of_a_long_stretch_does_not_count(seed):
     assert fit_model(recorded(table), slice(0, 500)).borrows
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("start", "size"), [(0.2, 0.6), (0.4, 3.0), (0.8, 0.6)])
 def test_two_sensors_that_part_do_not_teach_the_model_to_expect_it(start, size):
     """A drift of one of two was taken for lasting errors of both: no fault was found, without a word, up to 60 sd."""
@@ -381,6 +383,7 @@ def test_two_sensors_that_part_do_not_teach_the_model_to_expect_it(start, size):
     assert min([event.start for event in found.events], default=np.inf) > 5.0 * first
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_gain_error_of_one_of_two_is_no_parting(seed):
     """While the quantity rises, it lets them part, and the healthy one had alarms."""
@@ -451,6 +454,7 @@ def test_two_sensors_that_wander_about_each_other_have_not_parted(seed):
     assert fit_model(recorded(table)).parted is None
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", ["signals", "recorded", "align", "table", "dates", "file"])
 def test_a_fitted_monitor_judges_later_recordings(kind, tmp_path):
     """Their biases were not subtracted, so that healthy sensors had alarms to the end."""
@@ -880,7 +884,7 @@ def flows(seed, sensors, gain):
     return 60.0 * t, (y + rng.standard_normal(y.shape) * [0.08, 0.1, 0.12][:sensors]).round(3)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("sensors", [2, 3])
 def test_a_gain_error_is_divided_out(seed, sensors, tmp_path):
@@ -916,7 +920,7 @@ def test_sensors_without_a_gain_error_get_no_gain(seed, sensors):
     assert "gain" not in text
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("count", [0.2, 0.5])
 @pytest.mark.parametrize("fault", ["none", "drift", "offset"])
 def test_rounding_errors_last_until_the_quantity_has_moved_by_a_step(count, fault):

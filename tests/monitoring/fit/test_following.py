@@ -53,6 +53,7 @@ def test_another_factor_shows_where_the_quantity_rests_most_of_the_time():
     assert strangers(y.round(1)) == {}
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("level", [LEVEL, np.full(N, 6.0)])
 def test_healthy_sensors_with_faults_follow(seed, level):
@@ -62,6 +63,7 @@ def test_healthy_sensors_with_faults_follow(seed, level):
         assert strangers(y[:, kept], slice(0, 2700)) == {}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("kind", list(STRANGE))
 def test_a_sensor_that_does_not_follow_is_named(seed, kind):
@@ -97,6 +99,7 @@ def recording(y):
     return recorded({f"s{i}": Signal(T[there[:, i]], y[there[:, i], i].round(3)) for i in range(y.shape[1])})
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", list(STRANGE))
 def test_the_fit_of_the_others_is_as_without_it(kind):
     rng = np.random.default_rng(0)
