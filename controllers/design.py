@@ -17,6 +17,7 @@ from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector, check_limits
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
+from bayesftc.controllers.models.disturbances import LONGEST
 from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import (
@@ -55,6 +56,7 @@ def design(
     order: int | None = None,
     sensors: int | Sequence[int] | None = None,
     sensor_std: float | Sequence[float] = 0.01,
+    sensor_bias: float | Sequence[float] = 0.0,
     noise: Mapping[str, float | Sequence[float]] | None = None,
     disturbance: Matrix | bool | None = None,
     acceptable_error: float | Sequence[float] = 0.1,
@@ -104,6 +106,10 @@ def design(
     sensor_std : number or vector
         Standard deviation of the sensors' errors, noise and rounding together (`Sensors.error_std`): one for all, for each
         output, or for each sensor in the order of `sensors`.
+    sensor_bias : number or vector
+        Standard deviation of a constant offset of each sensor, which is then estimated, in the unit of the sensor: one for all,
+        or for each sensor; 0 for one without offset. Of several sensors of a quantity, one needs to be without. See
+        `LinearModel.with_sensor_errors`.
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations. It is white: a new value in each sample. A disturbance
         that lasts, as a gust, is a state of the plant that such noise drives. By default each control has noise of 5 % of half
@@ -193,7 +199,7 @@ def design(
         for name, value in determined.items():
             if value is not None:
                 raise ModelError(f"A LinearModel already determines {name}; leave {name}= out.")
-        model, H = plant, _goal_rows(plant, goal)
+        model, H, names = plant, _goal_rows(plant, goal), tuple[str, ...]()
         at_rest = plant.operating_state
         mean = np.zeros(plant.states - plant.disturbances) if at_rest is None else np.asarray(at_rest, float)
         load = _load(disturbance, acceptable_control, _half_range(u_min, u_max, plant.controls))
@@ -234,19 +240,20 @@ def design(
             noise = {linear.inputs[j]: float(std) for j, std in zip(columns, usual, strict=True)}
         model = linear.model(sensed, driven, noise=noise, sensors=sensors, sensor_std=sensor_std, disturbance=load)
         rows, mean = linear.rows(goals), linear.start
+        names = tuple(linear.outputs[i] for i in rows)
         H = np.zeros((len(rows), model.states))
         H[:, : len(mean)] = linear.C[rows]
         if model.constant:
             H[:, -1] = linear.y[rows] - linear.C[rows] @ linear.x
     if goal is None and len(H) > model.controls:
-        named = list(range(len(H))) if isinstance(plant, LinearModel) else [linear.outputs[i] for i in rows]
-        raise ModelError(_too_many_goals(named, model.controls))
+        raise ModelError(_too_many_goals(names or range(len(H)), model.controls))
     refuse_unstabilisable(model)
     refuse_undetectable(model)
     p = model.controls
     if isinstance(plant, FMU) and at is None:
         with reported("Comparing the linear model with the plant, for some seconds."):
             compare_with_plant(model, plant, control=driven, measured=sensed, at=mean, u_min=u_min, u_max=u_max)
+    model, H = _with_biases(model, H, as_vector("sensor_bias", sensor_bias, model.sensors))
     low, high = as_vector("u_min", u_min, p, finite=False), as_vector("u_max", u_max, p, finite=False)
     if goal_covariance is None:
         goal_covariance = _squares("acceptable_error", acceptable_error, len(H))
@@ -281,6 +288,7 @@ def design(
         initial_covariance=start,
         initial_control=initial_control,  # type: ignore[arg-type]
         preview=preview,
+        goal_names=names,
     )
 
 
@@ -410,8 +418,30 @@ def _goal_rows(model: LinearModel, goal: Any) -> Floats:
     return np.asarray(quantities[numbers])
 
 
+def _with_biases(model: LinearModel, H: Floats, std: Floats) -> tuple[LinearModel, Floats]:
+    """Return the model with offsets of the sensors that have a standard deviation, and its map to the goals."""
+    if (std < 0).any():
+        raise ModelError(f"sensor_bias is {std.tolist()}; standard deviations must be 0 (no offset) or positive.")
+    biased = np.flatnonzero(std).tolist()
+    if not biased:
+        return model, H
+    H = np.insert(H, [model.states - model.constant] * len(biased), 0.0, axis=1)
+    return model.with_sensor_errors(std[biased].tolist(), LONGEST * float(model.step), biased), H
+
+
+def _own_variances(model: LinearModel) -> Floats:
+    """Return the variance that each state has by itself: that of a sensor's error in the long run, else 0."""
+    moving = model.moving
+    decay, Q = np.diag(moving.matrix("A")), np.diag(moving.matrix("process_covariance"))
+    of_errors = (np.arange(moving.states) >= model.states - model.disturbances) & (np.abs(decay) < 1.0)
+    return np.where(of_errors, Q / np.where(of_errors, 1.0 - decay**2, 1.0), 0.0)
+
+
 def _initial(model: LinearModel, times: float) -> Floats:
-    """Return the initial covariance: a multiple of that of the steady filter's predictions."""
+    """Return the initial covariance: a multiple of that of the steady filter's predictions.
+
+    An error of a sensor in the model has at least its own variance: the steady filter knows a bias, at the start nobody does.
+    """
     from numpy.linalg import LinAlgError
 
     moving = model.moving
@@ -422,6 +452,7 @@ def _initial(model: LinearModel, times: float) -> Floats:
     n = moving.states
     try:
         start[:n, :n] = times * predicted_covariance(A, C, Q + spread * np.eye(n), R)
+        start[:n, :n] += np.diag(np.maximum(_own_variances(model) - np.diag(start)[:n], 0.0))
         return as_covariance("The initial covariance", (start + start.T) / 2, model.states, singular=True)
     except (ModelError, LinAlgError, ValueError):
         raise ModelError(

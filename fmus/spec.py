@@ -86,6 +86,8 @@ class Variable:
         For an exported block: the variable's name in the diagram, if it is different. Written as a vendor annotation.
     element_descriptions : tuple of str
         In place of `description` where each element is one variable, as in FMI 2.
+    element_units : tuple of (Unit or None)
+        In place of `unit` there.
     """
 
     name: str
@@ -100,6 +102,7 @@ class Variable:
     element_dependencies: tuple[tuple[str, ...], ...] = ()
     origin: str = ""
     element_descriptions: tuple[str, ...] = ()
+    element_units: tuple[Unit | None, ...] = ()
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -270,6 +273,8 @@ class Model:
                     name=name,
                     description=description,
                     element_descriptions=(),
+                    unit=unit,
+                    element_units=(),
                     start=start,
                     shape=(),
                     dependencies=each(variable.dependencies),
@@ -278,8 +283,13 @@ class Model:
                     origin=variable.origin and variable.origin + name.removeprefix(variable.name),
                 )
                 for variable in self.variables
-                for name, start, exact, description in zip(
-                    variable.elements, variable.starts, of_elements(variable), variable.described, strict=True
+                for name, start, exact, description, unit in zip(
+                    variable.elements,
+                    variable.starts,
+                    of_elements(variable),
+                    variable.described,
+                    variable.element_units or (variable.unit,) * variable.size,
+                    strict=True,
                 )
             ),
         )

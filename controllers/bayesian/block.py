@@ -29,6 +29,7 @@ from bayesftc.controllers.precision.kinds import InfersFaults
 from bayesftc.controllers.signals import named, port, summary_of
 from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.invalid import Invalid, invalid_values
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ports import Port
@@ -69,7 +70,8 @@ class BayesianBlock(InfersFaults, Block, ABC):
     """A controller with a model, a precision learner, a goal prior and a control prior.
 
     The docstrings of the controllers describe the settings ``model, precision, goal_on, goal_covariance, control_covariance,
-    control_mean, belief, u_min, u_max, u_rate, initial_mean, initial_covariance, initial_control, invalid, posterior_outputs``.
+    control_mean, belief, u_min, u_max, u_rate, initial_mean, initial_covariance, initial_control, invalid, posterior_outputs,
+    goal_names``.
     """
 
     model: Any
@@ -87,6 +89,7 @@ class BayesianBlock(InfersFaults, Block, ABC):
     initial_control: float | tuple[float, ...] | None = field(default=None, kw_only=True, metadata={"unit": "{u}"})
     invalid: Invalid = field(default=(), kw_only=True)
     posterior_outputs: bool = field(default=False, kw_only=True)
+    goal_names: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __str__(self) -> str:
         """Return the sizes of the model and the kind of learner, for ``print(controller)``; its ``repr`` has all settings."""
@@ -104,6 +107,7 @@ class BayesianBlock(InfersFaults, Block, ABC):
             )
         check_choice(self, "belief", "filtered", "joint")
         check_flags(self, "posterior_outputs")
+        self._check_goal_names()
         n, p = self.model.states, self.model.controls
         values = {
             "goal_covariance": as_covariance("The goal_covariance", self.goal_covariance, self.goals),
@@ -140,6 +144,16 @@ class BayesianBlock(InfersFaults, Block, ABC):
             raise ModelError(
                 f"u_rate is {values['u_rate'].tolist()}; it must be positive (units of the control per second)."
             )
+
+    def _check_goal_names(self) -> None:
+        given = self.goal_names
+        if isinstance(given, str) or not all(isinstance(name, str) for name in given):
+            raise ModelError(f"goal_names is {given!r}; it must be a list of texts.")
+        if given and len(given) != self.goals:
+            raise ModelError(
+                f"goal_names has {counted(len(given), 'name')}, but there are {self.goals} elements of the goal: {given!r}."
+            )
+        object.__setattr__(self, "goal_names", tuple(given))
 
     def _check_reach(self, effect: Floats) -> None:
         """Refuse a flat control prior if the goal does not determine each control; ``effect`` is d x_t+1 / d u_t."""
@@ -211,7 +225,9 @@ class BayesianBlock(InfersFaults, Block, ABC):
     @property
     def inputs(self) -> tuple[Port, ...]:
         """Inputs ``y`` and ``goal``."""
-        return port("y", (self.model.sensors,), of=named(self.model, "sensors")), port("goal", (self.goals,))
+        return port("y", (self.model.sensors,), of=named(self.model, "sensors")), port(
+            "goal", (self.goals,), elements=self.goal_names
+        )
 
     @property
     def outputs(self) -> tuple[Port, ...]:

@@ -174,6 +174,9 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
         Values that mark a missing sample, such as ``[-9999, 65535]``: a sample equal to one of them counts as missing.
     posterior_outputs : bool
         Whether the covariance of the control and the free energy are outputs as well. They take some time at each sample.
+    goal_names : sequence of str
+        A name for each element of the goal: that of a signal of the plant. Tables and figures then also show the tracking error
+        of what no sensor measures. `design` gives them.
 
     Raises
     ------

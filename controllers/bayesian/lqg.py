@@ -77,6 +77,8 @@ class LQGController(BayesianController):
         larger number has no effect.
     posterior_outputs : False
         Must be False. Only the ratio of the two priors has a meaning: control covariance and free energy do not exist.
+    goal_names : sequence of str
+        See `BayesianController`.
 
     Raises
     ------

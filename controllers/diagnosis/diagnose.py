@@ -291,7 +291,8 @@ def _without_blamed(
         left = None if trusted is None else found(trusted)
         if trusted is not None and left is None:
             together = bool(np.any(blamed[:, named].sum(axis=1) > 1))
-            return ModelFinding("sensors", faulty_sensors(named, together=together, alone=len(chosen) == len(named)))
+            words = faulty_sensors(named, together=together, alone=len(chosen) == len(named))
+            return ModelFinding("sensors" if len(named) > 1 else "unknown", words)
         if left is not None and left.kind != "unknown":
             return left
     return None

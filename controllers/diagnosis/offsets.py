@@ -20,11 +20,16 @@ VISIBLE = 1e-6
 
 
 def offsets(judge: Judge) -> list[Explanation]:
-    """Return the best explanation by offsets, of the sensors of as few quantities as possible; none if no offset is visible."""
+    """Return the best explanation by offsets, of the sensors of as few quantities as possible; none if no offset is visible.
+
+    Quantities with a sensor whose error the model estimates already are left out.
+    """
     rows = np.eye(judge.model.sensors)
     responses = np.stack([judge.offset(row) for row in rows], axis=1)
     seen = [_visible(judge, responses[:, i : i + 1]) for i in range(len(rows))]
-    left = [group for group in judge.model.alike if all(seen[i] for i in group)]
+    model = judge.model
+    errors = model.matrix("C")[:, model.states - model.disturbances : model.states - model.constant]
+    left = [group for group in model.alike if all(seen[i] and not errors[i].any() for i in group)]
     found: list[Explanation] = []
     chosen: tuple[Floats, ...] = ()
     while left:

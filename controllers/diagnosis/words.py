@@ -104,15 +104,23 @@ def _actuators(
 
 
 def faulty_sensors(blamed: Sequence[int], *, together: bool, alone: bool) -> str:
-    """Return the sentence about sensors that the controller blames for long: without their samples, the model is right.
+    """Return the sentence about sensors that the controller blames for long, where nothing is found without their samples.
 
     `together`: some are blamed at once. `alone`: the samples for which it blames others, for a short time, are not left out.
     """
     *most, last = map(str, blamed)
     at_once = " at the same time" if together else ""
-    who = f"Sensors {', '.join(most)} and {last} are faulty{at_once}." if most else f"Sensor {last} is faulty."
-    them = "any sensor" if not alone else "them" if most else "it"
-    return f"{who} Without the samples for which the controller blames {them}, nothing speaks against the model."
+    who = f"sensors {', '.join(most)} and {last}{at_once}" if most else f"sensor {last}"
+    without = "those samples" if alone else "the samples for which it blames any sensor"
+    cause = (
+        "Either they are faulty, or the model is wrong and they are blamed because of it."
+        if most
+        else "One faulty sensor alone does not contradict a model, so that the model is probably wrong as well."
+    )
+    return (
+        f"The controller blames {who}. Without {without} there is not enough evidence against the model. {cause} A run without "
+        "faults of sensors may name the error."
+    )
 
 
 def _alone(model: LinearModel) -> str:

@@ -257,8 +257,8 @@ class LinearLoop:
         tracked = tuple(self.parts.tracked)
         if not tracked:
             raise ModelError(
-                "No measured signal has its own goal in this loop, so that there is no response from goal to signal; use "
-                "loop.linear().closed for the response of the controls."
+                "No measured signal has its own goal in this loop, so that there is no response from goal to signal. The "
+                "property closed has the response of the controls: linear.closed of linear = loop.linear(...)."
             )
         name = tracked[self._number(tracked, goal, "tracked signal", "goal")]
         signals = (*tracked, *self.parts.controls)

@@ -124,7 +124,9 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     names = tuple(element_name(port, i) for port, i in driven)
     goals = tuple(element_name(controller.port("goal"), i) for i in range(controller.port("goal").size))
     quantities = find_roles(diagram).quantities
-    tracked = {each.name: (each.goal, rows[each.sensors[0]]) for each in quantities if each.goal is not None}
+    tracked = {
+        each.name: (each.goal, rows[each.sensors[0]]) for each in quantities if each.goal is not None and each.sensors
+    }
     return Parts(linear, law, rows, tracked, names, goals, step)
 
 

@@ -53,7 +53,7 @@ class SensorRole:
 
 @dataclass(frozen=True)
 class QuantityRole:
-    """One quantity that sensors measure.
+    """One quantity that sensors measure, or that has a goal.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class QuantityRole:
     unit : str or None
         Its unit.
     sensors : tuple of int
-        The sensors that measure it.
+        The sensors that measure it; none where only the goal is for it.
     truth : tuple of (float, Place), or None
         Weights and signals whose sum an ideal sensor reads; None if a signal is missing.
     reference : Place or None
@@ -118,6 +118,9 @@ class ControlRole:
 KINDS = ("fault_kinds", "fault_sizes", "actuator_kinds", "actuator_sizes", "corrected_kinds")
 MATRICES = ("measurement_matrix", "goal_matrix")
 """What a controller may say beside its ports: attributes of `LoopRoles`, and the matrices from ``x_hat`` to sensors and goal."""
+
+GOALS = "goal_names"
+"""What a controller may say of its goal: the signals of the plant that the elements are for."""
 
 
 @dataclass(frozen=True)
@@ -211,15 +214,16 @@ def find_roles(diagram: Diagram) -> LoopRoles:
 def traits(block: Block) -> dict[str, Any]:
     """Return what a controller says about itself beside its ports; an exported one says it in its FMU.
 
-    These are the `KINDS`, ``lag`` and the `MATRICES`. What has another form, in a block or a file of somebody else, is left out.
+    These are the `KINDS`, ``lag``, the `MATRICES` and the `GOALS`. What has another form, in a block or a file of somebody else,
+    is left out.
     A subsystem has those of the estimator or controller inside.
     """
     inside = inferring(block)
     told = getattr(inside, "traits", None)
     told = told if isinstance(told, Mapping) else {}
-    given = {name: getattr(inside, name, told.get(name)) for name in (*KINDS, "lag", *MATRICES)}
+    given = {name: getattr(inside, name, told.get(name)) for name in (*KINDS, GOALS, "lag", *MATRICES)}
     found: dict[str, Any] = {"lag": given["lag"]} if isinstance(given["lag"], str) else {}
-    for name in KINDS:
+    for name in (*KINDS, GOALS):
         of = given[name]
         if isinstance(of, list | tuple) and all(isinstance(each, str) for each in of):
             found[name] = tuple(of)
@@ -375,6 +379,21 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     for name in named:
         if name not in known:
             raise ModelError(f"The subsystem {controller.name!r} has a goal for {name!r}; {did_you_mean(name, known)}")
+    plants = dict.fromkeys(place[0].rpartition(".")[0] for place in inputs if place is not None)
+    outputs = {
+        element_name(port, i): (f"{node.name}.{port.name}", i, port.unit_of(i))
+        for node in diagram.nodes
+        if node.name in plants
+        for port in node.block.outputs
+        for i in range(port.size)
+    }
+    for goal, name in enumerate(told.get(GOALS, ())):
+        if any(role.goal == goal for role in roles):
+            continue
+        signal, i, unit = outputs.get(name, (None, 0, None))
+        truth = None if signal is None else ((1.0, (signal, i)),)
+        belief = tuple(map(float, G[goal])) if G is not None and estimates else None
+        roles.append(QuantityRole(name, unit, (), truth, _reference(diagram, controller, goal), belief, goal))
     return tuple(roles)
 
 
@@ -460,8 +479,7 @@ def check_units_of_goals(diagram: Diagram) -> None:
     roles = known_roles(diagram) if any(given) else None
     for quantity in roles.quantities if roles is not None else ():
         k = quantity.goal
-        # Where the controller receives them: a block before it may have converted the samples.
-        measured = known.get((controller.name, "y", quantity.sensors[0]))
+        measured = known.get(_where(quantity, controller))
         if k is None or k >= goal.size or measured is None or not (source := sources[k]) or not (of := given[k]):
             continue
         if gap := difference(of[0], measured[0], of[1], measured[1]):
@@ -472,18 +490,30 @@ def check_units_of_goals(diagram: Diagram) -> None:
             )
 
 
-def unit_of_goal(diagram: Diagram) -> Units:
-    """Return the unit of the controller's goal, if all its elements are goals of quantities of one unit; else nothing.
+def _where(quantity: QuantityRole, controller: Node) -> Element:
+    """Return where the unit of a quantity is known: where the controller receives it, else at the plant.
+
+    A block before the controller may have converted the samples.
+    """
+    if quantity.sensors:
+        return controller.name, "y", quantity.sensors[0]
+    signal, i = quantity.truth[0][1] if quantity.truth else (".", 0)
+    block, _, port = signal.rpartition(".")
+    return block, port, i
+
+
+def units_of_elements(diagram: Diagram) -> Mapping[Element, str]:
+    """Return the unit of each element of a port, as `units_of` does, and of the elements of the controller's goal.
 
     A source of the goal has no unit, so that no connection passes one on.
     """
     roles = known_roles(diagram)
-    if roles is None or (goal := _port(diagram[roles.controller].inputs, "goal")) is None:
-        return {}
-    size = goal.size
-    units = {quantity.goal: quantity.unit for quantity in roles.quantities}
-    first = units.get(0)
-    return {(roles.controller, "goal"): first} if first and all(units.get(i) == first for i in range(size)) else {}
+    goals = (
+        {}
+        if roles is None
+        else {(roles.controller, "goal", q.goal): q.unit for q in roles.quantities if q.goal is not None and q.unit}
+    )
+    return goals | {place: unit for place, (unit, _) in _declared(diagram).items()}
 
 
 __all__ = [
@@ -497,6 +527,6 @@ __all__ = [
     "check_units_of_goals",
     "find_roles",
     "known_roles",
-    "unit_of_goal",
     "units_of",
+    "units_of_elements",
 ]

@@ -200,6 +200,7 @@ def _variable(
         shape=signal.shape,
         origin=_renamed(signal) if isinstance(signal, Signal) else "",
         element_descriptions=signal.element_descriptions if isinstance(signal, Signal) else (),
+        element_units=tuple(map(_unit, signal.element_units)) if isinstance(signal, Signal) else (),
     )
 
 

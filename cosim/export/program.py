@@ -17,7 +17,7 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE, Names, opened, part_of
-from bayesftc.cosim.diagram.roles import unit_of_goal, units_of
+from bayesftc.cosim.diagram.roles import units_of, units_of_elements
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.diagram.subsystem import Subsystem, with_inside
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
@@ -94,7 +94,7 @@ def program_of(
         If there is no block or signal of that name.
     """
     diagram = _as_diagram(exported, dt)
-    part, units = _part(diagram, blocks), {**unit_of_goal(diagram), **units_of(diagram)}
+    part, units, of_elements = _part(diagram, blocks), units_of(diagram), units_of_elements(diagram)
     alone = len(part.nodes) == 1
     prefix = ""
     if isinstance(exported, Subsystem):
@@ -111,8 +111,8 @@ def program_of(
     program = Program(
         name or (part.nodes[0].name if alone else "diagram"),
         schedule,
-        tuple(signal_of(schedule, label, places, units) for label, places in input_places.items()),
-        tuple(signal_of(schedule, label, places, units) for label, places in output_places.items()),
+        tuple(signal_of(schedule, label, places, of_elements) for label, places in input_places.items()),
+        tuple(signal_of(schedule, label, places, of_elements) for label, places in output_places.items()),
         tuple(replace(each, name=each.name.removeprefix(prefix)) for each in tunables_of(schedule, alone, units)),
     )
     named_sides = [

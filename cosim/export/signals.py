@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE
-from bayesftc.cosim.diagram.roles import Units
+from bayesftc.cosim.diagram.roles import Element as PortElement, Units
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.export.tunables import Element, settings_of
 from bayesftc.cosim.export.units import unit_of_setting
@@ -34,7 +34,7 @@ class Signal:
     shape : tuple of int
         ``()`` for a number.
     unit : str or None
-        The unit of its port.
+        The unit of its elements, if it is one.
     start : tuple of float
         For an input, its value until it is set.
     places : tuple of int
@@ -47,6 +47,8 @@ class Signal:
         Its name in the diagram, as ``controller.y``.
     element_descriptions : tuple of str
         A description of each element; empty if they have none of their own.
+    element_units : tuple of (str or None)
+        The unit of each element, if they have different ones; else empty.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Signal:
     description: str = ""
     origin: str = ""
     element_descriptions: tuple[str, ...] = ()
+    element_units: tuple[str | None, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,7 @@ class Tunable:
     unit: str | None = None
 
 
-def signal_of(schedule: Schedule, label: str, places: Places, units: Units) -> Signal:
+def signal_of(schedule: Schedule, label: str, places: Places, units: Mapping[PortElement, str]) -> Signal:
     """Return the signal of this name for these elements of a port."""
     node, port, _ = places[0]
     begin = schedule.signal(node, port).start
@@ -110,12 +113,16 @@ def signal_of(schedule: Schedule, label: str, places: Places, units: Units) -> S
     origin = f"{node.name}.{port.name}"
     if len(places) < port.size:
         origin = labels(origin, port.shape)[places[0][2]]
-    unit, description = units.get((node.name, port.name)), port.description or _description(node, port)
+    of_elements = tuple(units.get((node.name, port.name, i)) for _, _, i in places)
+    unit = of_elements[0] if len({*of_elements}) == 1 else None
+    description = port.description or _description(node, port)
     given = port.element_descriptions
     each = tuple(given[i] for _, _, i in places) if len(given) == port.size else ()
     if each and not shape:
         description, each = each[0], ()
-    return Signal(label, shape, unit, start, at, port.draw, description, origin, each)
+    return Signal(
+        label, shape, unit, start, at, port.draw, description, origin, each, of_elements if unit is None else ()
+    )
 
 
 def _description(node: Node, port: Port) -> str:

@@ -16,7 +16,14 @@ from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.judging.alarms import judge_alarms
 from bayesftc.cosim.judging.metrics import false_alarm_rate, figures, periods
-from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
+from bayesftc.cosim.judging.signals import (
+    ALARM,
+    ActuatorSignals,
+    Flags,
+    LoopSignals,
+    QuantitySignals,
+    SensorSignals,
+)
 from bayesftc.cosim.run.result import ESTIMATE_A_LOAD
 from bayesftc.cosim.types import Floats
 
@@ -426,14 +433,17 @@ def _name(kinds: Sequence[str], number: int) -> str:
 
 
 def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list[str]]:
-    """Return notes on quantities of which all sensors have an alarm, without a fault, although they agree.
+    """Return notes on quantities of which all sensors, or all but one, have an alarm, without a fault, although they agree.
 
     The reason is named (``"named"``) if all are called noisier, or if the alarms begin with the run, and no fault of an input has
-    begun: then it is the belief at the start. Else it is some error of the model (``"model"``).
+    begun: then it is the belief at the start; or if one sensor is believed against the others. Else it is some error of the model
+    (``"model"``).
     """
     notes: dict[str, list[str]] = {"named": [], "model": []}
     begun = [int(i.faulty.argmax()) for i in signals.inputs if i.faulty is not None and i.faulty.any()]
     for quantity in signals.quantities:
+        if not quantity.sensors:
+            continue
         group = [signals.sensors[i] for i in quantity.sensors]
         alarms = [s.alarm & ~s.faulty for s in group if s.alarm is not None and s.faulty is not None]
         samples = [s.samples for s in group if s.samples is not None]
@@ -441,6 +451,7 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
             continue
         first = alarms_of_all(samples, alarms)
         if first is None:
+            notes["named"] += _outvoted(quantity, signals, samples, alarms)
             continue
         of, wrong = "model", "the plant behaves unlike the controller's model"
         sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
@@ -459,6 +470,22 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
             )
         notes[of].append(f"{sensors} sensors of {quantity.name} agree but are blamed from t = {t:g} s: {wrong}")
     return notes
+
+
+def _outvoted(
+    quantity: QuantitySignals, signals: LoopSignals, samples: Sequence[Floats], alarms: Sequence[Flags]
+) -> list[str]:
+    """Return a note where one sensor of a quantity is believed against all others, two or more that agree."""
+    for k, believed in enumerate(quantity.sensors):
+        first = alarms_of_all(*([*each[:k], *each[k + 1 :]] for each in (samples, alarms)))
+        if first is not None:
+            others = [str(i) for i in quantity.sensors if i != believed]
+            return [
+                f"sensors {', '.join(others[:-1])} and {others[-1]} of {quantity.name} agree but are blamed from t = "
+                f"{signals.time[first]:g} s, and sensor {believed} is believed: where the model is not exact, a slow fault of "
+                "the most accurate sensor may look like one of the others. Improve the model (docs/explanation/wrong-models.md)"
+            ]
+    return []
 
 
 def often_blamed(signals: LoopSignals) -> tuple[int, str] | None:

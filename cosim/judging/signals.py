@@ -127,7 +127,7 @@ class SensorSignals:
 
 @dataclass(frozen=True, eq=False)
 class QuantitySignals:
-    """One quantity that sensors measure, over time.
+    """One quantity that sensors measure, or that has a goal, over time.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class QuantitySignals:
     unit : str or None
         Its unit.
     sensors : tuple of int
-        The sensors that measure it.
+        The sensors that measure it; none where only the goal is for it.
     truth : array or None
         The reading of an ideal sensor: without noise, offset, rounding and fault.
     reference : array or None
@@ -273,8 +273,9 @@ class LoopSignals:
 
     def sensor_name(self, index: int) -> str:
         """Return the name of a sensor: its number, and of several quantities the one that it measures."""
-        measured = [q.name for q in self.quantities if index in q.sensors] if len(self.quantities) > 1 else []
-        return f"sensor {index} ({measured[0]})" if measured else f"sensor {index}"
+        measured = [q for q in self.quantities if q.sensors]
+        of = next((f" ({q.name})" for q in measured if index in q.sensors), "") if len(measured) > 1 else ""
+        return f"sensor {index}{of}"
 
 
 __all__ = [

@@ -264,7 +264,7 @@ class Result(Mapping[str, Floats]):
         """What a reader must know of a run: that it stopped, what speaks against the model, and controls at their limits."""
         return self._explained("")
 
-    def _explained(self, why: str = f" ({DIAGNOSE} says why)") -> list[str]:
+    def _explained(self, why: str = f" ({DIAGNOSE} looks for the cause)") -> list[str]:
         """Return the notes, with `why` after each that a diagnosis explains."""
         notes = ["stopped early"] if self.stopped else []
         wrong = [
@@ -275,13 +275,18 @@ class Result(Mapping[str, Floats]):
         limited = [note for note, _ in self._limited]
         return [*notes, *(f"{text}{why}" for text in wrong or model), *named, *([] if wrong else often), *limited]
 
-    def _sentences(self) -> list[str]:
-        """Return the notes as sentences."""
-        notes = ["The run stopped early."] if self.stopped else []
-        wrong = [
+    @property
+    def suspicions(self) -> list[str]:
+        """Sentences on each controller whose sensors contradict its model: from when on ``model_suspect`` is above one half."""
+        return [
             f"The model of {block} is suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s."
             for block, k in self._suspect.items()
         ]
+
+    def _sentences(self) -> list[str]:
+        """Return the notes as sentences."""
+        notes = ["The run stopped early."] if self.stopped else []
+        wrong = self.suspicions
         model, named, often = (
             [f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("model", "named", "often")
         )

@@ -64,10 +64,11 @@ def delay_curve(
         - ``threshold``; ``false_alarms_per_hour`` of one sensor; ``false_share``: share of the fault-free time with an alarm;
         - ``missed_share``: share of missed faults;
         - ``median_delay`` in seconds of all faults; the delay of a missed fault is infinite (NaN if more than half are missed);
+        - ``delay_90`` in seconds, within which 90 % of all faults are found (NaN if more than a tenth are missed);
         - ``mean_delay`` in seconds of the faults that are found, which is too favourable if many are missed;
         - ``faults`` and ``runs``: their numbers.
 
-        All but ``false_share`` and the numbers have an interval in columns that end in ``_low`` and ``_high``.
+        All but ``false_share``, ``delay_90`` and the numbers have an interval in columns that end in ``_low`` and ``_high``.
 
     Raises
     ------
@@ -132,6 +133,7 @@ def _row(counts: AlarmCounts, index: int, level: float) -> dict[str, Any]:
         "false_share": total.false_share,
         **_named("missed_share", total.missed_share, _missed(total, faults - detected, faults, level)),
         **_named("median_delay", median * total.step, _median(total, sooner, faults, level)),
+        "delay_90": total.delay(0.9) * total.step,
         **_named("mean_delay", *_mean(seconds, detected, level)),
         "faults": total.faults,
     }

@@ -602,3 +602,55 @@ def test_the_belief_about_a_model_of_values_begins_at_its_operating_point():
         assert controllers.design(model, **settings).initial_mean[0] == 350.0
     assert controllers.design(about, input_delays=1).initial_mean[:2].tolist() == [350.0, 175.0]
     assert controllers.design(about, initial_mean=340.0).initial_mean[0] == 340.0
+
+
+def test_offsets_of_sensors_are_states_that_nobody_knows_at_the_start():
+    """A compass of three is 2 degrees off: the steady filter of its model knows that after days, a new controller does not."""
+    ship = control.ss(
+        [[0, 1], [0, -0.05]],
+        [[0, 0], [0.01, 0.05]],
+        [[1, 0], [0, 1]],
+        0,
+        inputs=["rudder", "waves"],
+        outputs=["psi", "r"],
+    )
+    given = {
+        "measured": ["psi", "r"], "actuated": "rudder", "goal": "psi", "sensors": [3, 1], "sensor_std": [0.1, 1.0, 0.3, 0.05],
+        "dt": 0.5, "noise": {"waves": 0.5}, "acceptable_error": 1.0, "acceptable_control": 10.0,
+    }  # fmt: skip
+    bias = [0.0, 2.0, 0.0, 0.0]
+    results = []
+    for controller in (design(ship, **given), design(ship, sensor_bias=bias, **given)):
+        loop = cosim.closed_loop(
+            ship, controller, control="rudder", measured=["psi", "r"], noise={"waves": cosim.Gaussian(std=0.5)},
+            sensors=cosim.Sensors([3, 1], given["sensor_std"], bias=bias), reference=cosim.Step(time=20.0, after=20.0),
+        )  # fmt: skip
+        results.append(loop.simulate(100.0, seed=1)["controller.fault_probability"][:, 1])
+    assert (results[0][100:] > 0.5).mean() > 0.9
+    assert (results[1] < 0.5).all()
+    model = controller.model
+    assert model.state_names[-1] == "sensor_error[1]"
+    assert np.asarray(controller.initial_covariance)[-1, -1] == pytest.approx(4.0)
+    own = design(design(ship, **given).model, goal=[0], sensor_bias=bias, acceptable_error=1.0, acceptable_control=10.0)
+    np.testing.assert_array_equal(own.model.matrix("A"), model.matrix("A"))
+    np.testing.assert_array_equal(own.goal_matrix, controller.goal_matrix)
+
+
+def test_the_offset_of_a_plant_about_an_operating_point_stands_before_the_constant():
+    controller = design(
+        fmus.path("CruiseControl"), actuated="force", at={"force": 1000.0}, sensors=2, sensor_bias=[0.0, 0.5]
+    )
+    assert controller.model.state_names[-2:] == ("sensor_error[1]", "constant")
+    assert controller.goal_matrix[0, -2:].tolist() == pytest.approx([0.0, float(controller.goal_matrix[0, -1])])
+    with pytest.raises(ModelError, match="must be 0 \\(no offset\\) or positive"):
+        design(fmus.path("CruiseControl"), actuated="force", sensors=2, sensor_bias=-1.0)
+
+
+@pytest.mark.parametrize("longer", [1.0, 1e3])
+def test_a_bias_that_lasts_for_ever_counts_as_one_of_100000_samples(longer):
+    model = LinearModel([[0.99]], [[0.1]], [[1.0]] * 3, 1e-3, 0.01, dt=0.5)
+    least = model.with_sensor_errors(2.0, time_constant=0.5e5, sensors=[1])
+    np.testing.assert_array_equal(
+        model.with_sensor_errors(2.0, time_constant=longer * 0.5e5, sensors=[1]).matrix("A"), least.matrix("A")
+    )
+    assert least.matrix("A")[1, 1] < 1.0

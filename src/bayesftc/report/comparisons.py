@@ -123,9 +123,10 @@ def _cells(contents: Contents, beside: Pair) -> list[str]:
     )
     if rest == len(rows):
         return [f"{tested} None of the differences is significant."]
-    parts = [f"significantly {word} at {count}" for word, count in (("lower", lower), ("higher", higher)) if count]
-    more = f", and not significantly different at {rest}" if rest else f" of {len(rows)}"
-    return [f"{tested} {text_of(best)} is {', '.join(parts)}{more}."]
+    parts = [f"{word} at {count}" for word, count in (("lower", lower), ("higher", higher)) if count]
+    others = "the other one" if rest == 1 else f"the other {rest}"
+    more = f", and not significantly different at {others}" if rest else ""
+    return [f"{tested} {text_of(best)} is significantly {' and '.join(parts)} of these {len(rows)}{more}."]
 
 
 def _tests(contents: Contents) -> tuple[pd.DataFrame, list[str], bool] | None:

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from bayesftc.report.contents import Contents
 
 NOTE = (
-    f"Alarms: a fault probability of {ALARM:g} or more. In brackets: the faults of the sensor. Median delay: of all faults, a "
-    "missed one counts as later than all others. –: nothing to count."
+    f"Alarms: a fault probability of {ALARM:g} or more. In brackets: the faults of the sensor. Within the two delays half "
+    "and 90 % of all faults are found. Blamed while faulty or healthy: share of that time with an alarm. –: nothing to count."
 )
 LINE = 0.18
 """Height of a line of the legend in inches."""
@@ -124,7 +124,8 @@ def alarm_table(contents: Contents, found: Found) -> Table | None:
             rows.append([*row, name, *_alarms(score, truth, step), *([str(missing)] if unseen else [])])
     if not rows:
         return None
-    columns = ["sensor", "faults", "missed", "median delay (s)", "blamed while healthy"]
+    columns = ["sensor", "faults", "missed", "median delay (s)", "delay of 90 % (s)"]
+    columns += ["blamed while faulty", "blamed while healthy"]
     columns += ["seen as missing samples"] * unseen
     columns = [contents.compared, *columns] if contents.compared is not None else columns
     cut = f" The first {ROWS} of {len(rows)} rows are shown." if len(rows) > ROWS else ""
@@ -132,16 +133,29 @@ def alarm_table(contents: Contents, found: Found) -> Table | None:
 
 
 def _alarms(score: list[Floats], truth: list[Any], step: float) -> list[str]:
-    """Return faults, the share of missed ones, the median delay, and the share of fault-free time with an alarm."""
+    """Return faults, the share of missed ones, two delays, and the shares of the time with a fault and without with an alarm."""
     from bayesftc.cosim.statistics import delay_curve
 
     valid = [np.isfinite(each) for each in score]
     if all((faulty | ~seen).all() for faulty, seen in zip(truth, valid, strict=True)):
-        return ["–"] * 4  # no fault-free sample with a score, by which alarms could be judged
+        return ["–"] * 6  # no fault-free sample with a score, by which alarms could be judged
     at = delay_curve(score, truth, step=step, thresholds=[ALARM]).iloc[0]
-    faults, delay = int(at["faults"]), float(at["median_delay"])
-    found = [f"{at['missed_share']:.1%}", "most missed" if delay != delay else f"{delay:.3g}"] if faults else ["–", "–"]
-    return [str(faults), *found, f"{at['false_share']:.2%}"]
+    if not at["faults"]:
+        return ["0", *["–"] * 4, f"{at['false_share']:.2%}"]
+    delays = [
+        missed if np.isnan(at[of]) else f"{at[of]:.3g}"
+        for of, missed in (("median_delay", "most missed"), ("delay_90", "over 10 % missed"))
+    ]
+    blamed = np.concatenate(
+        [(each >= ALARM)[faulty & seen] for each, faulty, seen in zip(score, truth, valid, strict=True)]
+    )
+    return [
+        f"{at['faults']:.0f}",
+        f"{at['missed_share']:.1%}",
+        *delays,
+        f"{blamed.mean():.1%}" if len(blamed) else "–",
+        f"{at['false_share']:.2%}",
+    ]
 
 
 def _chosen(detection: dict[Any, Level]) -> str:

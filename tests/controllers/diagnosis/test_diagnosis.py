@@ -962,7 +962,7 @@ def test_sensors_that_fail_together_are_named_where_no_wrong_model_explains_the_
     )
     finding = controllers.diagnose(loop.simulate(12.0, seed=1), loop)
     assert "sensors" in {finding.kind, *finding.others}
-    assert "ensors 0, 1 and 2 are faulty at the same time." in finding.sentence
+    assert "The controller blames sensors 0, 1 and 2 at the same time." in finding.sentence
 
 
 @pytest.mark.parametrize("told", [False, True])
@@ -1002,7 +1002,8 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
         return None if np.isnan(samples[130, 0]) else controllers.ModelFinding("unknown", "")
 
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
-    assert (finding.kind, finding.sentence.partition(".")[0]) == ("sensors", "Sensor 0 is faulty")
+    assert (finding.kind, finding.sentence.partition(".")[0]) == ("unknown", "The controller blames sensor 0")
+    assert "the model is probably wrong as well" in finding.sentence
     assert tried == [[1.0, 0.0, 0.0]]  # it is left out of all of the run, and the others of no part
 
     def only_without_all(samples):
@@ -1010,13 +1011,13 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
 
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, only_without_all)
     assert finding.sentence.startswith(
-        "Sensor 0 is faulty. Without the samples for which the controller blames any sensor,"
+        "The controller blames sensor 0. Without the samples for which it blames any sensor"
     )
     blamed[120:400, 1] = True
-    assert (
-        "Sensors 0 and 1 are faulty at the same time"
-        in _without_blamed(model, np.zeros((500, 3)), blamed, found).sentence
-    )
+    finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
+    assert finding.kind == "sensors"
+    assert "The controller blames sensors 0 and 1 at the same time. Without those samples" in finding.sentence
+    assert "or the model is wrong" in finding.sentence
     assert (
         _without_blamed(model, np.zeros((500, 3)), blamed, lambda samples: controllers.ModelFinding("unknown", ""))
         is None

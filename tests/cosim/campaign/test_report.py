@@ -312,10 +312,12 @@ def test_areas_under_the_curve_are_those_of_scikit_learn(stored):
         ]
         pooled = sum(alarms[1:], alarms[0])
         assert said["all"][1] == f"{pooled.missed_share:.1%}"
-        assert said["all"][3] == f"{pooled.false_share:.2%}"
+        assert said["all"][2:4] == [f"{0.5 * pooled.delay(q):.3g}" for q in (0.5, 0.9)]
+        assert said["all"][4] == f"{(probability[faulty > 0] >= 0.5).mean():.1%}"
+        assert said["all"][5] == f"{pooled.false_share:.2%}"
         for i, (p, f) in enumerate(zip(probability.transpose(2, 0, 1), faulty.transpose(2, 0, 1), strict=True)):
             (of_sensor,) = (row for name, row in said.items() if name.split()[0] == str(i))
-            assert of_sensor[3] == f"{((p >= 0.5) & ~(f > 0)).sum() / (~(f > 0)).sum():.2%}"
+            assert of_sensor[5] == f"{((p >= 0.5) & ~(f > 0)).sum() / (~(f > 0)).sum():.2%}"
     assert "Open mark: a fault probability of 0.5." in caption
     assert {"Detection", "Reliability"} <= set(read(report(store)).headings)
 
@@ -400,7 +402,7 @@ def test_faults_that_are_seen_as_missing_samples_are_counted_apart(stored):
     assert {(*each.seen_as_missing, len(each.seeds)) for each in found.levels.values()} == {(0, 6, 6)}
     caption = roc_figure(contents, found)[1]
     table = alarm_table(contents, found)
-    assert ["gamma", "all", "6", "0.0%", "0", "0.00%", "6"] in table.rows
+    assert ["gamma", "all", "6", "0.0%", "0", "0", "100.0%", "0.00%", "6"] in table.rows
     assert [row[-1] for row in table.rows if row[0] == "gamma"] == ["6", "0", "6"]
     assert table.columns[-1] == "seen as missing samples"
     assert table.note.startswith("Alarms: a fault probability of 0.5 or more.")
@@ -530,7 +532,7 @@ def test_the_first_sentence_says_what_the_tests_carry(stored):
         "The difference of switching and gamma is tested at each of the 2 values of mass (level 5 %, corrected for several "
         "tests)." in text
     )
-    assert "switching is significantly lower at 2 of 2." in text
+    assert "switching is significantly lower at 2 of these 2." in text
 
 
 def test_no_difference_is_claimed_that_noise_may_have_made(stored):

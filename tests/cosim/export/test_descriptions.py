@@ -54,6 +54,25 @@ def test_each_element_of_the_belief_has_its_state_in_fmi_2():
     assert next(v for v in model.variables if v.name == "x_hat").description.count("state") == 1
 
 
+def test_each_sample_has_its_unit_in_fmi_2():
+    axis = control.ss([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"])
+    controller = controllers.design(
+        axis, measured=["x", "v"], sensors=[2, 1], actuated="force", goal="x", dt=0.05, sensor_std=0.1
+    )
+    loop = cosim.closed_loop(
+        axis, controller, control="force", measured=["x", "v"], reference=1.0,
+        sensors=cosim.Sensors([2, 1], 0.1, unit=["mm", "mm/s"]),
+    )  # fmt: skip
+    program = program_of(loop, blocks="controller")
+    file = write_c(program)
+    model = model_of(program, file, None, "")
+    units = {v.name: None if v.unit is None else v.unit.name for v in model.flat().variables}
+    assert [units[name] for name in ("y[0]", "y[1]", "y[2]", "goal[0]")] == ["mm", "mm", "mm/s", "mm"]
+    assert next(v for v in model.variables if v.name == "y").unit is None  # an array of FMI 3 has one unit or none
+    assert "double y[3]; /* mm, mm, mm/s */" in file.header
+    assert {"mm", "mm/s"} <= {unit.name for unit in model.flat().units}
+
+
 def test_the_text_of_a_port_does_not_end_a_comment_of_the_header(make_block):
     def act(u, y):
         y[0] = u[0]

@@ -335,8 +335,9 @@ def test_the_file_has_the_users_own_permissions(result, tmp_path):
 
 def test_a_result_says_from_when_on_the_model_is_suspect():
     run = cosim.Result(np.array([[0.1], [0.6], [0.2]]), {"ctrl.model_suspect": (0, ())}, Fraction(1, 2))
-    suspect = "model of ctrl suspect from t = 0.5 s (controllers.diagnose(result, loop) says why)"
+    suspect = "model of ctrl suspect from t = 0.5 s (controllers.diagnose(result, loop) looks for the cause)"
     assert repr(run) == f"<Result: 1 signal, 3 rows to t = 1 s, {suspect}>"
+    assert run.suspicions == ["The model of ctrl is suspect from t = 0.5 s."]
 
 
 @pytest.mark.parametrize("mean", [0.0, 20.0])

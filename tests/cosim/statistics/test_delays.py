@@ -68,6 +68,7 @@ def test_figures_are_those_of_all_runs_together():
         assert row["false_share"] == pytest.approx(total.false_share)
         assert row["missed_share"] == total.missed_share
         assert row["median_delay"] == pytest.approx(0.1 * total.delay())
+        assert row["delay_90"] == pytest.approx(0.1 * total.delay(0.9), nan_ok=True)
         assert row["mean_delay"] == pytest.approx(0.1 * total.delays[np.isfinite(total.delays)].mean())
         alarms, hours = np.array([a.false_alarms for a in each]), np.array([a.hours for a in each])
         bounds = garwood_over_runs(alarms, hours)

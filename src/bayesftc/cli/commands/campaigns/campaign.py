@@ -167,10 +167,11 @@ def _print(numbers: Mapping[str, Any], before: int) -> None:
 
     console = output.terminal(None if sys.stdout.isatty() else 110)
     if numbers["points"] and numbers["points"][0]["metrics"]:
-        metrics = _shown_metrics(numbers["points"])
+        defined = _defined_metrics(numbers["points"])
+        metrics = defined[:METRICS]
         console.print(_table(numbers["points"], metrics))
         hidden = [f"{len(numbers['points']) - POINTS} more points"] if len(numbers["points"]) > POINTS else []
-        more = len(numbers["points"][0]["metrics"]) - len(metrics)
+        more = len(defined) - len(metrics)
         hidden += [f"{more} more metrics"] if more > 0 else []
         if hidden:
             console.print(Text(f"{' and '.join(hidden)} are in the store."))
@@ -184,15 +185,15 @@ def _print(numbers: Mapping[str, Any], before: int) -> None:
     console.print(Text(f"bayesftc report {store} draws them; bayesftc replay {store} RUN repeats one."))
 
 
-def _shown_metrics(points: list[dict[str, Any]]) -> list[str]:
-    """Return the first metrics that are defined at some point, such as the tracking error of a quantity with a goal."""
+def _defined_metrics(points: list[dict[str, Any]]) -> list[str]:
+    """Return the metrics that are defined at some point, as the tracking error of a quantity with a goal; all if none is."""
 
     def defined(name: str) -> bool:
         means = (point["metrics"].get(name, {}).get("mean", float("nan")) for point in points)
         return any(mean == mean for mean in means)
 
     names = list(points[0]["metrics"])
-    return [name for name in names if defined(name)][:METRICS] or names[:METRICS]
+    return [name for name in names if defined(name)] or names
 
 
 def _table(points: list[dict[str, Any]], metrics: list[str]) -> Table:

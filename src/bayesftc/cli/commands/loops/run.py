@@ -194,6 +194,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         **numbers_of(signals),
         "notes": [
             *_notes(scenario, signals, _unrecorded(loop, result)),
+            *result.suspicions,
             *(f"The {note}. {advice}" for note, advice in limited(signals)),
             *(never_began(loop, result) if result.decimation == 1 else ()),
         ],
@@ -294,9 +295,11 @@ def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] =
             f"Figures are missing, because these signals were not recorded: {', '.join(unrecorded)}. Add them to 'record' of the "
             "scenario, or remove 'record'."
         )
+    goals = [quantity.name for quantity in signals.quantities if quantity.has_goal]
     for quantity in signals.quantities:
         if not quantity.has_goal:
-            notes.append(f"{quantity.name} has no tracking error: the goal has no element for it.")
+            of = f"the goal is for {', '.join(goals)}" if goals else "it has no goal"
+            notes.append(f"{quantity.name} has no tracking error: {of}.")
         if quantity.only_ahead:
             notes.append(
                 f"{quantity.name} has no tracking error: its goal comes through a block after 'ahead', so no signal has the "
