@@ -274,9 +274,11 @@ def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     loads = [values[k : k + each] for k in range(0, len(values), each)]
     times = ", and another one ".join(map(since, loads))
     if elsewhere:
+        ends = any(np.isfinite(load[1]) for load in loads)
+        far = "If the plant is far from its operating point meanwhile, its nonlinearity may look the same. " * ends
         return (
             f"{'a load acts' if len(loads) == 1 else 'two loads act,'} {times}, "
-            f"{'' if len(loads) == 1 else 'at least one of them '}where no control does. If such "
+            f"{'' if len(loads) == 1 else 'at least one of them '}where no control does. {far}If such "
             "loads belong to normal operation, measure them, or estimate "
             "them where they act (disturbance=True is for loads where a control acts): in the plant that you design for, add an "
             "input there with a lag before it, and give noise to that input. The guide 'How do I get rid of a steady error?' has "

@@ -295,7 +295,7 @@ def _draw_kinds(axis: Axes, time: Floats, each: SensorSignals | ActuatorSignals,
     colour = colour_of(each.index) if isinstance(each, SensorSignals) else BLACK
     ends, listed = np.append(time, time[-1]), parts_of_device(each, time)
     bars = [(float(ends[p.begin]), float(ends[p.end]), _words(each.kinds, p.kind)) for p in listed if p.kind > 0]
-    axis.broken_barh([(a, b - a) for a, b, _ in bars], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=0, zorder=4)
+    axis.broken_barh([(a, b - a) for a, b, _ in bars], (y - 0.04, 0.08), color=colour, alpha=0.5, lw=1, zorder=4)
     if changes := [float(ends[p.begin]) for p in listed if p.begin > p.alarm]:
         axis.vlines(changes, y - 0.04, y + 0.04, color="white", lw=1.5, zorder=5)
     _name_bars(axis, time, bars, y, colour, axis.transData)
