@@ -599,6 +599,7 @@ def test_a_column_without_numbers_is_named(tmp_path):
     assert json.loads(named.stdout)["notes"] == []
 
 
+@pytest.mark.slow
 def test_a_value_in_place_of_samples_is_named_and_can_be_left_out(tmp_path):
     command = flown(tmp_path)
     table = pd.read_csv(tmp_path / "flight.csv").rename(columns={"lidar": "lidar [cm]", "baro": "baro [m]"})

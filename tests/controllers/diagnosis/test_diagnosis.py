@@ -57,7 +57,7 @@ def test_a_right_model_is_not_blamed_whatever_one_sensor_does(case):
     assert not suspect
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("stated", "true"), [(100.0, 100.0), (300.0, 0.0), (3000.0, 300.0)])
 def test_a_right_model_is_not_blamed_where_noise_is_stated_too_large(stated, true):
     """A converter at 20 us with a load current: the controls react to innovations that are correlated, as for other dynamics."""
@@ -80,6 +80,7 @@ def test_a_right_model_is_not_blamed_where_noise_is_stated_too_large(stated, tru
     assert stated < 3000 or kinds[1] == "dt"  # with little motion a wrong inductance does not show
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("name", "kind"), [("heading: biased", "offset"), ("pendulum: noisy", "noise")])
 def test_less_noise_of_all_states_hides_no_cause(name, kind):
     """Fitted to the run, the process noise seemed smaller, and more of it at one state the cause, which is none to name."""
@@ -168,7 +169,7 @@ def test_a_load_that_changes_all_the_time_is_no_other_dynamics_of_a_model_withou
     assert diagnose_recording(model.with_disturbance(estimated), y, u) is None
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize(("error", "effort"), [(0.02, 40.0), (0.2, 4.0)], ids=["quick", "calm"])
 def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
@@ -298,7 +299,7 @@ def test_what_begins_during_a_run_is_dated_and_measured(faults, load, kind, valu
     assert re.search(words, finding.sentence)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [10, 20])
 def test_a_load_is_named_beside_a_slow_only_sensor_of_a_rate(every):
     """Observers of other models diverged between its samples, and the diagnosis ended in an error of numpy."""
@@ -375,6 +376,7 @@ def test_a_load_and_a_weak_actuator_are_both_named_if_the_control_does_not_chang
     assert "a change of the control by -1.5" in finding.sentence
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_load_beside_a_control_far_from_zero_is_no_loss_of_effect(seed):
     """A jacket at 300 K: one per cent of the control's effect is as much as the load."""

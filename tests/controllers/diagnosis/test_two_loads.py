@@ -52,7 +52,7 @@ def test_faulty_sensors_are_no_loads(seed):
     assert controllers.diagnose_recording(MODEL, *flown([], seed, faulty=True)) is None
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("loads", [[(300, 900, 0.8)], [(200, 400, 0.8), (600, 800, -0.8)]], ids=["one", "two"])
 @pytest.mark.parametrize("leaking", [0, 1], ids=["pumped tank", "other tank"])
 def test_loads_are_said_to_act_where_no_control_does(leaking, loads):

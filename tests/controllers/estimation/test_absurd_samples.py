@@ -88,7 +88,7 @@ def same_but_for_the_fault(got, expected, absurd, probability):
             np.testing.assert_array_equal(out[name], values, err_msg=f"{name} at {k}")
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("values", VALUES)
 @pytest.mark.parametrize("precision", LEARNERS, ids=repr)
 def test_every_learner_takes_them_as_missing_and_faulty_and_is_back_within_a_second(precision, values):

@@ -249,6 +249,7 @@ def test_an_fmu_is_linearized_where_it_stands():
     )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("gain", "lag"), [(1.0, 0), (-1.0, 0), (1.0, 3), (-1.0, 40)])
 def test_the_phase_margin_can_be_read_off_at_the_labelled_line(gain, lag):
     """Python-control begins at -360 degrees for some loops; the line at -180 degrees is then far from the phase."""

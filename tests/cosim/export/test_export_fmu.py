@@ -155,6 +155,7 @@ def alone(path):
     return diagram
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("fmi", ["2.0", "3.0"])
 def test_states_go_back_and_into_other_instances_and_reset_is_a_new_beginning(car, fmi, same_bits):
     path = car[1][fmi]

@@ -116,6 +116,7 @@ def test_the_reading_of_a_faulty_sensor_is_drawn_and_grows_pale():
     assert abs(place["belief"] - place["true value"]) < abs(place["sensor 0"] - place["true value"])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("magnitude", "beyond"), [(8.0, ""), (1e6, "sensor 0: 1e+06"), (-1e6, "sensor 0: -1e+06")])
 def test_a_faulty_reading_is_on_its_scale_or_an_arrow_with_its_value(magnitude, beyond):
     """A mark that merely stopped at the end of the scale stood beside those of healthy sensors."""

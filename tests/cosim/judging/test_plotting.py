@@ -43,6 +43,7 @@ def signals():
     return run_of(load_scenario("cruise_control").loop())
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("scale", [1.0, 1e9])
 def test_expected_noise_of_metres_and_pascals_has_an_axis_for_each(scale):
     """Without units nothing else tells that they differ: both were on one axis from 1e-4 to 1e5."""

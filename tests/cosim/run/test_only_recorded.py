@@ -56,7 +56,7 @@ def pair(path, isolate=False, **coupling):
     return diagram.build(**coupling)
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("coupling", COUPLINGS, ids=str)
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 def test_it_may_be_nan_and_changes_nothing(lag, engine, coupling, same_bits):

@@ -108,7 +108,7 @@ def test_alarms_of_some_sensors_that_agree_are_named_from_the_second_time_on(see
     assert found(y, RandomWalk(std=0.03 * suspicion.factor), noise)[1] is None
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("sensors", [2, 3])
 def test_alarms_of_all_sensors_are_named_at_the_first_time_if_they_agree(seed, sensors, monkeypatch):

@@ -60,7 +60,7 @@ def test_without_outages_an_offset_has_to_be_found_anew():
     assert outs[258].mode_probability[0, 1] < 0.5
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("joint", [True, False])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_turn_that_ends_in_an_outage_acquits_no_sensor_and_blames_none(joint, seed):

@@ -41,7 +41,7 @@ def drive(of, position, speed=0.0, offsets=(0.0, 0.0, 0.0), begins=(0, 0, 0), st
     return tuple(np.array(values) for values in zip(*found, strict=True))
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("position", [0.3, -5.0, 400.0])
 @pytest.mark.parametrize("sensors", ["ppp", "pp", "pv", "ppvv"])
 def test_healthy_sensors_are_not_blamed_for_it(sensors, position):
@@ -105,6 +105,7 @@ def test_the_belief_is_then_that_of_filterpy_from_the_median_on():
     assert out.process_mode_probability[-1] == pytest.approx(1.0, abs=1e-3)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_it_may_move_as_well(seed):
     x, estimate, probability = drive(model("pp"), 2.0, 1.0, seed=seed)
