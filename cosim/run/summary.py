@@ -23,8 +23,8 @@ FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (a fault probability of 0.5 or more); one whose kind "
     f"changes has a row for each kind. {{}} Size: at the end of the row. {DASH}: not estimated."
 )
-SEVERAL, ALARMS_REMARK = (
-    2,
+MANY_ALARMS, ALARMS_REMARK = (
+    5,
     " Alarms: how many a row has; many short ones may be outliers, of which the last decides the size.",
 )
 """Alarms in a row from which on the table has their number, and what it says."""
@@ -42,7 +42,8 @@ NOTHING_FOUND = "The controller infers no fault."
 BEFORE = "A fault that begins while its sensor is blamed already counts as detected at once."
 FALSE_ALARMS = (
     "False alarms: {}, which is {} to {} an hour of each sensor (95 % interval). One begins whenever a fault probability rises "
-    "to 0.5 without a fault. How to have fewer: docs/how-to/alarm-threshold.md."
+    "to 0.5 without a fault, so that a row of inferred faults may have several. How to have fewer: "
+    "docs/how-to/alarm-threshold.md."
 )
 """What is said below the table of sensors of alarms that begin without a fault."""
 EARLY = 0.01
@@ -218,7 +219,7 @@ def findings_table(inferred: Sequence[Mapping[str, Any]], hold: float | None = N
     Pauses of at most `hold` seconds do not end an alarm.
     """
     longest = sorted(inferred, key=lambda each: each["start"] - each["end"])[:MOST_FINDINGS]
-    rows, several = [], any(each.get("alarms", 1) >= SEVERAL for each in longest)
+    rows, several = [], any(each.get("alarms", 1) >= MANY_ALARMS for each in longest)
     for each in sorted(longest, key=lambda each: each["start"]):
         unit = each["unit"].replace("{", "{{").replace("}", "}}")
         values = (each["kind"] or None, *(each[name] for name in ("onset", "start", "end", "size", "probability")))
