@@ -78,18 +78,18 @@ def port(
         What the numbers 1, 2 and so on stand for, for the description.
     """
     description = "Input of the plant from this sample to the next" if applied else _SIGNALS.get(name, "")
-    each = tuple(_with_names(description, [name]) for name in (elements or of))
+    each = tuple(with_names(description, [name]) for name in (elements or of))
     if numbered:
-        description = _with_names(description, [f"{k} {name}" for k, name in enumerate(numbered, start=1)])
+        description = with_names(description, [f"{k} {name}" for k, name in enumerate(numbered, start=1)])
     if of:
         shown = [*of[:MOST_NAMES], *["..."] * (len(of) > MOST_NAMES)]
-        description = _with_names(description, shown)
+        description = with_names(description, shown)
     return Port(
         name, shape, feedthrough=feedthrough, default=default, description=description, element_descriptions=each
     )
 
 
-def _with_names(description: str, names: Sequence[str]) -> str:
+def with_names(description: str, names: Sequence[str]) -> str:
     """Return a description with names behind its first part."""
     first, semicolon, rest = description.partition(";")
     return f"{first} ({', '.join(names)}){semicolon}{rest}"

@@ -17,6 +17,7 @@ from bayesftc.controllers.bayesian.riccati import Regulator, regulate
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.bayesian.steady import Gains
 from bayesftc.controllers.models.checks import Matrix, as_number, frozen
+from bayesftc.controllers.signals import with_names
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.ports import Port
@@ -130,7 +131,9 @@ class LQGController(BayesianController):
         """Inputs ``y`` and ``goal``."""
         y, goal = super().inputs
         if self.preview:
-            goal = replace(goal, description=f"Goal of {self.preview} samples later; NaN keeps the last")
+            told = f"Goal of {self.preview} samples later; NaN keeps the last"
+            each = tuple(with_names(told, [name]) for name in self.goal_names)
+            goal = replace(goal, description=told, element_descriptions=each)
         return y, goal
 
     @property

@@ -298,7 +298,7 @@ def _loss(values: Sequence[float], model: LinearModel) -> str:
 def _nonlinear(values: Sequence[float], model: LinearModel) -> str:
     return (
         "the plant's motion depends on its state: the plant is far from the point of linearisation. Linearise it nearer to its "
-        "goals, or use a nonlinear model (NonlinearBayesianController)."
+        "goals (at= in design), or use a nonlinear model (NonlinearBayesianController)."
     )
 
 

@@ -181,7 +181,7 @@ class Comparison:
     def _units(self) -> dict[str, str | None]:
         """The tracked signals with their units."""
         roles = find_roles(next(iter(self.loops.values())))
-        return {q.name: q.unit for q in roles.quantities if q.goal is not None}
+        return {q.name: q.unit for q in roles.quantities if q.goal is not None and q.truth}
 
     def _differences(self, metric: str) -> dict[str, dict[str, float]]:
         """Return for each loop except the first the differences of its runs from those of the first."""
@@ -294,7 +294,7 @@ def compare(
                 f"({', '.join(record)}). Compare loops that track the same signals of plants of the same name."
             )
     for name, loop in loops.items():
-        if not any(quantity.goal is not None for quantity in find_roles(loop).quantities):
+        if not any(quantity.goal is not None and quantity.truth for quantity in find_roles(loop).quantities):
             raise ModelError(
                 f"No measured signal of the loop {name!r} has a goal, so that there is no tracking error. Track a measured "
                 "signal. A Subsystem of yours does not say which one its goal is for: name it, as in "
@@ -315,10 +315,11 @@ def compare(
 
 
 def _recorded(loop: Diagram) -> list[str]:
-    """Return the names of the signals in the figure: sources of the sensors, sources of the goals, and activity of faults."""
+    """Return the names of the signals in the figure: sources of the sensors and goals, true values, and activity of faults."""
     sensors, controller = find_sensors(loop), find_controller(loop)
     faults = [f"{node.name}.active" for node in loop.nodes if isinstance(node.block, Fault)]
-    return list(dict.fromkeys([*_sources(loop, sensors, "u"), *_sources(loop, controller, "goal"), *faults]))
+    true = [place[0] for quantity in find_roles(loop).quantities for _, place in quantity.truth or ()]
+    return list(dict.fromkeys([*_sources(loop, sensors, "u"), *true, *_sources(loop, controller, "goal"), *faults]))
 
 
 def _sources(loop: Diagram, node: Node, port: str) -> list[str]:

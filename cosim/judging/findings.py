@@ -38,6 +38,8 @@ LASTING = 1 / 8
 With a smaller share, an offset that is called a drift only once it has grown is two faults. The same time as for the end of an
 alarm is the least, because a learner distinguishes offset, drift and jump only some samples after the begin.
 """
+PLAIN = ("DroppedOut",)
+"""Kinds that the samples show by themselves: a change from or to them counts from `HOLD_SAMPLES` on."""
 UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
 """Units of sizes that are not in the unit of the sensor or the control."""
 
@@ -249,17 +251,24 @@ def parts_of_device(
     span = float(time[-1] - time[0]) if len(time) > 1 else 0.0
     step = span / (len(time) - 1) if span else 1.0
     most = round(min(usual_hold(step) if hold is None else hold, span) / step)
-    return parts_of_alarms(score, _chances(device), threshold, most, step)
+    return parts_of_alarms(score, _chances(device), threshold, most, step, plain_kinds(device.kinds))
 
 
-def parts_of_alarms(score: Floats, chances: Floats | None, threshold: float, hold: int, step: float) -> list[Part]:
+def plain_kinds(kinds: Sequence[str]) -> tuple[int, ...]:
+    """Return the indices of the kinds that are `PLAIN`."""
+    return tuple(k for k, name in enumerate(kinds) if name in PLAIN)
+
+
+def parts_of_alarms(
+    score: Floats, chances: Floats | None, threshold: float, hold: int, step: float, plain: Sequence[int] = ()
+) -> list[Part]:
     """Return the parts of all alarms of a fault probability; see `alarms` and `parts`.
 
     Where the kind changes over a pause, an alarm ends before the pause and another one begins after it.
     """
     found = []
     for begin, end in alarms(score, threshold, hold):
-        listed = [(begin, end, 0)] if chances is None else parts(chances, begin, end, step, score >= threshold)
+        listed = [(begin, end, 0)] if chances is None else parts(chances, begin, end, step, score >= threshold, plain)
         alarm = before = begin
         for a, b, kind in listed:
             alarm = alarm if a == before else a
@@ -273,7 +282,9 @@ def usual_hold(step: float) -> float:
     return max(min(HOLD, MOST_HOLD_SAMPLES * step), HOLD_SAMPLES * step)
 
 
-def parts(chances: Floats, begin: int, end: int, step: float, above: Flags | None = None) -> list[tuple[int, int, int]]:
+def parts(
+    chances: Floats, begin: int, end: int, step: float, above: Flags | None = None, plain: Sequence[int] = ()
+) -> list[tuple[int, int, int]]:
     """Return the parts of an alarm with one kind of fault each: first step, step after the last, number of the kind.
 
     Within a part its kind has the largest mean probability of all kinds. There is a further part only where its kind is more
@@ -290,6 +301,8 @@ def parts(chances: Floats, begin: int, end: int, step: float, above: Flags | Non
     above : ndarray of bool, shape (steps,), optional
         Where the fault probability is at least the threshold; by default everywhere. The others are the pauses of the alarm: no
         part begins or ends in one, and a pause over which the kind changes belongs to no part.
+    plain : sequence of int
+        Indices of the kinds that are `PLAIN`.
 
     Returns
     -------
@@ -303,11 +316,13 @@ def parts(chances: Floats, begin: int, end: int, step: float, above: Flags | Non
     ends = [*(begin + edges[1:]).tolist(), end]
     return [
         (begin + int(edges[a]), ends[b - 1], kind + 1 if sums[a:b, kind].any() else 0)
-        for a, b, kind in sections(sums, pause[edges], end - begin, step)
+        for a, b, kind in sections(sums, pause[edges], end - begin, step, plain)
     ]
 
 
-def sections(sums: Floats, pauses: Sequence[bool] | Flags, samples: int, step: float) -> list[tuple[int, int, int]]:
+def sections(
+    sums: Floats, pauses: Sequence[bool] | Flags, samples: int, step: float, plain: Sequence[int] = ()
+) -> list[tuple[int, int, int]]:
     """Return the parts of an alarm as `parts` does, from the sum of the probabilities over each stretch with one likeliest kind.
 
     Parameters
@@ -320,26 +335,32 @@ def sections(sums: Floats, pauses: Sequence[bool] | Flags, samples: int, step: f
         Number of samples of the alarm.
     step : float
         Seconds between two samples.
+    plain : sequence of int
+        Indices of the kinds that are `PLAIN`.
 
     Returns
     -------
     list of tuple of int
         First stretch, the one after the last, and the index of the kind.
     """
-    cost = max(usual_hold(step) / step, LASTING * samples)  # of a change, in samples with a probability of 1
+    every = np.arange(sums.shape[1])
+    # Of a change from one kind (row) to another, in samples with a probability of 1.
+    cost = np.full((len(every), len(every)), max(usual_hold(step) / step, LASTING * samples))
+    cost[list(plain)] = cost[:, list(plain)] = HOLD_SAMPLES
     best, before = sums[0], []
     for each in sums[1:]:  # the largest sum of probabilities minus costs (Viterbi's algorithm)
-        other = int(best.argmax())
-        changes = best < best[other] - cost
-        before.append(np.where(changes, other, np.arange(len(best))))
-        best = np.where(changes, best[other] - cost, best) + each
+        changed = best[:, np.newaxis] - cost
+        other = changed.argmax(axis=0)
+        changes = best < changed.max(axis=0)
+        before.append(np.where(changes, other, every))
+        best = np.where(changes, changed.max(axis=0), best) + each
     kinds = [int(best.argmax())]
     for origin in reversed(before):
         kinds.append(int(origin[kinds[-1]]))
     kinds.reverse()
     edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(kinds)]
     for n, (a, b) in enumerate(pairwise(edges[:-1]), start=1):
-        edges[n] = _at_pause(sums[:, kinds[a]] - sums[:, kinds[b]], pauses, a, b, cost)
+        edges[n] = _at_pause(sums[:, kinds[a]] - sums[:, kinds[b]], pauses, a, b, cost[kinds[a], kinds[b]])
     return [(*span, kinds[b - 1]) for a, b in pairwise(edges) if (span := _without_pauses(pauses, a, b))]
 
 
@@ -407,6 +428,8 @@ def _chances(device: SensorSignals | ActuatorSignals) -> Floats | None:
         number = np.nan_to_num(device.kind)
         chances = (number[:, None] == np.arange(1, 1 + max(len(device.kinds), int(number.max()), 1))).astype(np.float64)
     chances[:, [number for number, scale in enumerate(device.sizes) if not scale]] = 0.0
+    if isinstance(device, SensorSignals) and device.samples is not None:  # a slow sensor is silent between its samples
+        chances[np.ix_(device.pauses, plain_kinds(device.kinds))] = 0.0
     return chances
 
 

@@ -235,12 +235,13 @@ class Result(Mapping[str, Floats]):
         block, _, port = str(name).rpartition(".")
         signals = [*self._columns, *self._signals.unrecorded]
         known = any(signal.startswith(f"{block}.") for signal in signals)
-        elsewhere = not known and any(signal.endswith(f".{port}") for signal in signals)  # under another block's name
+        elsewhere = [] if known else [signal for signal in signals if signal.endswith(f".{port}")]  # of other blocks
         if name in self._signals.unrecorded:
             return (
                 f"The signal {name!r} was not recorded. To record it, name it: simulate(..., record=['*', {name!r}])."
             )
-        hint = did_you_mean(port if elsewhere else name, signals if known or elsewhere else self._columns)
+        recorded = [signal for signal in elsewhere if signal in self._columns]
+        hint = did_you_mean(name, recorded or elsewhere or (signals if known else self._columns))
         return f"The result has no signal {name!r}; {hint}"
 
     # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.
@@ -452,7 +453,7 @@ class Result(Mapping[str, Floats]):
     def findings(self, *, threshold: float = 0.5, hold: float | None = None) -> pd.DataFrame:
         """Return the faults that the controller infers, a row for each alarm: where, kind, times, size and probability.
 
-        An alarm whose most probable kind changes, for more than an eighth of its time, has a row for each kind.
+        An alarm whose kind changes for good has a row for each kind.
 
         The columns are ``where`` (sensor, actuator or process), ``kind`` (empty if the learner distinguishes no kinds), ``onset``
         (estimated begin of the fault), ``from`` and ``until`` (begin and end of the row), all in seconds, ``size`` with its

@@ -21,7 +21,7 @@ PHASES = {"overall": "whole run", "before": "before faults", "during": "during",
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (a fault probability of 0.5 or more); one whose kind "
-    f"changes has a row for each kind. {{}} Size: at the end of the row. {DASH}: not estimated."
+    f"changes for good has a row for each kind. {{}} Size: the last one of that kind. {DASH}: not estimated."
 )
 MANY_ALARMS, ALARMS_REMARK = (
     5,
@@ -224,6 +224,8 @@ def findings_table(inferred: Sequence[Mapping[str, Any]], hold: float | None = N
         unit = each["unit"].replace("{", "{{").replace("}", "}}")
         values = (each["kind"] or None, *(each[name] for name in ("onset", "start", "end", "size", "probability")))
         times = ["{:.5g}" if seconds is None or seconds < 1e5 else "{:.0f}" for seconds in values[1:4]]
+        if values[1] is not None and values[1] < 1e3:
+            times[0] = "{:.3g}"  # it is estimated
         forms = ["{}", *times, f"{{:.3g}} {unit}".rstrip(), "{:.3f}"]
         if several:
             values, forms = (*values, each.get("alarms", 1)), [*forms, "{:.0f}"]

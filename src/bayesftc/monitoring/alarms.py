@@ -13,7 +13,14 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
-from bayesftc.cosim.judging.findings import Part, alarms, last_of_kind, onset_of_alarm, parts_of_alarms
+from bayesftc.cosim.judging.findings import (
+    Part,
+    alarms,
+    last_of_kind,
+    onset_of_alarm,
+    parts_of_alarms,
+    plain_kinds,
+)
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.gaps import Gap
 from bayesftc.monitoring.recording import Recording
@@ -341,9 +348,9 @@ def _spans(
 ) -> Iterator[tuple[str, tuple[float, float, float], Part, int]]:
     """Give for each part of an alarm: name; start, end, largest probability; its steps and kind; column."""
     time, step = recording.time, float(recording.dt)
-    hold = round(time_at(alarm.hold, step) / step)
+    hold, plain = round(time_at(alarm.hold, step) / step), plain_kinds([type(mode).__name__ for mode in modes])
     for i, name in enumerate(names):
         chances = None if of_modes is None else fault_chances(of_modes[:, i], modes)
-        for part in parts_of_alarms(probability[:, i], chances, alarm.threshold, hold, step):
+        for part in parts_of_alarms(probability[:, i], chances, alarm.threshold, hold, step, plain):
             a, b = part.begin, part.end
             yield name, (float(time[a]), float(time[b - 1]), float(np.nanmax(probability[a:b, i]))), part, i

@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
-from bayesftc.cosim.judging.findings import onset_of_alarm, sections
+from bayesftc.cosim.judging.findings import onset_of_alarm, plain_kinds, sections
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import (
     ACTUATOR_SIGNALS,
@@ -70,6 +70,7 @@ class AlarmWatch:
         alarm: Alarm | None = None,
     ):
         self._names, self._modes = tuple(sensors), tuple(modes)
+        self._plain = plain_kinds([type(mode).__name__ for mode in modes])
         self._alarm = alarm or Alarm()
         self._step = float(step)
         self._hold = round(time_at(self._alarm.hold, self._step) / self._step)
@@ -130,7 +131,7 @@ class AlarmWatch:
         samples = sum(each.samples for each in listed)
         sums, pauses = np.array([each.sums for each in listed]), [each.pause for each in listed]
         before = 0
-        for a, b, k in sections(sums, pauses, samples, self._step):
+        for a, b, k in sections(sums, pauses, samples, self._step, self._plain):
             if a > before:  # a pause ended an alarm
                 self._ended[i] = listed[before - 1].end
             part, continued, before = listed[a:b], 0 < a == before, b
