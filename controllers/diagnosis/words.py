@@ -28,6 +28,9 @@ effect that is other all the time instead of lost."""
 
 _DISTURBANCE = "disturbance in design and in a scenario; LinearModel.with_disturbance"
 
+USUAL_STEP = 0.05
+"""Longest sample time in seconds for which the size of ``disturbance=True`` is meant."""
+
 PRIOR = 10.0
 """Standard deviation of an offset to be estimated, relative to the one found; with a smaller one the default learner doubts other
 sensors until it is estimated."""
@@ -261,7 +264,8 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
     )
     less = "" if share == 1.0 else seems
     average = f", on average by {mean:.3g}{unit}" if mean else ""
-    lasting = ", or disturbance=True: if the load lasts, its estimate follows sooner" if mean else ""
+    quick = float(model.step) <= USUAL_STEP
+    lasting = ", or disturbance=True: if the load lasts, its estimate follows sooner" if mean and quick else ""
     return (
         f"a load acts, and changes all the time. It has the effect of a change of {named(load, model)}{average}. Estimate it "
         f"(about disturbance={std**2:.2g} in design and in a scenario{lasting}; of a LinearModel: "

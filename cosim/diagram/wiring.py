@@ -314,7 +314,10 @@ def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> No
     names = getattr(getattr(controller.block, "model", None), "names", None)
     sensors = find_sensors(diagram)
     rows = sensors.block.rows  # type: ignore[attr-defined]
-    if names is None or rows is None:
+    if rows is None:
+        return
+    if names is None:
+        _warn_of_other_groups(diagram, sensors, controller)
         return
     measured = [label_of(diagram, sensors, tuple(row), i)[0] for i, row in enumerate(rows)]
     driven: dict[int, str] = {}
@@ -333,6 +336,25 @@ def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> No
                 f"The controller's model has the {kind} {', '.join(of_model)}, but the loop has {', '.join(of_loop)} in their "
                 f"places. {_remedy(role, of_model, of_loop)}, or design the controller for the signals of the loop."
             )
+
+
+def _warn_of_other_groups(diagram: Diagram, sensors: Node, controller: Node) -> None:
+    """Warn if the model, without names, has as many quantities as the loop, but other sensors of them."""
+    rows, groups = sensors.block.rows, getattr(getattr(controller.block, "model", None), "alike", None)  # type: ignore[attr-defined]
+    if groups is None or sum(map(len, groups)) != len(rows):
+        return
+    of_loop: dict[str, list[int]] = {}
+    for i, row in enumerate(rows):
+        of_loop.setdefault(label_of(diagram, sensors, tuple(row), i)[0], []).append(i)
+    if len(of_loop) != len(groups) or sorted(map(tuple, of_loop.values())) == sorted(groups):
+        return
+    measured = " and ".join(f"{', '.join(map(str, group))} for {name}" for name, group in of_loop.items())
+    of_model = " and ".join(", ".join(map(str, group)) for group in groups)
+    warn_user(
+        f"The controller's model has other sensors of one quantity (equal rows of C: {of_model}) than the loop (sensors "
+        f"{measured}). Give the loop sensors=Sensors(count=[...], ...) with the number of sensors of each signal in the model "
+        "(in a scenario file, count of [sensors]), or change C."
+    )
 
 
 def _remedy(role: str, of_model: Sequence[str], of_loop: Sequence[str]) -> str:

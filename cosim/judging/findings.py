@@ -39,7 +39,7 @@ With a smaller share, an offset that is called a drift only once it has grown is
 alarm is the least, because a learner distinguishes offset, drift and jump only some samples after the begin.
 """
 PLAIN = ("DroppedOut",)
-"""Kinds that the samples show by themselves: a change from or to them counts from `HOLD_SAMPLES` on."""
+"""Kinds that the samples show by themselves: a change to them counts from `HOLD_SAMPLES` on."""
 UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
 """Units of sizes that are not in the unit of the sensor or the control."""
 
@@ -346,7 +346,7 @@ def sections(
     every = np.arange(sums.shape[1])
     # Of a change from one kind (row) to another, in samples with a probability of 1.
     cost = np.full((len(every), len(every)), max(usual_hold(step) / step, LASTING * samples))
-    cost[list(plain)] = cost[:, list(plain)] = HOLD_SAMPLES
+    cost[:, list(plain)] = HOLD_SAMPLES  # not from one: two kinds would be cheap to change by way of it
     best, before = sums[0], []
     for each in sums[1:]:  # the largest sum of probabilities minus costs (Viterbi's algorithm)
         changed = best[:, np.newaxis] - cost
@@ -429,7 +429,8 @@ def _chances(device: SensorSignals | ActuatorSignals) -> Floats | None:
         chances = (number[:, None] == np.arange(1, 1 + max(len(device.kinds), int(number.max()), 1))).astype(np.float64)
     chances[:, [number for number, scale in enumerate(device.sizes) if not scale]] = 0.0
     if isinstance(device, SensorSignals) and device.samples is not None:  # a slow sensor is silent between its samples
-        chances[np.ix_(device.pauses, plain_kinds(device.kinds))] = 0.0
+        for k in plain_kinds(device.kinds):
+            chances[device.pauses, k] = 0.0
     return chances
 
 
@@ -474,7 +475,8 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
             continue
         first = alarms_of_all(samples, alarms)
         if first is None:
-            notes["named"] += _outvoted(quantity, signals, samples, alarms)
+            for of, note in _outvoted(quantity, signals, samples, alarms):
+                notes[of].append(note)
             continue
         of, wrong = "model", "the plant behaves unlike the controller's model"
         sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
@@ -497,18 +499,27 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
 
 def _outvoted(
     quantity: QuantitySignals, signals: LoopSignals, samples: Sequence[Floats], alarms: Sequence[Flags]
-) -> list[str]:
-    """Return a note where one sensor of a quantity is believed against all others, two or more that agree."""
-    for k, believed in enumerate(quantity.sensors):
+) -> Iterator[tuple[str, str]]:
+    """Yield a note where all sensors of a quantity but one are blamed though they agree, two or more, with what it is about.
+
+    The other one is believed, or it is faulty as well, and the model alone is believed.
+    """
+    for k, other in enumerate(quantity.sensors):
         first = alarms_of_all(*([*each[:k], *each[k + 1 :]] for each in (samples, alarms)))
-        if first is not None:
-            others = [str(i) for i in quantity.sensors if i != believed]
-            return [
-                f"sensors {', '.join(others[:-1])} and {others[-1]} of {quantity.name} agree but are blamed from t = "
-                f"{signals.time[first]:g} s, and sensor {believed} is believed: where the model is not exact, a slow fault of "
-                "the most accurate sensor may look like one of the others. Improve the model (docs/explanation/wrong-models.md)"
-            ]
-    return []
+        if first is None:
+            continue
+        *most, last = (str(i) for i in quantity.sensors if i != other)
+        who = f"sensors {', '.join(most)} and {last} of {quantity.name} agree but are blamed from t = {signals.time[first]:g} s"
+        alarm = signals.sensors[other].alarm
+        if alarm is not None and alarm[first : first + LEAST].all():
+            yield "model", f"{who}: the plant behaves unlike the controller's model"
+        else:
+            yield (
+                "named",
+                f"{who}, and sensor {other} is believed: where the model is not exact, a slow fault of the most accurate sensor "
+                "may look like one of the others. Improve the model (docs/explanation/wrong-models.md)",
+            )
+        return
 
 
 def often_blamed(signals: LoopSignals) -> tuple[int, str] | None:
@@ -529,6 +540,15 @@ def advice_on(signals: LoopSignals, sensor: int) -> str:
     of, quantity = signals.sensors[sensor], next((q for q in signals.quantities if sensor in q.sensors), None)
     if of.samples is None or of.alarm is None or of.faulty is None or quantity is None:
         return LOOK_AT_MODEL
+    for other in (signals.sensors[i] for i in quantity.sensors if i != sensor):
+        if other.alarm is not None and other.faulty is not None:
+            instead = of.alarm & ~of.faulty & other.faulty & ~other.alarm
+            if 2 * instead.sum() > (of.alarm & ~of.faulty).sum():
+                return (
+                    f"Meanwhile {signals.sensor_name(other.index)} has a fault that is not seen. A slow fault of one of two "
+                    "sensors may look like one of the other: a third sensor, or a better model of the plant, tells "
+                    "(docs/explanation/inference.md)."
+                )
     if quantity.belief is None or quantity.spread is None:
         return LOOK_AT_MODEL
     blamed = of.alarm & ~of.faulty & np.isfinite(of.samples)

@@ -240,8 +240,10 @@ class Result(Mapping[str, Floats]):
             return (
                 f"The signal {name!r} was not recorded. To record it, name it: simulate(..., record=['*', {name!r}])."
             )
-        recorded = [signal for signal in elsewhere if signal in self._columns]
-        hint = did_you_mean(name, recorded or elsewhere or (signals if known else self._columns))
+        recorded = [signal for signal in elsewhere if signal in self._columns] or elsewhere
+        hint = did_you_mean(name, recorded or (signals if known else self._columns))
+        if recorded and hint.startswith("known"):
+            hint = did_you_mean(port, recorded)
         return f"The result has no signal {name!r}; {hint}"
 
     # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.
@@ -292,7 +294,8 @@ class Result(Mapping[str, Floats]):
             [f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("model", "named", "often")
         )
         cause = (
-            f"If it is wrong, sensors may be blamed because of it. {DIAGNOSE} looks for the cause. {ESTIMATE_A_LOAD}"
+            f"If it is wrong, sensors may be blamed because of it. {DIAGNOSE} looks for the cause; None means too little "
+            f"evidence for any, not that the model is right. {ESTIMATE_A_LOAD}"
         )
         blamed = [] if wrong else [f"{text} {self._advice}" for text in often]
         limited = [f"The {note}. {advice}" for note, advice in self._limited]

@@ -60,9 +60,10 @@ class Sensors(Block):
         outputs that they measure.
     every : int or sequence of int
         The sensor has a sample in every n-th step, from the first step on, and none (NaN) in between: ``[1, 1, 10]`` for a third
-        sensor of 5 Hz in a loop of 50 Hz. `closed_loop` also gives it to the faults of the sensor, and to the learner of the
-        controller, which then expects no samples in between. Figures of the linear loop, such as `loop.poles()`, count it as a
-        sensor with a sample in each step.
+        sensor of 5 Hz in a loop of 50 Hz. One for all, for each sensor, or for each signal with a `count`, then of all its
+        sensors. `closed_loop` also gives it to the faults of the sensor, and to the learner of the controller, which then
+        expects no samples in between. Figures of the linear loop, such as `loop.poles()`, count it as a sensor with a sample in
+        each step.
     invalid : sequence of float, or of one for each sensor
         Values that the devices send in place of a sample, such as ``[-9999, 65535]``. The samples are not changed.
         `closed_loop` gives the values to the controller, which treats such samples as missing.

@@ -11,12 +11,14 @@ from bayesftc.cosim.judging.findings import (
     HOLD,
     HOLD_SAMPLES,
     MOST_HOLD_SAMPLES,
+    advice_on,
+    blamed_together,
     findings,
     onset_of_alarm,
     parts,
     usual_hold,
 )
-from bayesftc.cosim.judging.signals import LoopSignals, SensorSignals
+from bayesftc.cosim.judging.signals import LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.run.summary import pauses
 
 FROZEN, OFFSET, DRIFTING = np.eye(4)[1:]
@@ -80,6 +82,15 @@ def test_the_alarms_of_a_run_do_not_begin_inside_the_one_before():
 )
 def test_a_kind_that_changes_for_good_divides_an_alarm(stretches, expected):
     assert parts(course(*stretches)[:, 1:], 0, sum(n for _, n in stretches), 1.0) == expected
+
+
+def test_a_kind_that_samples_show_by_themselves_begins_where_it_does():
+    """A dropout was listed from the begin of the alarm on, while the sensor still had samples."""
+    chances = course((OFFSET, 85), (FROZEN, 130))[:, 1:]
+    assert parts(chances, 0, 215, 0.01) == [(0, 215, 1)]
+    assert parts(chances, 0, 215, 0.01, plain=(0,)) == [(0, 85, 2), (85, 215, 1)]
+    by_way = course((DRIFTING, 60), (FROZEN, 5), (OFFSET, 600))[:, 1:]
+    assert parts(by_way, 0, 665, 1.0, plain=(0,)) == parts(by_way, 0, 665, 1.0) == [(0, 665, 2)]
 
 
 @pytest.mark.parametrize("kind", [0.0, np.nan])
@@ -179,3 +190,36 @@ def test_the_text_below_the_list_names_the_longest_pause_within_an_alarm():
             pauses(usual_hold(step))
             == f"Alarms of one kind with a pause of up to {pause:g} s between them are one row."
         )
+
+
+def two_sensors(alarm, faulty, missed):
+    """Return a run of two sensors of a quantity: the second, healthy one has alarms; the first one may have a fault instead."""
+    time = np.arange(100.0)
+    first = SensorSignals(0, np.zeros(100), faulty, None, None, missed)
+    second = SensorSignals(1, np.zeros(100), np.zeros(100, dtype=bool), None, None, alarm)
+    quantity = QuantitySignals("v", None, (0, 1), np.zeros(100), None, np.zeros(100), False, True)
+    return LoopSignals(time, (quantity,), (first, second), {})
+
+
+def test_a_fault_that_is_missed_beside_a_sensor_that_is_blamed_is_the_reason():
+    late = np.arange(100) >= 40
+    advice = advice_on(two_sensors(late.astype(float), late, np.zeros(100)), 1)
+    assert advice.startswith("Meanwhile sensor 0 has a fault that is not seen.")
+    assert "Look at the model" in advice_on(two_sensors(late.astype(float), ~late, np.zeros(100)), 1)
+    assert "Look at the model" in advice_on(two_sensors(late.astype(float), late, late.astype(float)), 1)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_sensors_that_agree_against_another_that_is_blamed_as_well_speak_against_the_model(known):
+    """A frozen sensor, seen as such, was called the one that is believed."""
+    rng, late = np.random.default_rng(0), np.arange(200) >= 80
+    samples = [np.zeros(200), *(0.1 * rng.normal(size=(2, 200)))]
+    sensors = tuple(
+        SensorSignals(i, y, late if i == 0 else ~late & late, None, None, late * (1.0 if i or known else 0.0))
+        for i, y in enumerate(samples)
+    )
+    quantity = QuantitySignals("v", None, (0, 1, 2), np.zeros(200), None, np.zeros(200), False, True)
+    notes = blamed_together(LoopSignals(np.arange(200.0), (quantity,), sensors, {}))
+    (note,) = notes["model" if known else "named"]
+    assert note.startswith("sensors 1 and 2 of v agree but are blamed from t = 80 s")
+    assert ("sensor 0 is believed" in note) == (not known)

@@ -67,12 +67,18 @@ def test_campaigns_and_comparisons_have_it(loop):
     fixed = looped(made(precision=controllers.FixedPrecision()), faults=[cosim.Freeze(sensor=0, start=2.0)])
     compared = cosim.compare({"switching": loop, "fixed": fixed}, duration=3.0, seeds=2)
     assert any("ahead" in str(name) for name in compared.runs.columns)
+    assert "ahead" in [axis.get_ylabel() for axis in compared.plot().axes]
 
 
 def test_an_exported_controller_says_what_its_goal_is_for(loop, tmp_path):
     path = cosim.export_fmu(loop, tmp_path / "controller.fmu", blocks="controller")
     roles = find_roles(looped(cosim.FMU(path)))
     assert [(q.name, q.goal) for q in roles.quantities] == [("position", None), ("ahead", 0)]
+
+
+def test_the_goal_of_later_samples_says_so_and_what_it_is_for():
+    goal = made(preview=20).port("goal")
+    assert goal.element_descriptions == ("Goal of 20 samples later (ahead); NaN keeps the last",)
 
 
 def test_a_name_that_is_no_output_of_the_plant_has_no_true_value():

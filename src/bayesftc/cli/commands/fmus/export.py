@@ -143,12 +143,18 @@ def _timing(fmu: FMU) -> str:
 
 def _listed(ports: Any) -> str:
     """Return ports with their units. The elements of an array, separate variables in FMI 2, are shown as one."""
-    details: dict[str, str] = {}
+    sizes: dict[str, str] = {}
+    units: dict[str, list[str]] = {}
     for port in ports:
         whole, bracket, index = port.name.partition("[")
-        sizes = [int(i) + 1 for i in index.rstrip("]").split(",")] if bracket else list(port.shape)
-        details[whole] = (f" ({'x'.join(map(str, sizes))})" if sizes else "") + _measured(port.unit)
-    return _some([name + rest for name, rest in details.items()]) or "none"
+        size = [int(i) + 1 for i in index.rstrip("]").split(",")] if bracket else list(port.shape)
+        sizes[whole] = f" ({'x'.join(map(str, size))})" if size else ""
+        units.setdefault(whole, []).append(port.unit or "no unit")
+    measured = {
+        name: _measured(", ".join(dict.fromkeys(each)) if {*each} != {"no unit"} else None)
+        for name, each in units.items()
+    }
+    return _some([name + size + measured[name] for name, size in sizes.items()]) or "none"
 
 
 def _measured(unit: str | None) -> str:

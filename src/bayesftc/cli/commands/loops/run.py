@@ -295,11 +295,11 @@ def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] =
             f"Figures are missing, because these signals were not recorded: {', '.join(unrecorded)}. Add them to 'record' of the "
             "scenario, or remove 'record'."
         )
-    goals = [quantity.name for quantity in signals.quantities if quantity.has_goal]
+    goals, others = ([q.name for q in signals.quantities if q.has_goal == has_goal] for has_goal in (True, False))
+    if others:
+        of = f"the goal is for {' and '.join(goals)}" if goals else "there is no goal for it"
+        notes.append(f"No tracking error of {', '.join(others)}: {of}.")
     for quantity in signals.quantities:
-        if not quantity.has_goal:
-            of = f"the goal is for {', '.join(goals)}" if goals else "it has no goal"
-            notes.append(f"{quantity.name} has no tracking error: {of}.")
         if quantity.only_ahead:
             notes.append(
                 f"{quantity.name} has no tracking error: its goal comes through a block after 'ahead', so no signal has the "
