@@ -21,6 +21,8 @@ from bayesftc.cosim.stepping.translate.values import literal
 
 _ASSIGNMENT = re.compile(r"( *)(?:const \w+ \*?(?:const )?|double \*const )?(\w+) = (.*)")
 
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+
 WIDTH = 120
 """Longest line of C."""
 
@@ -176,7 +178,7 @@ class Functions:
         called, texts = words("\n".join(lines)), []
         for name, text in reversed(self._texts.items()):
             if name in called:  # leaves out functions for preliminary kinds of variables
-                called |= words(text)
+                called |= words(_COMMENT.sub("", text))
                 texts.append(text)
         body = "\n\n".join(reversed(texts))
         needed = [name for name in OPERATIONS if f"{name}(" in body]

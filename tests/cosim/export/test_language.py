@@ -392,3 +392,15 @@ def with_names_of_c(u, y):
 
 
 """All words that C or its library have taken, or that are not ASCII."""
+
+
+def with_a_comment_that_names_a_function(u, y):
+    unread = 1.0 + ops.cos(u[1])  # noqa: F841
+    y[0] = square(u[0])
+
+
+def test_a_function_that_only_a_comment_names_is_left_out():
+    """The digits of a cosine that nobody reads are found by "product", a word of the comment on a square."""
+    source = write_c(program_of(Written(with_a_comment_that_names_a_function), dt=0.1)).source
+    assert "Return the product of" in source
+    assert re.findall(r"static double (\w+)\(", source) == ["square"]

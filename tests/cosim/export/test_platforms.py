@@ -457,5 +457,5 @@ def test_the_bits_of_python_where_it_runs(tmp_path, name, which, same_bits):
     inputs, outputs = recorded(block)
     path = export_fmu(block, tmp_path / "driven.fmu", platforms=None if platform is MUSL else name)
     got = driven(path, platform, inputs, outputs.shape[1], tmp_path / "fmu")
-    assert np.ptp(outputs[:, 0]) > 100.0
+    assert np.ptp(outputs[:, 0]) > 10.0  # it moves
     same_bits(got, outputs, name)
