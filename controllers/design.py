@@ -17,7 +17,6 @@ from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector, check_limits
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
-from bayesftc.controllers.models.disturbances import LONGEST
 from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import (
@@ -42,6 +41,9 @@ from bayesftc.cosim.types import Floats
 
 LOAD_STEP = 0.01
 """How far the load of ``disturbance=True`` moves in a sample: this share of each control's scale (a standard deviation)."""
+
+CONSTANT = 1e8
+"""Number of samples after which an offset of ``sensor_bias`` may be another one: far more than a run has."""
 
 
 @with_named_arguments
@@ -107,9 +109,9 @@ def design(
         Standard deviation of the sensors' errors, noise and rounding together (`Sensors.error_std`): one for all, for each
         output, or for each sensor in the order of `sensors`.
     sensor_bias : number or vector
-        Standard deviation of a constant offset of each sensor, which is then estimated, in the unit of the sensor: one for all,
-        or for each sensor; 0 for one without offset. Of several sensors of a quantity, one needs to be without. See
-        `LinearModel.with_sensor_errors`.
+        Standard deviation of a constant offset of each sensor, which is then estimated, in the unit of the sensor; 0 for a sensor
+        without offset. Of several sensors of a quantity, one needs to be without, unless another quantity shows what they share
+        (gyros beside a compass). See `LinearModel.with_sensor_errors`.
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations. It is white: a new value in each sample. A disturbance
         that lasts, as a gust, is a state of the plant that such noise drives. By default each control has noise of 5 % of half
@@ -151,7 +153,8 @@ def design(
     initial_spread : number
         Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Larger, such as 1e4,
         where the plant may start elsewhere than at its start values and the learner is not the default one, which expects that
-        (``start_doubt`` of `SwitchingPrecision`), or where it may move at the start.
+        (``start_doubt`` of `SwitchingPrecision`), or where it may move at the start. Errors of sensors in the model begin with
+        their own variance.
     initial_control : number or vector, optional
         The control before the first step, from which `u_rate` limits the first change; by default that of the operating point.
 
@@ -426,7 +429,12 @@ def _with_biases(model: LinearModel, H: Floats, std: Floats) -> tuple[LinearMode
     if not biased:
         return model, H
     H = np.insert(H, [model.states - model.constant] * len(biased), 0.0, axis=1)
-    return model.with_sensor_errors(std[biased].tolist(), LONGEST * float(model.step), biased), H
+    if len(biased) == model.sensors:
+        raise ModelError(
+            f"sensor_bias is {std.tolist()}: all sensors have an offset, and an equal one of all looks like another state. Give "
+            "0 for a sensor that counts as right."
+        )
+    return model.with_sensor_errors(std[biased].tolist(), CONSTANT * float(model.step), biased), H
 
 
 def _own_variances(model: LinearModel) -> Floats:
@@ -440,7 +448,7 @@ def _own_variances(model: LinearModel) -> Floats:
 def _initial(model: LinearModel, times: float) -> Floats:
     """Return the initial covariance: a multiple of that of the steady filter's predictions.
 
-    An error of a sensor in the model has at least its own variance: the steady filter knows a bias, at the start nobody does.
+    An error of a sensor in the model has its own variance: the steady filter knows a bias, at the start nobody does.
     """
     from numpy.linalg import LinAlgError
 
@@ -452,7 +460,10 @@ def _initial(model: LinearModel, times: float) -> Floats:
     n = moving.states
     try:
         start[:n, :n] = times * predicted_covariance(A, C, Q + spread * np.eye(n), R)
-        start[:n, :n] += np.diag(np.maximum(_own_variances(model) - np.diag(start)[:n], 0.0))
+        own = _own_variances(model)
+        errors = np.flatnonzero(own)
+        start[errors], start[:, errors] = 0.0, 0.0
+        start[errors, errors] = own[errors]
         return as_covariance("The initial covariance", (start + start.T) / 2, model.states, singular=True)
     except (ModelError, LinAlgError, ValueError):
         raise ModelError(

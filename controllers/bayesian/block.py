@@ -147,8 +147,10 @@ class BayesianBlock(InfersFaults, Block, ABC):
 
     def _check_goal_names(self) -> None:
         given = self.goal_names
-        if isinstance(given, str) or not all(isinstance(name, str) for name in given):
+        if not isinstance(given, list | tuple) or not all(isinstance(name, str) for name in given):
             raise ModelError(f"goal_names is {given!r}; it must be a list of texts.")
+        if len({*given}) < len(given):
+            raise ModelError(f"goal_names is {given!r}; name each element once.")
         if given and len(given) != self.goals:
             raise ModelError(
                 f"goal_names has {counted(len(given), 'name')}, but there are {self.goals} elements of the goal: {given!r}."

@@ -291,8 +291,9 @@ def _without_blamed(
         left = None if trusted is None else found(trusted)
         if trusted is not None and left is None:
             together = bool(np.any(blamed[:, named].sum(axis=1) > 1))
-            words = faulty_sensors(named, together=together, alone=len(chosen) == len(named))
-            return ModelFinding("sensors" if len(named) > 1 else "unknown", words)
+            partner = not any(group == tuple(named) for group in model.alike)
+            words = faulty_sensors(named, together=together, alone=len(chosen) == len(named), partner=partner)
+            return ModelFinding("sensors" if len(named) > 1 or not partner else "unknown", words)
         if left is not None and left.kind != "unknown":
             return left
     return None

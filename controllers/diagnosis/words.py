@@ -28,7 +28,7 @@ effect that is other all the time instead of lost."""
 
 _DISTURBANCE = "disturbance in design and in a scenario; LinearModel.with_disturbance"
 
-USUAL_STEP = 0.05
+USUAL_STEP = 0.02
 """Longest sample time in seconds for which the size of ``disturbance=True`` is meant."""
 
 PRIOR = 10.0
@@ -106,23 +106,29 @@ def _actuators(
     )
 
 
-def faulty_sensors(blamed: Sequence[int], *, together: bool, alone: bool) -> str:
+def faulty_sensors(blamed: Sequence[int], *, together: bool, alone: bool, partner: bool = True) -> str:
     """Return the sentence about sensors that the controller blames for long, where nothing is found without their samples.
 
     `together`: some are blamed at once. `alone`: the samples for which it blames others, for a short time, are not left out.
+    `partner`: another sensor measures the quantity of a single one.
     """
     *most, last = map(str, blamed)
     at_once = " at the same time" if together else ""
     who = f"sensors {', '.join(most)} and {last}{at_once}" if most else f"sensor {last}"
-    without = "those samples" if alone else "the samples for which it blames any sensor"
-    cause = (
-        "Either they are faulty, or the model is wrong and they are blamed because of it."
+    which = "any sensor" if not alone else "them" if most else "it"
+    they = (
+        "they are faulty, or the model is wrong and they are"
         if most
-        else "One faulty sensor alone does not contradict a model, so that the model is probably wrong as well."
+        else "it is faulty, or the model is wrong and it is"
+    )
+    cause = (
+        f"Either {they} blamed because of it."
+        if most or not partner
+        else "A fault of one sensor beside others of its quantity does not contradict a model: the model is probably wrong."
     )
     return (
-        f"The controller blames {who}. Without {without} there is not enough evidence against the model. {cause} A run without "
-        "faults of sensors may name the error."
+        f"The controller blames {who}. Without the samples for which it blames {which}, there is not enough evidence against the "
+        f"model. {cause} A run without faults of sensors may name the error."
     )
 
 

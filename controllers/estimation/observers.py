@@ -25,6 +25,12 @@ MOST_SETS = 3
 LONGEST_REST = 300
 """Samples within which an observer must forget its initial state; a slower one gets a fading memory."""
 
+SLOWEST_ERROR = 1.0 - 1e-5
+"""Decay per sample of a sensor's error in the filters; a slower one counts as this.
+
+A bias that hardly ever changes is seen by no steady filter of a sensor alone. All sensors would then be compared at once, and a
+fault of one would speak against the model."""
+
 FORGOTTEN = 0.02
 """Share of the initial error that may remain when an observer's innovations begin to count."""
 
@@ -98,16 +104,28 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     n, m = moving.states, moving.sensors
     correction, whiten = np.zeros((len(sets), model.states, m)), np.zeros((len(sets), m, m))
     noise = np.zeros((len(sets), model.states, model.states))
+    A, Q = _with_faster_errors(model)
     settling = 1
     for k, chosen in enumerate(map(list, sets)):
         C, R = moving.matrix("C")[chosen], moving.matrix("sensor_covariance")[np.ix_(chosen, chosen)]
-        filtered = _filter(moving.matrix("A"), C, moving.matrix("process_covariance"), R)
+        filtered = _filter(A, C, Q, R)
         if filtered is None:
             return None
         correction[k, :n, chosen], root, noise[k, :n, :n], samples = filtered[0].T, *filtered[1:]
         whiten[k][np.ix_(chosen, chosen)] = np.linalg.inv(root)
         settling = max(settling, samples)
     return Observers(sets, model.matrix("A") @ correction, correction, whiten, noise, settling)
+
+
+def _with_faster_errors(model: LinearModel) -> tuple[Floats, Floats]:
+    """Return A and the process covariance with errors of sensors no slower than `SLOWEST_ERROR`, of the same variance."""
+    moving = model.moving
+    A, Q = moving.matrix("A").copy(), moving.matrix("process_covariance").copy()
+    for i in range(model.states - model.disturbances, moving.states):
+        if SLOWEST_ERROR < A[i, i] < 1.0:
+            Q[i, i] *= (1.0 - SLOWEST_ERROR**2) / (1.0 - A[i, i] ** 2)
+            A[i, i] = SLOWEST_ERROR
+    return A, Q
 
 
 def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats, Floats, int] | None:

@@ -40,13 +40,6 @@ def has_loads(model: LinearModel) -> bool:
     return bool(np.any(model.matrix("A")[:first, first : model.states - model.constant]))
 
 
-LONGEST = 1e5
-"""Number of samples that a longer time constant of a sensor's error counts as.
-
-A bias that hardly ever changes is seen by no steady filter of a sensor alone. The check of the model would then compare all
-sensors at once, and a fault of one would speak against the model."""
-
-
 def with_sensor_errors(
     model: LinearModel,
     std: float | Sequence[float],
@@ -68,7 +61,7 @@ def with_sensor_errors(
     if common:
         reads = reads @ (deviations / deviations[0])[:, None]
         deviations, times = deviations[:1], times[:1]
-    decay = np.array([exponential(-1.0 / min(time / float(model.step), LONGEST)) for time in times])
+    decay = np.array([exponential(-float(model.step) / time) for time in times])
     last = model.states - model.constant
     loose = np.zeros((model.states, len(decay)))
     return _with_states(model, last, np.diag(decay), loose, reads, np.diag(deviations**2 * (1 - decay**2)))

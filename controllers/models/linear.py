@@ -651,7 +651,7 @@ class LinearModel(Printed, NamedArguments):
         std : number or vector
             Standard deviation of the error in the sensor's unit, for all sensors or for each of `sensors`.
         time_constant : number or vector
-            Seconds in which the autocorrelation falls to 1/e. More than 100,000 samples count as so many.
+            Seconds in which the autocorrelation falls to 1/e.
         sensors : sequence of int, optional
             Numbers of the sensors with the error; by default all.
         common : bool

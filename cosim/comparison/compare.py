@@ -291,14 +291,14 @@ def compare(
         if _recorded(loop) != record:
             raise ModelError(
                 f"The loop {name!r} measures or tracks other signals ({', '.join(_recorded(loop))}) than the first one "
-                f"({', '.join(record)}). Compare loops that track the same signals of plants of the same name."
+                f"({', '.join(record)}). Compare loops that track the same signals of plants of the same name; goal_names of a "
+                "controller says which signal a goal is for that no sensor measures."
             )
     for name, loop in loops.items():
         if not any(quantity.goal is not None and quantity.truth for quantity in find_roles(loop).quantities):
             raise ModelError(
-                f"No measured signal of the loop {name!r} has a goal, so that there is no tracking error. Track a measured "
-                "signal. A Subsystem of yours does not say which one its goal is for: name it, as in "
-                "Subsystem(..., goals=['angle'])."
+                f"No known signal of the loop {name!r} has a goal, so that there is no tracking error. Track a measured signal, "
+                "or name what the goal is for: a controller by goal_names=['angle'], a Subsystem of yours by goals=['angle']."
             )
     campaign = Campaign(
         _Chosen(dict(loops)),

@@ -223,11 +223,12 @@ def traits(block: Block) -> dict[str, Any]:
     told = told if isinstance(told, Mapping) else {}
     given = {name: getattr(inside, name, told.get(name)) for name in (*KINDS, GOALS, "lag", *MATRICES)}
     found: dict[str, Any] = {"lag": given["lag"]} if isinstance(given["lag"], str) else {}
+    sizes: dict[str, int] = {port.name: port.size for port in (*block.inputs, *block.outputs)}
     for name in (*KINDS, GOALS):
         of = given[name]
-        if isinstance(of, list | tuple) and all(isinstance(each, str) for each in of):
+        fits = name != GOALS or len(of or ()) == sizes.get("goal")
+        if isinstance(of, list | tuple) and all(isinstance(each, str) for each in of) and fits:
             found[name] = tuple(of)
-    sizes: dict[str, int] = {port.name: port.size for port in (*block.inputs, *block.outputs)}
     for name, rows in zip(MATRICES, ("y", "goal"), strict=True):
         try:
             matrix = np.array(given[name], dtype=np.float64)  # None, as JSON has no NaN, becomes NaN
@@ -379,22 +380,31 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     for name in named:
         if name not in known:
             raise ModelError(f"The subsystem {controller.name!r} has a goal for {name!r}; {did_you_mean(name, known)}")
-    plants = dict.fromkeys(place[0].rpartition(".")[0] for place in inputs if place is not None)
-    outputs = {
-        element_name(port, i): (f"{node.name}.{port.name}", i, port.unit_of(i))
-        for node in diagram.nodes
-        if node.name in plants
-        for port in node.block.outputs
-        for i in range(port.size)
-    }
+    outputs: dict[str, tuple[str, int, str | None]] = {}
+    for node in _before(diagram, sensor_node, controller):
+        for port in node.block.outputs:
+            for i in range(port.size):
+                outputs.setdefault(element_name(port, i), (f"{node.name}.{port.name}", i, port.unit_of(i)))
     for goal, name in enumerate(told.get(GOALS, ())):
-        if any(role.goal == goal for role in roles):
+        if any(role.goal == goal or role.name == name for role in roles):
             continue
         signal, i, unit = outputs.get(name, (None, 0, None))
         truth = None if signal is None else ((1.0, (signal, i)),)
         belief = tuple(map(float, G[goal])) if G is not None and estimates else None
         roles.append(QuantityRole(name, unit, (), truth, _reference(diagram, controller, goal), belief, goal))
     return tuple(roles)
+
+
+def _before(diagram: Diagram, sensors: Node, controller: Node) -> list[Node]:
+    """Return the blocks on whose outputs the sensors depend, the nearest first, without the controller."""
+    found = [sensors]
+    for node in found:
+        for port in node.inputs:
+            for i in range(port.size):
+                source = diagram.source_of(node, port, i)
+                if source is not None and source[0].node not in (*found, controller):
+                    found.append(source[0].node)
+    return found[1:]
 
 
 def units_of(diagram: Diagram) -> Units:

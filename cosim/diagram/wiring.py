@@ -340,7 +340,8 @@ def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> No
 
 def _warn_of_other_groups(diagram: Diagram, sensors: Node, controller: Node) -> None:
     """Warn if the model, without names, has as many quantities as the loop, but other sensors of them."""
-    rows, groups = sensors.block.rows, getattr(getattr(controller.block, "model", None), "alike", None)  # type: ignore[attr-defined]
+    rows, model = sensors.block.rows, getattr(controller.block, "model", None)  # type: ignore[attr-defined]
+    groups = getattr(model, "alike", None)
     if groups is None or sum(map(len, groups)) != len(rows):
         return
     of_loop: dict[str, list[int]] = {}
@@ -350,10 +351,12 @@ def _warn_of_other_groups(diagram: Diagram, sensors: Node, controller: Node) -> 
         return
     measured = " and ".join(f"{', '.join(map(str, group))} for {name}" for name, group in of_loop.items())
     of_model = " and ".join(", ".join(map(str, group)) for group in groups)
+    each = [len(group) for group in groups]
+    in_turn = [i for group in groups for i in group] != [*range(len(rows))]
     warn_user(
         f"The controller's model has other sensors of one quantity (equal rows of C: {of_model}) than the loop (sensors "
-        f"{measured}). Give the loop sensors=Sensors(count=[...], ...) with the number of sensors of each signal in the model "
-        "(in a scenario file, count of [sensors]), or change C."
+        f"{measured}). Give the loop sensors=Sensors(count={len(rows) if in_turn else each}, ...), in a scenario file count of "
+        "[sensors], or change C."
     )
 
 

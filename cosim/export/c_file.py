@@ -300,5 +300,5 @@ def _description(signal: Signal | Tunable) -> list[str]:
 def _remark(signal: Signal | Tunable) -> str:
     parts = [f"{signal.shape[0]} row{'s' * (signal.shape[0] != 1)}"] if len(signal.shape) > 1 else []
     of_elements = [unit or "-" for unit in getattr(signal, "element_units", ())]
-    parts += [signal.unit] if signal.unit else [", ".join(of_elements)] if {*of_elements} - {"-"} else []
+    parts += [signal.unit] if signal.unit else [", ".join(of_elements)] if of_elements else []
     return f" /* {', '.join(parts)} */" if parts else ""

@@ -121,7 +121,7 @@ def signal_of(schedule: Schedule, label: str, places: Places, units: Mapping[Por
     if each and not shape:
         description, each = each[0], ()
     return Signal(
-        label, shape, unit, start, at, port.draw, description, origin, each, of_elements if unit is None else ()
+        label, shape, unit, start, at, port.draw, description, origin, each, of_elements * (len({*of_elements}) > 1)
     )
 
 

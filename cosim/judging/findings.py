@@ -361,7 +361,17 @@ def sections(
     edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(kinds)]
     for n, (a, b) in enumerate(pairwise(edges[:-1]), start=1):
         edges[n] = _at_pause(sums[:, kinds[a]] - sums[:, kinds[b]], pauses, a, b, cost[kinds[a], kinds[b]])
-    return [(*span, kinds[b - 1]) for a, b in pairwise(edges) if (span := _without_pauses(pauses, a, b))]
+    listed = [(a, b, kinds[b - 1]) for a, b in pairwise(edges)]
+    for n, (a, b, kind) in enumerate(listed):
+        own = np.flatnonzero(sums[a:b].argmax(axis=1) == kind) if kind in plain else [b - a - 1]
+        end = a + int(own[-1]) + 1 if len(own) else b
+        if sums[end:b].sum() >= HOLD_SAMPLES:  # the samples are back
+            following = listed[n + 1 :][:1]
+            last, after = (
+                (following[0][1], following[0][2]) if following else (b, int(sums[end:b].sum(axis=0).argmax()))
+            )
+            listed[n : n + 1 + len(following)] = [(a, end, kind), (end, last, after)]
+    return [(*span, kind) for a, b, kind in listed if (span := _without_pauses(pauses, a, b))]
 
 
 def _at_pause(better: Floats, pauses: Sequence[bool] | Flags, first: int, after: int, cost: float) -> int:
@@ -510,14 +520,18 @@ def _outvoted(
             continue
         *most, last = (str(i) for i in quantity.sensors if i != other)
         who = f"sensors {', '.join(most)} and {last} of {quantity.name} agree but are blamed from t = {signals.time[first]:g} s"
-        alarm = signals.sensors[other].alarm
-        if alarm is not None and alarm[first : first + LEAST].all():
+        believed, stretch = signals.sensors[other], slice(first, first + MOST)
+        if (
+            believed.faulty is not None
+            and believed.alarm is not None
+            and np.mean(believed.faulty[stretch] & ~believed.alarm[stretch] & np.isfinite(samples[k][stretch])) < 0.5
+        ):
             yield "model", f"{who}: the plant behaves unlike the controller's model"
         else:
             yield (
                 "named",
-                f"{who}, and sensor {other} is believed: where the model is not exact, a slow fault of the most accurate sensor "
-                "may look like one of the others. Improve the model (docs/explanation/wrong-models.md)",
+                f"{who}, and sensor {other}, which has a fault, is believed: where the model is not exact, a slow fault of the "
+                "most accurate sensor may look like one of the others. Improve the model (docs/explanation/wrong-models.md)",
             )
         return
 
@@ -544,10 +558,10 @@ def advice_on(signals: LoopSignals, sensor: int) -> str:
         if other.alarm is not None and other.faulty is not None:
             instead = of.alarm & ~of.faulty & other.faulty & ~other.alarm
             if 2 * instead.sum() > (of.alarm & ~of.faulty).sum():
+                third = "a third sensor, or " if len(quantity.sensors) == 2 else ""
                 return (
-                    f"Meanwhile {signals.sensor_name(other.index)} has a fault that is not seen. A slow fault of one of two "
-                    "sensors may look like one of the other: a third sensor, or a better model of the plant, tells "
-                    "(docs/explanation/inference.md)."
+                    f"Meanwhile {signals.sensor_name(other.index)} has a fault that is not seen. A slow fault of one sensor may "
+                    f"look like one of another: {third}a better model of the plant tells (docs/explanation/inference.md)."
                 )
     if quantity.belief is None or quantity.spread is None:
         return LOOK_AT_MODEL

@@ -225,7 +225,7 @@ def findings_table(inferred: Sequence[Mapping[str, Any]], hold: float | None = N
         values = (each["kind"] or None, *(each[name] for name in ("onset", "start", "end", "size", "probability")))
         times = ["{:.5g}" if seconds is None or seconds < 1e5 else "{:.0f}" for seconds in values[1:4]]
         if values[1] is not None and values[1] < 1e3:
-            times[0] = "{:.3g}"  # it is estimated
+            times[0] = "{:.3g}" if values[1] < 10.0 else "{:.4g}"  # it is estimated
         forms = ["{}", *times, f"{{:.3g}} {unit}".rstrip(), "{:.3f}"]
         if several:
             values, forms = (*values, each.get("alarms", 1)), [*forms, "{:.0f}"]

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, SignalNames, design
+from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models import pulse_responses
 from bayesftc.controllers.models.differences import derivative
 from bayesftc.controllers.models.linearization import linearize
@@ -646,11 +647,30 @@ def test_the_offset_of_a_plant_about_an_operating_point_stands_before_the_consta
         design(fmus.path("CruiseControl"), actuated="force", sensors=2, sensor_bias=-1.0)
 
 
-@pytest.mark.parametrize("longer", [1.0, 1e3])
-def test_a_bias_that_lasts_for_ever_counts_as_one_of_100000_samples(longer):
-    model = LinearModel([[0.99]], [[0.1]], [[1.0]] * 3, 1e-3, 0.01, dt=0.5)
-    least = model.with_sensor_errors(2.0, time_constant=0.5e5, sensors=[1])
-    np.testing.assert_array_equal(
-        model.with_sensor_errors(2.0, time_constant=longer * 0.5e5, sensors=[1]).matrix("A"), least.matrix("A")
+@pytest.mark.parametrize("dt", [0.001, 0.01])
+def test_a_drift_of_a_sensor_with_an_offset_is_found_and_no_error_of_the_model(dt):
+    cart = control.ss([[0, 1], [0, -1]], [[0], [1]], [[1, 0]], 0, inputs=["force"], outputs=["x"])
+    controller = design(
+        cart, measured="x", actuated="force", sensors=3, sensor_std=0.01, sensor_bias=[0, 0.1, 0], dt=dt
     )
-    assert least.matrix("A")[1, 1] < 1.0
+    loop = cosim.closed_loop(
+        cart, controller, control="force", measured="x", sensors=cosim.Sensors(3, 0.01, bias=[0, 0.1, 0]),
+        faults=[cosim.Drift(sensor=1, start=10.0, slope=0.02)], reference=0.0,
+    )  # fmt: skip
+    result = loop.simulate(20.0, seed=1)
+    assert (result["controller.fault_probability"][result.time > 17.0][:, 1] > 0.9).all()
+    assert (result["controller.fault_probability"][:, [0, 2]] > 0.5).mean() < 0.01
+    assert result["controller.model_suspect"].max() < 0.5
+
+
+def test_an_offset_of_all_sensors_is_refused():
+    with pytest.raises(ModelError, match="all sensors have an offset"):
+        design(fmus.path("CruiseControl"), actuated="force", sensors=2, sensor_bias=0.5)
+
+
+@pytest.mark.parametrize("time_constant", [1e3, 1e9])
+def test_a_sensor_whose_error_hardly_changes_has_an_observer_of_its_own(time_constant):
+    """All sensors were compared at once, and a fault of one made the model suspect."""
+    model = LinearModel([[0.99]], [[0.1]], [[1.0]] * 3, 1e-3, 0.01, dt=0.5)
+    bank = observers(model.with_sensor_errors(2.0, time_constant=time_constant, sensors=[1]))
+    assert bank.sensors == ((0,), (1,), (2,))

@@ -928,3 +928,12 @@ def test_sensors_have_a_unit_for_each_quantity(write):
     assert scenario.sensors.port("y").unit == "m/s"
     with pytest.raises(ModelError, match=r"unit=\('m/s', 'm'\), 2 units for 1 signal; give one for each"):
         load_scenario(write(('unit = "m/s"', 'unit = ["m/s", "m"]\nmatrix = [[1], [1], [1]]')))
+
+
+def test_offsets_of_sensors_are_estimated(tmp_path):
+    (tmp_path / "servo.toml").write_text(SERVO.replace('kind = "design"', 'kind = "design"\nsensor_bias = [0, 0.05]'))
+    scenario = load_scenario(tmp_path / "servo.toml")
+    assert scenario.controller.model.state_names[-1] == "sensor_error[1]"
+    (tmp_path / "servo.toml").write_text(SERVO.replace('kind = "design"', 'kind = "design"\nsensor_bias = [0, 1, 2]'))
+    with pytest.raises(BayesFTCError, match="sensor_bias"):
+        load_scenario(tmp_path / "servo.toml")

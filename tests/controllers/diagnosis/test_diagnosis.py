@@ -1005,7 +1005,10 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
 
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
     assert (finding.kind, finding.sentence.partition(".")[0]) == ("unknown", "The controller blames sensor 0")
-    assert "the model is probably wrong as well" in finding.sentence
+    assert "the model is probably wrong" in finding.sentence
+    alone = replace(MODEL, C=[[1.0], [0.5], [0.5]], sensor_covariance=np.eye(3))  # no other sensor of its quantity
+    only = _without_blamed(alone, np.zeros((500, 3)), blamed, lambda samples: None)
+    assert (only.kind, "Either it is faulty, or the model is wrong" in only.sentence) == ("sensors", True)
     assert tried == [[1.0, 0.0, 0.0]]  # it is left out of all of the run, and the others of no part
 
     def only_without_all(samples):
@@ -1018,7 +1021,10 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
     blamed[120:400, 1] = True
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
     assert finding.kind == "sensors"
-    assert "The controller blames sensors 0 and 1 at the same time. Without those samples" in finding.sentence
+    assert (
+        "The controller blames sensors 0 and 1 at the same time. Without the samples for which it blames them"
+        in finding.sentence
+    )
     assert "or the model is wrong" in finding.sentence
     assert (
         _without_blamed(model, np.zeros((500, 3)), blamed, lambda samples: controllers.ModelFinding("unknown", ""))

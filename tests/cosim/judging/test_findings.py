@@ -89,6 +89,8 @@ def test_a_kind_that_samples_show_by_themselves_begins_where_it_does():
     chances = course((OFFSET, 85), (FROZEN, 130))[:, 1:]
     assert parts(chances, 0, 215, 0.01) == [(0, 215, 1)]
     assert parts(chances, 0, 215, 0.01, plain=(0,)) == [(0, 85, 2), (85, 215, 1)]
+    tail = course((OFFSET, 500), (FROZEN, 150), (OFFSET, 99))[:, 1:]
+    assert parts(tail, 0, 749, 0.01, plain=(0,)) == [(0, 500, 2), (500, 650, 1), (650, 749, 2)]
     by_way = course((DRIFTING, 60), (FROZEN, 5), (OFFSET, 600))[:, 1:]
     assert parts(by_way, 0, 665, 1.0, plain=(0,)) == parts(by_way, 0, 665, 1.0) == [(0, 665, 2)]
 
@@ -222,4 +224,4 @@ def test_sensors_that_agree_against_another_that_is_blamed_as_well_speak_against
     notes = blamed_together(LoopSignals(np.arange(200.0), (quantity,), sensors, {}))
     (note,) = notes["model" if known else "named"]
     assert note.startswith("sensors 1 and 2 of v agree but are blamed from t = 80 s")
-    assert ("sensor 0 is believed" in note) == (not known)
+    assert ("and sensor 0, which has a fault, is believed" in note) == (not known)

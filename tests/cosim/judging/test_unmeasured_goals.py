@@ -88,11 +88,30 @@ def test_a_name_that_is_no_output_of_the_plant_has_no_true_value():
 
 
 @pytest.mark.parametrize(
-    ("names", "said"), [(["a", "b"], "2 names, but there are 1"), ("a", "must be a list of texts")]
+    ("names", "said"),
+    [
+        (["a", "b"], "2 names, but there are 1"),
+        ("a", "must be a list of texts"),
+        (5, "must be a list of texts"),
+        (["a", "a"], "name each element once"),
+    ],
 )
 def test_wrong_names_are_refused(names, said):
     with pytest.raises(cosim.ModelError, match=said):
         controllers.LQGController(made().model, goal_on=[[2.0, 0.0]], goal_names=names)
+
+
+def test_a_block_between_plant_and_sensors_hides_no_signal_of_the_plant():
+    diagram = cosim.Diagram(0.05)
+    plant = diagram.add(cosim.StateSpace(cart()), "plant")
+    gain, sensors = diagram.add(cosim.Gain(1.0)), diagram.add(cosim.Sensors(3, 0.01))
+    controller, goal = diagram.add(made(), "controller"), diagram.add(cosim.Constant(1.0))
+    diagram.connect(plant["position"], gain["u"])
+    diagram.connect(gain["y"], sensors["u"])
+    diagram.connect(sensors["y"], controller["y"])
+    diagram.connect(goal["y"], controller["goal"])
+    diagram.connect(controller["u"], plant["force"])
+    assert find_roles(diagram).quantities[1].truth == ((1.0, ("plant.ahead", 0)),)
 
 
 def test_a_reference_in_another_unit_is_refused():

@@ -145,7 +145,8 @@ def test_a_wrong_model_is_said_above_the_faults_that_it_may_cause(tmp_path):
     since = result.time[np.argmax(result["controller.model_suspect"] >= 0.5)]
     sentence = f"The model of controller is suspect from t = {since:g} s."
     cause = (
-        "If it is wrong, sensors may be blamed because of it. controllers.diagnose(result, loop) looks for the cause."
+        "If it is wrong, sensors may be blamed because of it. controllers.diagnose(result, loop) looks for the cause; None means "
+        "too little evidence for any, not that the model is right."
     )
     cause = f"{cause} {ESTIMATE_A_LOAD}"
     assert "acts where the control does" in cause  # elsewhere it harms: docs/explanation/wrong-models.md
@@ -249,7 +250,7 @@ def test_a_controller_of_blocks_is_judged_as_any_other():
     table = cosim.compare({"one": mine, "other": loop(own_controller("angle"))}, duration=2.0, seeds=2).table
     assert table["error"].notna().all()
     unnamed = loop(own_controller([]))
-    with pytest.raises(ModelError, match=r"No measured signal of the loop 'other' has a goal.*goals=\['angle'\]"):
+    with pytest.raises(ModelError, match=r"No known signal of the loop 'other' has a goal.*goals=\['angle'\]"):
         cosim.compare({"one": mine, "other": unnamed}, duration=2.0, seeds=2)
     with pytest.raises(ModelError, match="The subsystem 'controller' has a goal for 'angel'; did you mean 'angle'"):
         find_roles(loop(own_controller(["angel"])))

@@ -213,11 +213,11 @@ def _without_plant(roles: LoopRoles) -> LoopRoles:
         of[key] = (
             replace(known, sensors=known.sensors + each.sensors)
             if known
-            else replace(each, truth=None, name=f"quantity {len(of)}")
+            else replace(each, truth=None, name=f"quantity {len(of)}" if each.sensors else each.name)
         )
     quantities = tuple(of.values())
-    if len(quantities) == 1:
-        quantities = (replace(quantities[0], name="measured quantity"),)
+    if sum(bool(each.sensors) for each in quantities) == 1:
+        quantities = tuple(replace(each, name="measured quantity") if each.sensors else each for each in quantities)
     return replace(roles, sensors=sensors, quantities=quantities)
 
 
