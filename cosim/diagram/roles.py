@@ -226,9 +226,10 @@ def traits(block: Block) -> dict[str, Any]:
     sizes: dict[str, int] = {port.name: port.size for port in (*block.inputs, *block.outputs)}
     for name in (*KINDS, GOALS):
         of = given[name]
-        fits = name != GOALS or len(of or ()) == sizes.get("goal")
-        if isinstance(of, list | tuple) and all(isinstance(each, str) for each in of) and fits:
+        if isinstance(of, list | tuple) and all(isinstance(each, str) for each in of):
             found[name] = tuple(of)
+    if len(found.get(GOALS, ())) != sizes.get("goal"):
+        found.pop(GOALS, None)
     for name, rows in zip(MATRICES, ("y", "goal"), strict=True):
         try:
             matrix = np.array(given[name], dtype=np.float64)  # None, as JSON has no NaN, becomes NaN

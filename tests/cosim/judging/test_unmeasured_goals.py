@@ -1,11 +1,13 @@
 """A goal on an output that no sensor measures has its errors, its panel and its unit, wherever a measured one has them."""
 
+from types import SimpleNamespace
+
 import control
 import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.diagram.roles import find_roles
+from bayesftc.cosim.diagram.roles import find_roles, traits
 from bayesftc.cosim.judging.roles import loop_signals
 
 
@@ -79,6 +81,14 @@ def test_an_exported_controller_says_what_its_goal_is_for(loop, tmp_path):
 def test_the_goal_of_later_samples_says_so_and_what_it_is_for():
     goal = made(preview=20).port("goal")
     assert goal.element_descriptions == ("Goal of 20 samples later (ahead); NaN keeps the last",)
+
+
+@pytest.mark.parametrize("names", [5, ["a", "b"], [1.0], None])
+def test_names_of_another_form_in_a_block_of_somebody_else_are_left_out(names):
+    block = SimpleNamespace(inputs=[cosim.Port("goal", (1,))], outputs=[cosim.Port("u", (1,))], goal_names=names)
+    assert "goal_names" not in traits(block)
+    block.goal_names = ["ahead"]
+    assert traits(block)["goal_names"] == ("ahead",)
 
 
 def test_a_name_that_is_no_output_of_the_plant_has_no_true_value():
