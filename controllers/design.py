@@ -17,6 +17,7 @@ from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector, check_limits
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
+from bayesftc.controllers.models.disturbances import error_variances
 from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.linearization import (
@@ -428,21 +429,13 @@ def _with_biases(model: LinearModel, H: Floats, std: Floats) -> tuple[LinearMode
     biased = np.flatnonzero(std).tolist()
     if not biased:
         return model, H
-    H = np.insert(H, [model.states - model.constant] * len(biased), 0.0, axis=1)
     if len(biased) == model.sensors:
         raise ModelError(
             f"sensor_bias is {std.tolist()}: all sensors have an offset, and an equal one of all looks like another state. Give "
             "0 for a sensor that counts as right."
         )
+    H = np.insert(H, [model.states - model.constant] * len(biased), 0.0, axis=1)
     return model.with_sensor_errors(std[biased].tolist(), CONSTANT * float(model.step), biased), H
-
-
-def _own_variances(model: LinearModel) -> Floats:
-    """Return the variance that each state has by itself: that of a sensor's error in the long run, else 0."""
-    moving = model.moving
-    decay, Q = np.diag(moving.matrix("A")), np.diag(moving.matrix("process_covariance"))
-    of_errors = (np.arange(moving.states) >= model.states - model.disturbances) & (np.abs(decay) < 1.0)
-    return np.where(of_errors, Q / np.where(of_errors, 1.0 - decay**2, 1.0), 0.0)
 
 
 def _initial(model: LinearModel, times: float) -> Floats:
@@ -460,7 +453,7 @@ def _initial(model: LinearModel, times: float) -> Floats:
     n = moving.states
     try:
         start[:n, :n] = times * predicted_covariance(A, C, Q + spread * np.eye(n), R)
-        own = _own_variances(model)
+        own = error_variances(model)
         errors = np.flatnonzero(own)
         start[errors], start[:, errors] = 0.0, 0.0
         start[errors, errors] = own[errors]

@@ -305,8 +305,7 @@ class NonlinearBayesianController(BayesianBlock):
     posterior_outputs : bool
         Whether the covariance of the control and the free energy are outputs as well.
     goal_names : sequence of str
-        A name for each element of the goal: that of a signal of the plant. Tables and figures then also show the tracking error
-        of what no sensor measures. `design` gives them.
+        See `BayesianController`.
 
     Raises
     ------

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, Explanation, Judge
+from bayesftc.controllers.models.disturbances import error_variances
 
 if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
@@ -27,9 +28,8 @@ def offsets(judge: Judge) -> list[Explanation]:
     rows = np.eye(judge.model.sensors)
     responses = np.stack([judge.offset(row) for row in rows], axis=1)
     seen = [_visible(judge, responses[:, i : i + 1]) for i in range(len(rows))]
-    model = judge.model
-    errors = model.matrix("C")[:, model.states - model.disturbances : model.states - model.constant]
-    left = [group for group in model.alike if all(seen[i] and not errors[i].any() for i in group)]
+    errors = judge.model.moving.matrix("C")[:, error_variances(judge.model) > 0.0]
+    left = [group for group in judge.model.alike if all(seen[i] and not errors[i].any() for i in group)]
     found: list[Explanation] = []
     chosen: tuple[Floats, ...] = ()
     while left:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.estimation.innovation import steady_prediction
+from bayesftc.controllers.models.disturbances import error_variances
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -121,10 +122,9 @@ def _with_faster_errors(model: LinearModel) -> tuple[Floats, Floats]:
     """Return A and the process covariance with errors of sensors no slower than `SLOWEST_ERROR`, of the same variance."""
     moving = model.moving
     A, Q = moving.matrix("A").copy(), moving.matrix("process_covariance").copy()
-    for i in range(model.states - model.disturbances, moving.states):
-        if SLOWEST_ERROR < A[i, i] < 1.0:
-            Q[i, i] *= (1.0 - SLOWEST_ERROR**2) / (1.0 - A[i, i] ** 2)
-            A[i, i] = SLOWEST_ERROR
+    variances = error_variances(model)
+    for i in np.flatnonzero((variances > 0.0) & (np.diag(A) > SLOWEST_ERROR)):
+        A[i, i], Q[i, i] = SLOWEST_ERROR, variances[i] * (1.0 - SLOWEST_ERROR**2)
     return A, Q
 
 

@@ -67,6 +67,14 @@ def with_sensor_errors(
     return _with_states(model, last, np.diag(decay), loose, reads, np.diag(deviations**2 * (1 - decay**2)))
 
 
+def error_variances(model: LinearModel) -> Floats:
+    """Return the variance of each moving state in the long run if it is an error of a sensor, else 0."""
+    A, Q = (np.diag(model.moving.matrix(name)) for name in ("A", "process_covariance"))
+    read = model.moving.matrix("C").any(axis=0) & (np.arange(len(A)) >= model.states - model.disturbances)
+    errors = read & (np.abs(A) < 1.0)
+    return np.where(errors, Q / np.where(errors, 1.0 - A**2, 1.0), 0.0)
+
+
 def _chosen(model: LinearModel, sensors: Sequence[int] | None) -> list[int]:
     chosen = list(range(model.sensors)) if sensors is None else list(sensors)
     for sensor in chosen:

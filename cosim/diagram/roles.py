@@ -381,19 +381,24 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     for name in named:
         if name not in known:
             raise ModelError(f"The subsystem {controller.name!r} has a goal for {name!r}; {did_you_mean(name, known)}")
-    outputs: dict[str, tuple[str, int, str | None]] = {}
-    for node in _before(diagram, sensor_node, controller):
-        for port in node.block.outputs:
-            for i in range(port.size):
-                outputs.setdefault(element_name(port, i), (f"{node.name}.{port.name}", i, port.unit_of(i)))
     for goal, name in enumerate(told.get(GOALS, ())):
         if any(role.goal == goal or role.name == name for role in roles):
             continue
-        signal, i, unit = outputs.get(name, (None, 0, None))
-        truth = None if signal is None else ((1.0, (signal, i)),)
+        place, unit = _output(_before(diagram, sensor_node, controller), name)
+        truth = None if place is None else ((1.0, place),)
         belief = tuple(map(float, G[goal])) if G is not None and estimates else None
         roles.append(QuantityRole(name, unit, (), truth, _reference(diagram, controller, goal), belief, goal))
     return tuple(roles)
+
+
+def _output(nodes: Iterable[Node], name: str) -> tuple[Place | None, str | None]:
+    """Return the first output of some blocks with this name, and its unit; nothing if there is none."""
+    for node in nodes:
+        for port in node.block.outputs:
+            for i in range(port.size):
+                if element_name(port, i) == name:
+                    return (f"{node.name}.{port.name}", i), port.unit_of(i)
+    return None, None
 
 
 def _before(diagram: Diagram, sensors: Node, controller: Node) -> list[Node]:
@@ -426,6 +431,8 @@ def units_of(diagram: Diagram) -> Units:
 
 Element = tuple[str, str, int]
 """Block, port and element."""
+
+UnitsOfElements = Mapping[Element, str]
 
 
 def _declared(diagram: Diagram) -> dict[Element, tuple[str, Unit | None]]:
@@ -513,7 +520,7 @@ def _where(quantity: QuantityRole, controller: Node) -> Element:
     return block, port, i
 
 
-def units_of_elements(diagram: Diagram) -> Mapping[Element, str]:
+def units_of_elements(diagram: Diagram) -> UnitsOfElements:
     """Return the unit of each element of a port, as `units_of` does, and of the elements of the controller's goal.
 
     A source of the goal has no unit, so that no connection passes one on.
@@ -535,6 +542,7 @@ __all__ = [
     "QuantityRole",
     "SensorRole",
     "Units",
+    "UnitsOfElements",
     "check_units_of_goals",
     "find_roles",
     "known_roles",

@@ -311,13 +311,11 @@ def _sum(terms: list[tuple[float, str]]) -> str:
 
 def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> None:
     """Warn if the controller's model has other signals of the plant, or another order of them, than the loop connects."""
-    names = getattr(getattr(controller.block, "model", None), "names", None)
+    model = getattr(controller.block, "model", None)
+    names = getattr(model, "names", None)
     sensors = find_sensors(diagram)
     rows = sensors.block.rows  # type: ignore[attr-defined]
     if rows is None:
-        return
-    if names is None:
-        _warn_of_other_groups(diagram, sensors, controller)
         return
     measured = [label_of(diagram, sensors, tuple(row), i)[0] for i, row in enumerate(rows)]
     driven: dict[int, str] = {}
@@ -328,36 +326,21 @@ def warn_of_other_signals(diagram: Diagram, plant: Node, controller: Node) -> No
                 driven[origin[2]] = name
     known = {name for port in (*plant.inputs, *plant.outputs) for name in labels(port.name, port.shape)}
     for role, kind, of_model, of_loop in (
-        ("measured", "sensors", names.sensors, measured),
-        ("control", "controls", names.controls, [driven[j] for j in sorted(driven)]),
+        ("measured", "sensors", names.sensors if names else _named_by_rows(model, measured), measured),
+        ("control", "controls", names.controls if names else (), [driven[j] for j in sorted(driven)]),
     ):
         if list(of_model) != of_loop and len(of_model) == len(of_loop) and known.issuperset((*of_model, *of_loop)):
+            how = "" if names else " (by the rows of C)"
             warn_user(
-                f"The controller's model has the {kind} {', '.join(of_model)}, but the loop has {', '.join(of_loop)} in their "
-                f"places. {_remedy(role, of_model, of_loop)}, or design the controller for the signals of the loop."
+                f"The controller's model has the {kind} {', '.join(of_model)}{how}, but the loop has {', '.join(of_loop)} in "
+                f"their places. {_remedy(role, of_model, of_loop)}, or design the controller for the signals of the loop."
             )
 
 
-def _warn_of_other_groups(diagram: Diagram, sensors: Node, controller: Node) -> None:
-    """Warn if the model, without names, has as many quantities as the loop, but other sensors of them."""
-    rows, model = sensors.block.rows, getattr(controller.block, "model", None)  # type: ignore[attr-defined]
-    groups = getattr(model, "alike", None)
-    if groups is None or sum(map(len, groups)) != len(rows):
-        return
-    of_loop: dict[str, list[int]] = {}
-    for i, row in enumerate(rows):
-        of_loop.setdefault(label_of(diagram, sensors, tuple(row), i)[0], []).append(i)
-    if len(of_loop) != len(groups) or sorted(map(tuple, of_loop.values())) == sorted(groups):
-        return
-    measured = " and ".join(f"{', '.join(map(str, group))} for {name}" for name, group in of_loop.items())
-    of_model = " and ".join(", ".join(map(str, group)) for group in groups)
-    each = [len(group) for group in groups]
-    in_turn = [i for group in groups for i in group] != [*range(len(rows))]
-    warn_user(
-        f"The controller's model has other sensors of one quantity (equal rows of C: {of_model}) than the loop (sensors "
-        f"{measured}). Give the loop sensors=Sensors(count={len(rows) if in_turn else each}, ...), in a scenario file count of "
-        "[sensors], or change C."
-    )
+def _named_by_rows(model: Any, measured: Sequence[str]) -> list[str]:
+    """Return a name for each sensor of a model without names: equal rows of C are one of the loop's signals, in their order."""
+    signals, numbers = list(dict.fromkeys(measured)), getattr(model, "quantity", ())
+    return [signals[q] for q in numbers] if len({*numbers}) == len(signals) else []
 
 
 def _remedy(role: str, of_model: Sequence[str], of_loop: Sequence[str]) -> str:

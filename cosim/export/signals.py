@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE
-from bayesftc.cosim.diagram.roles import Element as PortElement, Units
+from bayesftc.cosim.diagram.roles import Units, UnitsOfElements
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.export.tunables import Element, settings_of
 from bayesftc.cosim.export.units import unit_of_setting
@@ -100,7 +100,7 @@ class Tunable:
     unit: str | None = None
 
 
-def signal_of(schedule: Schedule, label: str, places: Places, units: Mapping[PortElement, str]) -> Signal:
+def signal_of(schedule: Schedule, label: str, places: Places, units: UnitsOfElements) -> Signal:
     """Return the signal of this name for these elements of a port."""
     node, port, _ = places[0]
     begin = schedule.signal(node, port).start

@@ -361,16 +361,13 @@ def sections(
     edges = [0, *(np.flatnonzero(np.diff(kinds)) + 1).tolist(), len(kinds)]
     for n, (a, b) in enumerate(pairwise(edges[:-1]), start=1):
         edges[n] = _at_pause(sums[:, kinds[a]] - sums[:, kinds[b]], pauses, a, b, cost[kinds[a], kinds[b]])
-    listed = [(a, b, kinds[b - 1]) for a, b in pairwise(edges)]
-    for n, (a, b, kind) in enumerate(listed):
-        own = np.flatnonzero(sums[a:b].argmax(axis=1) == kind) if kind in plain else [b - a - 1]
-        end = a + int(own[-1]) + 1 if len(own) else b
-        if sums[end:b].sum() >= HOLD_SAMPLES:  # the samples are back
-            following = listed[n + 1 :][:1]
-            last, after = (
-                (following[0][1], following[0][2]) if following else (b, int(sums[end:b].sum(axis=0).argmax()))
-            )
-            listed[n : n + 1 + len(following)] = [(a, end, kind), (end, last, after)]
+    listed: list[tuple[int, int, int]] = []
+    for a, b in pairwise(edges):
+        own = np.flatnonzero(sums[a:b].argmax(axis=1) == kinds[b - 1])
+        end = a + int(own[-1]) + 1 if kinds[b - 1] in plain and len(own) else b
+        rest = sums[end:b].sum(axis=0)
+        back = rest.sum() >= HOLD_SAMPLES  # the samples are back
+        listed += [(a, end, kinds[b - 1]), (end, b, int(rest.argmax()))] if back else [(a, b, kinds[b - 1])]
     return [(*span, kind) for a, b, kind in listed if (span := _without_pauses(pauses, a, b))]
 
 
@@ -520,20 +517,24 @@ def _outvoted(
             continue
         *most, last = (str(i) for i in quantity.sensors if i != other)
         who = f"sensors {', '.join(most)} and {last} of {quantity.name} agree but are blamed from t = {signals.time[first]:g} s"
-        believed, stretch = signals.sensors[other], slice(first, first + MOST)
-        if (
-            believed.faulty is not None
-            and believed.alarm is not None
-            and np.mean(believed.faulty[stretch] & ~believed.alarm[stretch] & np.isfinite(samples[k][stretch])) < 0.5
-        ):
-            yield "model", f"{who}: the plant behaves unlike the controller's model"
-        else:
+        if _missed(signals, other)[first : first + MOST].mean() > 0.5:
             yield (
                 "named",
                 f"{who}, and sensor {other}, which has a fault, is believed: where the model is not exact, a slow fault of the "
                 "most accurate sensor may look like one of the others. Improve the model (docs/explanation/wrong-models.md)",
             )
+        else:
+            yield "model", f"{who}: the plant behaves unlike the controller's model"
         return
+
+
+def _missed(signals: LoopSignals, index: int) -> Flags:
+    """Return the steps at which a sensor has a sample and a fault without an alarm; none if that is not known."""
+    sensor = signals.sensors[index]
+    missed: Flags = np.zeros(len(signals.time), dtype=bool)
+    if sensor.samples is not None and sensor.alarm is not None and sensor.faulty is not None:
+        missed = sensor.faulty & ~sensor.alarm & np.isfinite(sensor.samples)
+    return missed
 
 
 def often_blamed(signals: LoopSignals) -> tuple[int, str] | None:
@@ -554,18 +555,17 @@ def advice_on(signals: LoopSignals, sensor: int) -> str:
     of, quantity = signals.sensors[sensor], next((q for q in signals.quantities if sensor in q.sensors), None)
     if of.samples is None or of.alarm is None or of.faulty is None or quantity is None:
         return LOOK_AT_MODEL
-    for other in (signals.sensors[i] for i in quantity.sensors if i != sensor):
-        if other.alarm is not None and other.faulty is not None:
-            instead = of.alarm & ~of.faulty & other.faulty & ~other.alarm
-            if 2 * instead.sum() > (of.alarm & ~of.faulty).sum():
-                third = "a third sensor, or " if len(quantity.sensors) == 2 else ""
-                return (
-                    f"Meanwhile {signals.sensor_name(other.index)} has a fault that is not seen. A slow fault of one sensor may "
-                    f"look like one of another: {third}a better model of the plant tells (docs/explanation/inference.md)."
-                )
+    wrongly = of.alarm & ~of.faulty
+    for i in quantity.sensors:
+        if 2 * _missed(signals, i)[wrongly].sum() > wrongly.sum():
+            third = "a third sensor, or " if len(quantity.sensors) == 2 else ""
+            return (
+                f"Meanwhile {signals.sensor_name(i)} has a fault that is not seen. A slow fault of one sensor may look like one "
+                f"of another: {third}a better model of the plant tells (docs/explanation/inference.md)."
+            )
     if quantity.belief is None or quantity.spread is None:
         return LOOK_AT_MODEL
-    blamed = of.alarm & ~of.faulty & np.isfinite(of.samples)
+    blamed = wrongly & np.isfinite(of.samples)
     apart, expected = (
         float(np.sqrt(np.mean(values[blamed] ** 2))) if blamed.any() else np.nan
         for values in (of.samples - quantity.belief, quantity.spread)

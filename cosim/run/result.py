@@ -232,18 +232,11 @@ class Result(Mapping[str, Floats]):
         """Return the message about a missing signal."""
         if isinstance(name, list | tuple):
             return f"A result gives one signal at a time, not {name!r}; use result.to_pandas()[{list(name)!r}] for several."
-        block, _, port = str(name).rpartition(".")
-        signals = [*self._columns, *self._signals.unrecorded]
-        known = any(signal.startswith(f"{block}.") for signal in signals)
-        elsewhere = [] if known else [signal for signal in signals if signal.endswith(f".{port}")]  # of other blocks
         if name in self._signals.unrecorded:
             return (
                 f"The signal {name!r} was not recorded. To record it, name it: simulate(..., record=['*', {name!r}])."
             )
-        recorded = [signal for signal in elsewhere if signal in self._columns] or elsewhere
-        hint = did_you_mean(name, recorded or (signals if known else self._columns))
-        if recorded and hint.startswith("known"):
-            hint = did_you_mean(port, recorded)
+        hint = did_you_mean(name, self._columns, others=self._signals.unrecorded)
         return f"The result has no signal {name!r}; {hint}"
 
     # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.

@@ -84,10 +84,7 @@ def _written_again(time: Floats, values: Floats, k: int) -> bool:
     known = dict(zip(time[: k + 1].tolist(), values[: k + 1].tolist(), strict=True))
     new = time[k + 1 :] > time[k]
     again = slice(k + 1, k + 1 + (int(np.argmax(new)) if new.any() else len(new)))
-    return all(
-        known.get(t) == v or (t in known and v != v and known[t] != known[t])  # NaN: a missing sample
-        for t, v in zip(time[again].tolist(), values[again].tolist(), strict=True)
-    )
+    return all(known.get(t) == v for t, v in zip(time[again].tolist(), values[again].tolist(), strict=True))
 
 
 def _set_back(steps: Floats, k: int, origin: datetime | None) -> bool:

@@ -346,9 +346,9 @@ def test_a_model_without_names_shows_by_its_rows_which_sensors_measure_one_quant
             ROOMS, controllers.LQGController(model), control=["heat", "vent"], measured=["T1", "T2"],
             sensors=cosim.Sensors(given, 0.1), reference=[1.0, 2.0],
         )  # fmt: skip
-    said = [str(each.message) for each in caught if "of one quantity" in str(each.message)]
+    said = [str(each.message) for each in caught if "by the rows of C" in str(each.message)]
     assert len(said) == (remedy is not None)
-    assert all(f"Give the loop sensors=Sensors(count={remedy}, ...)" in each for each in said)
+    assert all(f"Give sensors=Sensors(count={remedy}, ...)" in each for each in said)
 
 
 def tank(t, x, u, params):

@@ -310,6 +310,7 @@ def test_what_is_measured_by_a_function_has_no_belief_and_what_the_goal_is_for_h
     assert "speed has no error of the belief" in notes
     assert "record" not in notes
     assert "position has" not in notes
+    assert "error of position" not in notes
 
 
 @pytest.mark.filterwarnings("ignore::bayesftc.controllers.UnstableLoopWarning")

@@ -12,7 +12,7 @@ from bayesftc.cosim.judging.roles import loop_signals
 
 
 def cart():
-    """A mass on a rail with a sensor of its position, and a point on it 10 cm ahead, which has the goal."""
+    """A mass on a rail with a sensor of its position, and a point that a lever moves twice as far ahead, which has the goal."""
     A, B = [[0, 1], [0, -1]], [[0], [1]]
     return control.ss(A, B, [[1, 0], [2, 0]], 0, inputs=["force"], outputs=["position", "ahead"])
 
