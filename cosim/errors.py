@@ -182,7 +182,6 @@ def did_you_mean(name: object, names: Iterable[str], before: str = "", others: I
     wrong = str(name).lower()
     near = [n for n in names if n.lower() == wrong] or [n for n in names if n.lower().endswith(f".{wrong}")][:3]
     near = near or get_close_matches(str(name), names, n=3, cutoff=0.6)
-    near = near or [n for n in names if "." in wrong and n.lower().endswith(f".{wrong.rpartition('.')[2]}")][:3]
     near = near or [n for n in names if len(wrong) > 2 and n.lower().startswith(wrong)][:3]
     if near:
         return f"did you mean {' or '.join(repr(before + n) for n in near)}?"

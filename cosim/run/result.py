@@ -12,6 +12,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from difflib import get_close_matches
 from fractions import Fraction
 from functools import cached_property
 from math import prod
@@ -236,7 +237,10 @@ class Result(Mapping[str, Floats]):
             return (
                 f"The signal {name!r} was not recorded. To record it, name it: simulate(..., record=['*', {name!r}])."
             )
-        hint = did_you_mean(name, self._columns, others=self._signals.unrecorded)
+        others = self._signals.unrecorded
+        near = get_close_matches(str(name), [*self._columns, *others])
+        port = str(name).rpartition(".")[2]  # perhaps of another block
+        hint = did_you_mean(name if near else port, self._columns, others=others)
         return f"The result has no signal {name!r}; {hint}"
 
     # Two results are compared signal by signal (np.array_equal); Mapping's == would raise on arrays.
