@@ -95,9 +95,13 @@ class StateSpace(Block):
         For nonlinear systems: values that are passed to the system's functions.
     method, rtol, atol : str, float, float
         For continuous nonlinear systems: solver and tolerances of ``solve_ivp``.
+    units : mapping, optional
+        Units of signals, by name, for figures, tables and connections: ``{"force": "N", "v": "m/s"}``.
 
     Raises
     ------
+    UnknownNameError
+        If a name is not that of a signal.
     ModelError
         If the system is none of these, or sizes do not fit; in a run, if the outputs depend on an input without feedthrough.
     StepSizeError
@@ -120,6 +124,7 @@ class StateSpace(Block):
     method: str = field(default="RK45", kw_only=True)
     rtol: float = field(default=1e-9, kw_only=True)
     atol: float = field(default=1e-12, kw_only=True)
+    units: Mapping[str, str] | None = field(default=None, kw_only=True, hash=False)
 
     checks_finite: ClassVar[bool] = True
 
@@ -143,6 +148,7 @@ class StateSpace(Block):
             for name in names:
                 if name not in self._names[0]:
                     raise UnknownNameError(f"StateSpace has no input {name!r}; {did_you_mean(name, self._names[0])}")
+        self._check_units()
         n = self._states
         initial = np.zeros(n) if self.initial is None else reals(self.initial)
         if initial.shape != (n,) or not np.isfinite(initial).all():
@@ -156,6 +162,19 @@ class StateSpace(Block):
             set_(self, "process_noise", as_rows(covariance))
         if not (self.rtol > 0 and self.atol > 0):
             raise ModelError(f"StateSpace has rtol={self.rtol!r}, atol={self.atol!r}; both must be positive.")
+
+    def _check_units(self) -> None:
+        units = {} if self.units is None else self.units
+        if not isinstance(units, Mapping) or not all(isinstance(unit, str) for unit in units.values()):
+            raise ModelError(
+                f"StateSpace has units={brief(units)}; they must be texts by the names of signals, such as {{'v': 'm/s'}}."
+            )
+        known = [name for names in self._names for name in names]
+        for name in units:
+            if name not in known:
+                raise UnknownNameError(
+                    f"StateSpace has units of {name!r}, which is no input or output; {did_you_mean(name, known)}"
+                )
 
     @cached_property
     def _fed(self) -> tuple[str, ...]:
@@ -176,7 +195,8 @@ class StateSpace(Block):
             feeds = [name in self._fed for name in names]
         text = "Input of the system"
         ports = [
-            Port(name, feedthrough=feed, default=0.0, description=text) for name, feed in zip(names, feeds, strict=True)
+            Port(name, unit=self._unit(name), feedthrough=feed, default=0.0, description=text)
+            for name, feed in zip(names, feeds, strict=True)
         ]
         if self.process_noise is not None:
             ports.append(Port(NOISE, (self._states,), feedthrough=False, draw="normal"))
@@ -185,7 +205,10 @@ class StateSpace(Block):
     @property
     def outputs(self) -> tuple[Port, ...]:
         """A scalar port for each output signal."""
-        return tuple(Port(name, description="Output of the system") for name in self._names[1])
+        return tuple(Port(name, unit=self._unit(name), description="Output of the system") for name in self._names[1])
+
+    def _unit(self, name: str) -> str | None:
+        return (self.units or {}).get(name)
 
     @property
     def sample_time(self) -> Fraction | None:

@@ -199,12 +199,18 @@ dt = 0.02
 inputs = ["force", "disturbance"]
 outputs = ["v"]
 initial = [20.0]
+units = { force = "N", v = "m/s" }
 """
     linear = load_scenario(
         write(('fmu = "CruiseControl"', plant), ("parameters = { v0 = 20.0 }", "#"), name="linear.toml")
     )
     ours, theirs = (short(s, duration=1.0)["plant.v"] for s in (linear, load_scenario("cruise_control")))
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+    assert [port.unit for port in (*linear.plant.inputs, *linear.plant.outputs)] == ["N", None, "m/s"]
+    with pytest.raises(ScenarioError, match=r"'plant.units' is {'v': 3}; it must be a table of texts in quotes\."):
+        load_scenario(
+            write(('fmu = "CruiseControl"', plant.replace('force = "N", v = "m/s"', "v = 3")), ("parameters =", "#"))
+        )
 
 
 def test_continuous_linear_plant_with_process_noise(write):

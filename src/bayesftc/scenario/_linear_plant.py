@@ -65,7 +65,7 @@ class Matrices:
 
 
 def linear_plant(table: dict[str, Any], place: Place, known: Sequence[str] = ("control", "measured")) -> Block:
-    """Return the plant of the matrices, with the settings of `StateSpace`: ``initial``, ``process_noise``.
+    """Return the plant of the matrices, with the settings of `StateSpace`: ``initial``, ``process_noise``, ``units``.
 
     `known` are further keys that the section may have.
     """
@@ -77,7 +77,7 @@ def linear_plant(table: dict[str, Any], place: Place, known: Sequence[str] = ("c
     return build(StateSpace, rest, place, given={"system": matrices.system(place)})  # type: ignore[no-any-return]
 
 
-LINEAR = ("initial", "process_noise")
+LINEAR = ("initial", "process_noise", "units")
 """Settings of `StateSpace` that concern linear systems."""
 
 

@@ -250,7 +250,8 @@ def _words(hint: Any) -> list[str]:
     if origin in {Union, UnionType}:
         return [word for part in parts for word in _words(part)]
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return ["a table"]
+        of = _words(parts[1])
+        return ["a table" + (f" of {_plural(of[0])}" if len(of) == 1 else "")]
     if isinstance(origin, type) and issubclass(origin, Sequence):
         return ["a list of " + " or ".join(_plural(word) for word in _words(parts[0]))]
     return []

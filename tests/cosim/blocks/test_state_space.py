@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.cosim.errors import KernelError, ModelError, SimulationError, StepSizeError, UnknownNameError
 
 ENGINES = ("compiled", "interpreted")
@@ -311,6 +311,27 @@ def test_blocks_of_linear_systems_are_plain_values():
     assert hash(copy) == hash(block)
     runs = [driven(b, 0.1, waves(["u"])).simulate(1.0, seed=5)["plant.y"] for b in (block, copy)]
     assert np.array_equal(*runs)
+
+
+def test_signals_have_the_units_that_are_given(tmp_path):
+    """python-control has none. They reach the control, the results and another tool."""
+    system = control.ss([[-1.0]], [[2.0]], [[1.0]], 0, inputs=["voltage"], outputs=["speed"])
+    motor = cosim.StateSpace(system, units={"voltage": "V", "speed": "rad/s"})
+    controller = controllers.design(motor, measured="speed", actuated="voltage", sensors=2, sensor_std=0.1, dt=0.05)
+    parts = {"control": "voltage", "measured": "speed", "sensors": cosim.Sensors(2, 0.1), "reference": 1.0}
+    loop = cosim.closed_loop(motor, controller, **parts)
+    found = loop.simulate(0.5).to_xarray()
+    assert [found[name].attrs["units"] for name in ("plant.speed", "sensors.y", "controller.u")] == [
+        "rad/s",
+        "rad/s",
+        "V",
+    ]
+    cosim.export_fmu(motor, tmp_path / "motor.fmu", dt=0.05)
+    assert [port.unit for port in cosim.FMU(tmp_path / "motor.fmu").inputs] == ["V"]
+    with pytest.raises(UnknownNameError, match="units of 'volt', which is no input or output; did you mean 'voltage'"):
+        cosim.StateSpace(system, units={"volt": "V"})
+    with pytest.raises(ModelError, match=r"units=\['V'\]; they must be texts by the names of signals"):
+        cosim.StateSpace(system, units=["V"])
 
 
 def test_params_that_are_no_names_are_refused():
