@@ -99,7 +99,7 @@ class FaultMode:
 
     evidence: ClassVar[Callable[..., float]]
     arrival: ClassVar[float | None] = None
-    """Probability of a sample; None: that of a healthy sensor."""
+    """Share of the samples of a healthy sensor that arrive; None: all of them."""
     needs_witness: ClassVar[bool] = False
     """Whether only another healthy sensor can distinguish it from the state's motion (in the joint form)."""
     is_fault: ClassVar[bool] = True
@@ -342,7 +342,7 @@ class DroppedOut(FaultMode):
     time_to_fault, time_to_recovery
         See `FaultMode`.
     arrives : float
-        Probability of a sample in this mode.
+        Share of the samples of a healthy sensor that arrive in this mode.
 
     Examples
     --------
@@ -365,7 +365,7 @@ class DroppedOut(FaultMode):
 
     @property
     def arrival(self) -> float:  # type: ignore[override]
-        """Probability of a sample."""
+        """See `FaultMode.arrival`."""
         return self.arrives
 
 

@@ -325,7 +325,7 @@ class SwitchingPrecision(PrecisionLearner):
             settings += [1.0 - loss, loss, self.noise_forgetting, shape]
             settings += [1.0 / square(self.noise_factor), square(self.noise_factor), *self._repeats(model, i)]
             for mode, of_mode, values in zip(self.modes, chances.T, mode_settings[i], strict=True):
-                arrives = 1.0 - loss if mode.arrival is None else mode.arrival
+                arrives = (1.0 - loss) * (1.0 if mode.arrival is None else mode.arrival)
                 if isinstance(mode, Offset):
                     values = np.concatenate([values[:OFFSET_VARIANCES] * units[i], values[OFFSET_VARIANCES:]])
                 # A faulty sensor is also harmless as often as a healthy one; only a sample can tell that it is not.

@@ -37,16 +37,16 @@ def still(*noise):
 def densities(y, modes, loss):
     """Return the density of each sample (rows) if its sensor is healthy, frozen, dropped out."""
     frozen, dropped = modes
-    width, last = 1e-9, np.nan
+    width, last, sent = 1e-9, np.nan, dropped.arrives * (1 - loss)
     for value in y:
         if np.isnan(value):
-            yield [loss, loss, 1 - dropped.arrives]
+            yield [loss, loss, 1 - sent]
             continue
         healthy, change = stats.norm.pdf(value - 20.0), value - last
         spread = np.sqrt(2 * frozen.dither**2 + width**2 / 6)
         near = (1 - frozen.repeats) * stats.norm.pdf(change, scale=spread)
         stuck = healthy if np.isnan(change) else frozen.repeats / width if change == 0 else near
-        yield [(1 - loss) * healthy, (1 - loss) * stuck, dropped.arrives * healthy]
+        yield [(1 - loss) * healthy, (1 - loss) * stuck, sent * healthy]
         last = value
 
 

@@ -119,7 +119,7 @@ def test_silence_and_samples_that_come_all_the_same():
     there = ~np.isnan(rows)
 
     def density(failed):
-        sends = np.where(failed, mode.arrives, 1 - TWO.loss)
+        sends = (1 - TWO.loss) * np.where(failed, mode.arrives, 1)
         return np.where(there, sends, 1 - sends).prod() * read(TWO, rows, there)
 
     np.testing.assert_allclose(probabilities(TWO, Silent(mode), rows)[-1], enumerated(TWO, rows, density), rtol=1e-9)

@@ -81,14 +81,15 @@ def enumerated(y, variance, modes, loss):
     width, dither = 1e-9 * np.sqrt(variance), 2 * frozen.dither**2 * variance
     last, evidence = np.nan, []
     for value in y:
+        sent = dropped.arrives * (1 - loss)
         if np.isnan(value):
-            evidence.append([loss, loss, 1 - dropped.arrives])
+            evidence.append([loss, loss, 1 - sent])
             continue
         healthy = stats.norm.pdf(value - 20.0, scale=np.sqrt(variance))
         change = value - last
         near = (1 - frozen.repeats) * stats.norm.pdf(change, scale=np.sqrt(dither + width**2 / 6))
         stuck = healthy if np.isnan(change) else frozen.repeats / width if change == 0 else near
-        evidence.append([(1 - loss) * healthy, (1 - loss) * stuck, dropped.arrives * healthy])
+        evidence.append([(1 - loss) * healthy, (1 - loss) * stuck, sent * healthy])
         last = value
     total = np.zeros(3)
     for sequence in product(range(3), repeat=len(y)):
@@ -687,6 +688,22 @@ def test_the_loss_of_a_slow_sensor_counts_the_steps_between_its_samples(loss, be
     assert learner.for_rates(every, before).loss == pytest.approx(expected)
     wrapped = ExplicitDetection(learner, threshold=0.5).for_rates(every, before)
     assert wrapped.learning == learner.for_rates(every, before)
+
+
+@pytest.mark.parametrize("every", [2, 10, 50])
+def test_a_slow_sensor_that_is_back_has_no_alarm_between_its_samples(every):
+    """The steps between two samples speak against neither; a sensor that has dropped out sends as rarely of what is due."""
+    model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.01)
+    step = controllers.StateEstimator(model, SwitchingPrecision().for_rates((1, every), (1, 1))).online()
+    rng, p = np.random.default_rng(every), []
+    for k in range(60 * every):
+        due = k % every == 0 and not 20 <= k // every < 40
+        y = 0.1 * rng.standard_normal(2) + [0.0, 0.0 if due else np.nan]
+        p.append(float(step(y=y, u=[0.0]).fault_probability[1]))
+    begins = np.flatnonzero(np.diff(np.array([0.0, *p]) >= 0.5)) / every
+    assert len(begins) == 2
+    assert 25 <= begins[0] <= 29
+    assert begins[1] == 40
 
 
 def test_rarer_faults_are_rarer_at_every_sample_time():

@@ -254,7 +254,7 @@ class Silent(Kind):
 
     def log_arrives(self, i: int, present: bool, courses: Courses, world: World) -> Floats:
         """See `Kind`."""
-        sends = np.where(courses.failed[:, i], self.mode.arrives, 1 - world.loss)
+        sends = (1 - world.loss) * np.where(courses.failed[:, i], self.mode.arrives, 1.0)
         log_probability: Floats = np.log(sends if present else 1 - sends)
         return log_probability
 
