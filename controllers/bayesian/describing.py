@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesftc.controllers.bayesian.stabilisability import shown
 from bayesftc.controllers.linalg.lyapunov import stationary_covariance
+from bayesftc.controllers.models.disturbances import error_variances
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import brief
 from bayesftc.cosim.types import Floats
@@ -46,8 +47,13 @@ def _about(model: LinearModel) -> str:
 def model_lines(controller: BayesianController) -> list[str]:
     """Return lines about the model, the sensors' noise, goals and limits."""
     model = controller.model
-    d = model.disturbances - model.constant
-    states = f"{_count(model.plant_states, 'state')}" + (f" and {_count(d, 'disturbance')}" if d else "")
+    loads, errors = _further_states(model)
+    counts = [
+        _count(model.plant_states, "state"),
+        *([_count(loads, "disturbance")] if loads else []),
+        *([_count(errors, "error of a sensor", "errors of sensors")] if errors else []),
+    ]
+    states = " and ".join(counts)
     named = f" ({', '.join(model.names.controls)})" if model.names else ""
     std = np.sqrt(np.diag(model.matrix("sensor_covariance")))
     lines = [
@@ -83,7 +89,7 @@ def _sensors(model: LinearModel) -> str:
 
 def _process_noise(model: LinearModel) -> str:
     """Return the standard deviations of the process noise: of the controls if it acts as they do, else of the states."""
-    n, d = model.plant_states, model.disturbances - model.constant
+    n, (loads, errors) = model.plant_states, _further_states(model)
     whole = model.matrix("process_covariance")
     Q, B = whole[:n, :n], model.effects[:n]
     back = np.linalg.pinv(B)
@@ -92,9 +98,18 @@ def _process_noise(model: LinearModel) -> str:
         text = f"{_numbers(_std(on_controls))} on {'each control' if model.controls > 1 else 'the control'}"
     else:
         text = f"{_numbers(_std(Q))} of each state"
-    return (
-        f"{text}; {_numbers(_std(whole)[model.states - model.disturbances :][:d])} of each disturbance" if d else text
-    )
+    further = _std(whole)[model.states - model.disturbances :]
+    if loads:
+        text += f"; {_numbers(further[:loads])} of {'each' if loads > 1 else 'the'} disturbance"
+    if errors:
+        text += f"; {_numbers(further[loads:][:errors])} of each error of a sensor"
+    return text
+
+
+def _further_states(model: LinearModel) -> tuple[int, int]:
+    """Return the numbers of disturbances of the plant, and of errors of sensors, that the model estimates."""
+    errors = int(np.count_nonzero(error_variances(model)))
+    return model.disturbances - model.constant - errors, errors
 
 
 def learner_lines(controller: BayesianController) -> list[str]:
@@ -135,9 +150,10 @@ def accuracy_lines(controller: BayesianController) -> list[str]:
     tracking, belief = expected_accuracy(controller)
     if np.isinf(tracking).any():
         return ["Expected accuracy: none. A mode of the loop is not damped, so its variance grows without bound."]
+    constant = "constant goals and disturbances" if _further_states(controller.model)[0] else "a constant goal"
     return [
-        f"Expected errors without faults, at a constant goal (standard deviations): tracking {_numbers(tracking)}; belief "
-        f"{_numbers(belief)}."
+        f"Expected errors without faults, at {constant}, with a sample of every sensor in each step (standard deviations): "
+        f"tracking {_numbers(tracking)}; belief {_numbers(belief)}."
     ]
 
 

@@ -290,7 +290,7 @@ def _without_blamed(
         trusted = _trusted(model, samples, blamed & np.isin(np.arange(len(shares)), chosen))
         left = None if trusted is None else found(trusted)
         if trusted is not None and left is None:
-            together = bool(np.any(blamed[:, named].sum(axis=1) > 1))
+            together = int(blamed[:, named].sum(axis=1).max())
             partner = not any(group == tuple(named) for group in model.alike)
             words = faulty_sensors(named, together=together, alone=len(chosen) == len(named), partner=partner)
             return ModelFinding("sensors" if len(named) > 1 or not partner else "unknown", words)

@@ -106,14 +106,16 @@ def _actuators(
     )
 
 
-def faulty_sensors(blamed: Sequence[int], *, together: bool, alone: bool, partner: bool = True) -> str:
+def faulty_sensors(blamed: Sequence[int], *, together: int, alone: bool, partner: bool = True) -> str:
     """Return the sentence about sensors that the controller blames for long, where nothing is found without their samples.
 
-    `together`: some are blamed at once. `alone`: the samples for which it blames others, for a short time, are not left out.
+    `together`: so many are blamed at once. `alone`: the samples for which it blames others, for a short time, are not left out.
     `partner`: another sensor measures the quantity of a single one.
     """
     *most, last = map(str, blamed)
-    at_once = " at the same time" if together else ""
+    at_once = "" if together < 2 else " at the same time"
+    if 1 < together <= len(most):
+        at_once = f", at most {together} of them{at_once}"
     who = f"sensors {', '.join(most)} and {last}{at_once}" if most else f"sensor {last}"
     which = "any sensor" if not alone else "them" if most else "it"
     they = (

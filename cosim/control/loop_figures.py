@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import control
 import numpy as np
 from matplotlib.ticker import FixedLocator, NullLocator
-from scipy.optimize import brentq
 
+from bayesftc.cosim.control.margins import margins_of
 from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels, plain
 from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
 from bayesftc.cosim.types import Floats
@@ -180,8 +180,8 @@ def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figu
     figure : Figure
         An empty figure to draw on.
     """
-    limit = limit_gain(loop)
-    ends = np.zeros(0) if limit is None else roots(loop, np.array([limit]))[0]
+    limits = limit_gains(loop, poles)
+    ends = roots(loop, np.array(limits)).ravel()
     start, zeros = loop.poles(), loop.zeros()
     everything = np.concatenate([poles, start, ends, zeros[np.abs(zeros) < FAR], [1.0, -1.0, 1j, -1j]])
     boxes = [_box(everything, 0.08)]
@@ -212,7 +212,8 @@ def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figu
             (low.imag, low.imag, high.imag, high.imag, low.imag),
         )
         axes[0].plot(x, y, color="0.3", lw=0.9, zorder=6)
-    reached = "" if limit is None else f", reached at gain {limit:.3g}"
+    values = " and ".join(f"{limit:.3g}" for limit in limits)
+    reached = f", reached at gain {values}" if limits else ""
     texts = {
         f"limit of stability{reached}": circle,
         "poles at the designed gain (1.0)": now,
@@ -240,14 +241,12 @@ def roots(loop: Any, gains: Floats) -> Any:
     return np.linalg.eigvals(a - (gains / (1.0 + gains * d[0, 0]))[:, None, None] * (b @ c))
 
 
-def limit_gain(loop: Any) -> float | None:
-    """Return the lowest gain above the designed one, 1, at which a stable closed loop loses its stability; None if none does."""
-    gains = np.concatenate([[1.0], GAINS[GAINS > 1.0]])
-    outside = np.abs(roots(loop, gains)).max(axis=1) >= 1.0
-    if outside[0] or not outside.any():
-        return None
-    above = int(outside.argmax())
-    return float(brentq(lambda gain: np.abs(roots(loop, np.array([gain]))).max() - 1.0, gains[above - 1], gains[above]))
+def limit_gains(loop: Any, poles: Any) -> list[float]:
+    """Return the gains below and above the designed one, 1, at which a stable closed loop loses its stability, if any."""
+    if not len(poles) or np.abs(poles).max() >= 1.0:
+        return []
+    margins = margins_of(loop)
+    return [gain for gain in (margins.lowest_gain, margins.highest_gain) if 0.0 < gain <= GAINS[-1]]
 
 
 def dense_roots(loop: Any, box: tuple[complex, complex]) -> Any:

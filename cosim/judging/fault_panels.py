@@ -25,6 +25,8 @@ Marks = dict[int, dict[str, Flags]]
 
 IGNORED = 100.0
 """Factor above the smallest expected standard deviation of a quantity; beyond it, a weight is below 1/10,000 of the largest."""
+WORSE = 10.0
+"""Factor above a sensor's own smallest one, which it must also exceed: a coarse sensor beside a fine one is not ignored."""
 SMALLEST = 0.01
 """Quantile of the expected standard deviations that counts as the smallest, because the minimum may last for one sample only."""
 OTHER = 1000.0
@@ -106,7 +108,9 @@ def _draw_deviation(
 def _most(signals: LoopSignals, sensor: SensorSignals, expected: Mapping[int, Floats]) -> float:
     """Return the largest expected standard deviation that has a weight beside the best sensor of the same quantity."""
     peers = next((q.sensors for q in signals.quantities if sensor.index in q.sensors), tuple(expected))
-    return IGNORED * _smallest(np.concatenate([expected[i] for i in peers if i in expected]))
+    own = expected[sensor.index]
+    usual = WORSE * float(np.nanmin(own)) if np.isfinite(own).any() else 0.0
+    return max(IGNORED * _smallest(np.concatenate([expected[i] for i in peers if i in expected])), usual)
 
 
 def _smallest(expected: Floats) -> float:

@@ -313,8 +313,8 @@ class Result(Mapping[str, Floats]):
     def _or_sensors(self, block: str, k: int) -> str:
         """Return the other explanation of what speaks against the model: faults that the check cannot tell from a wrong model.
 
-        These are faults of several sensors, and one of the only sensor of a quantity. If all sensors are blamed, the model is the
-        simpler explanation.
+        These are faults of several sensors, also of one after another, because the check remembers some hundred samples, and one
+        of the only sensor of a quantity. If all sensors are blamed, the model is the simpler explanation.
         """
         from bayesftc.cosim.judging.signals import ALARM
 
@@ -326,7 +326,10 @@ class Result(Mapping[str, Floats]):
             return ", or several sensors are faulty,"
         quantities = () if self.roles is None or self.roles.controller != block else self.roles.quantities
         alone = any(quantity.sensors == (blamed[0],) for quantity in quantities)
-        return f", or sensor {blamed[0]}, the only one of its quantity, is faulty," if alone else ""
+        if alone:
+            return f", or sensor {blamed[0]}, the only one of its quantity, is faulty,"
+        so_far = np.reshape(self[f"{block}.fault_probability"][: k + 1], (k + 1, -1)) >= ALARM
+        return ", or several sensors have failed, one after another," if so_far.any(axis=0).sum() > 1 else ""
 
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal
 
@@ -78,6 +79,8 @@ class Wiring:
 def plant(table: object, place: Place, folder: Path, simulation: Simulation) -> tuple[Block, Wiring]:
     """Return the plant of ``[plant]``, and its control and measured variables."""
     rest = dict(as_table(table, place))
+    for name in (f.name for f in fields(Wiring) if f.name not in rest):
+        place.refuse_unknown(get_close_matches(name, rest, cutoff=0.8), [name])
     wiring = build(Wiring, taken(rest, Wiring), place)
     if "fmu" in rest:  # first, because an FMU has a kind, too
         _refuse_start(rest, place, ("start", "initial", "x0"), "parameters = { angle_0 = 0.4 }, by variable")

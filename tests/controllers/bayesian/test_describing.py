@@ -1,5 +1,7 @@
 """What controllers say of themselves, against the Riccati equation and runs."""
 
+import re
+
 import control
 import numpy as np
 import pytest
@@ -98,7 +100,13 @@ def test_settings_faults_names_and_limits_are_named():
     )  # at 0.1 s, five times the default
     assert "Actuator faults that are distinguished: LostEffect." in text
     assert "limits of the control: -2 to 3" in text
-    assert "0.01, 0.01414 of each state; 0.01 of each disturbance.\n" in text
+    assert "0.01, 0.01414 of each state; 0.01 of the disturbance.\n" in text
+    assert (
+        "at constant goals and disturbances, with a sample of every sensor in each step (standard deviations)" in text
+    )
+    errors = lqg(named.with_disturbance().with_sensor_errors(0.1, 10.0)).describe()
+    assert "2 states and 1 disturbance and 2 errors of sensors, 1 control" in errors
+    assert re.search(r"; 0\.01 of the disturbance; [0-9.e-]+, [0-9.e-]+ of each error of a sensor\.\n", errors)
 
 
 def test_a_bayesian_controller_says_its_poles_and_why_it_has_no_probability():

@@ -1011,6 +1011,12 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
     assert (only.kind, "Either it is faulty, or the model is wrong" in only.sentence) == ("sensors", True)
     assert tried == [[1.0, 0.0, 0.0]]  # it is left out of all of the run, and the others of no part
 
+    three = replace(MODEL, C=[[1.0]] * 4, sensor_covariance=np.eye(4))
+    blames = np.zeros((500, 4), dtype=bool)
+    blames[100:300, 0] = blames[200:400, 1] = blames[300:500, 2] = True  # one after another
+    said = _without_blamed(three, np.zeros((500, 4)), blames, lambda samples: None).sentence
+    assert said.startswith("The controller blames sensors 0, 1 and 2, at most 2 of them at the same time. Without")
+
     def only_without_all(samples):
         return None if np.isnan(samples[130]).sum() == 2 else controllers.ModelFinding("unknown", "")
 

@@ -308,6 +308,27 @@ def test_figures_show_loop_and_margins():
     np.testing.assert_allclose(now.get_xydata(), np.column_stack([loop.poles().real, loop.poles().imag]))
 
 
+def test_the_root_locus_names_the_limit_below_the_designed_gain_as_well():
+    """A controller that estimates a load of an integrator twice over loses the loop also if its gain falls."""
+    satellite = control.ss([[0, 1], [0, 0]], [[0], [2]], np.eye(2), 0, inputs=["torque"], outputs=["angle", "rate"])
+    parts = {
+        "measured": ["angle", "rate"],
+        "actuated": "torque",
+        "goal": "angle",
+        "sensor_std": [1e-3, 1e-4],
+        "dt": 0.1,
+    }
+    controller = controllers.design(
+        satellite, disturbance=1e-8, acceptable_error=1e-3, acceptable_control=2e-3, **parts
+    )
+    loop = cosim.closed_loop(
+        satellite, controller, control="torque", measured=["angle", "rate"], reference=0.0
+    ).linear()
+    margins, legend = loop.margins(), loop.root_locus().legends[0].get_texts()[0].get_text()
+    assert 0.0 < margins.lowest_gain < 1.0 < margins.highest_gain < np.inf
+    assert legend == f"limit of stability, reached at gain {margins.lowest_gain:.3g} and {margins.highest_gain:.3g}"
+
+
 @pytest.mark.parametrize("count", [2, 4])
 def test_the_root_locus_has_the_whole_unit_circle_and_enlarges_poles_near_one(count):
     poles = np.array([0.99, 0.97 + 0.01j, 0.97 - 0.01j, 0.95])[:count] if count > 2 else np.array([0.3, 0.99])

@@ -248,9 +248,14 @@ def test_only_a_sensor_with_an_alarm_and_without_weight_for_its_quantity_is_call
     assert marked(sensors=(first, coarse)) == ["sensor 0", "sensor 0 ignored", "sensor 1"]
     speed = signals.quantities[0]
     apart = (replace(speed, sensors=(0,)), replace(speed, name="w", sensors=(1,)))
-    blamed = replace(coarse, probability=np.ones_like(coarse.probability))
+    blamed = replace(second, precision=np.where(signals.time > 1.0, coarse.precision, second.precision))
+    blamed = replace(blamed, probability=np.ones_like(coarse.probability))
     assert marked(sensors=(first, blamed))[-1] == "sensor 1 ignored"
-    assert marked(sensors=(first, blamed), quantities=apart)[-1] == "sensor 1 (w)"
+    # Learners without a probability have no alarms. A sensor that always has so little weight is not ignored by them.
+    assert marked(sensors=(first, replace(coarse, probability=None)))[-1] == "sensor 1"
+    assert marked(sensors=(first, replace(blamed, probability=None)))[-1] == "sensor 1 ignored"
+    alone = replace(coarse, probability=blamed.probability)
+    assert marked(sensors=(first, alone), quantities=apart)[-1] == "sensor 1 (w)"
 
 
 def test_missing_samples_are_gaps_and_marks():

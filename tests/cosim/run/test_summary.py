@@ -432,3 +432,18 @@ def test_sensors_that_fail_together_are_named_as_another_explanation_of_a_suspec
     )
     text = repr(loop.simulate(12.0, seed=1).summary())
     assert text.startswith("The model of controller is suspect, or several sensors are faulty, from t = 8.04 s.")
+
+
+def test_sensors_that_fail_one_after_another_are_named_as_another_explanation():
+    """The check remembers the first fault, of a sensor of the other set, for some 300 samples."""
+    car = load_scenario("cruise_control")
+    faults = [
+        cosim.Bias(sensor=0, start=4.0, stop=5.0, magnitude=10.0),
+        cosim.Bias(sensor=1, start=5.5, magnitude=-10.0),
+    ]
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0]] * 2, 1e-3, 1.0, dt=0.02)
+    controller = controllers.BayesianController(model, initial_mean=20.0, u_min=-4000.0, u_max=4000.0)
+    parts = {"control": "force", "measured": "v", "sensors": cosim.Sensors(2, 1.0), "reference": 20.0}
+    result = cosim.closed_loop(car.plant, controller, faults=faults, **parts).simulate(8.0, seed=1)
+    said = "The model of controller is suspect, or several sensors have failed, one after another, from t = 5.52 s."
+    assert result.suspicions == [said]
