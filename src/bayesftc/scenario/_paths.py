@@ -18,6 +18,11 @@ from bayesftc.scenario._sections import Wiring, fault_list
 OF_PLANT = {f.name for cls in (Wiring, Shipped, FMU) for f in fields(cls)}
 """Keys of ``[plant]`` with an FMU; any other name after ``plant.`` is a parameter."""
 PARAMETERS = ".parameters."
+SHAPES = {
+    "plant": {*(f.name for cls in (Wiring, Shipped) for f in fields(cls)), "kind", "inputs", "outputs", "dt"},
+    "sensors": {"count", "signals", "matrix", "every", "unit", "invalid"},
+}
+"""Keys that say what a controller is connected to. The others of these sections are numbers that it need not know."""
 
 
 def line_of(path: str, content: Mapping[str, Any]) -> str:
@@ -45,6 +50,18 @@ def line_of(path: str, content: Mapping[str, Any]) -> str:
     if rest and "fmu" in _table(content, line) and re.match(r"\w*", rest)[0] not in OF_PLANT:  # type: ignore[index]
         return f"{line}{PARAMETERS}{rest}"
     return f"{line}.{rest}" if rest else line
+
+
+def is_unknown_to_controller(line: str) -> bool:
+    """Return whether a factor changes the plant or the sensors, and not the controller that is designed for them.
+
+    Parameters
+    ----------
+    line : str
+        From `line_of`.
+    """
+    section, *rest = _steps(line)
+    return section in SHAPES and bool(rest) and rest[0] not in SHAPES[str(section)]
 
 
 def _steps(path: str) -> list[str | int]:

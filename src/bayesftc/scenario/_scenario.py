@@ -171,8 +171,10 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     return scenario_of(read_toml(file), file)
 
 
-def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
+def scenario_of(content: Mapping[str, Any], file: Path, known: Mapping[str, Any] | None = None) -> Scenario:
     """Return the scenario of a file's content. The file is only used in messages and as the start of relative paths.
+
+    A controller that is designed for the plant and the sensors is designed for those of `known`, by default of `content`.
 
     Raises
     ------
@@ -186,8 +188,7 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
             raise root.error(f"lacks the section [{name}]. A scenario needs {', '.join(f'[{r}]' for r in REQUIRED)}.")
     simulation: Simulation = build(Simulation, content["simulation"], root / "simulation")
     folder = file.absolute().parent
-    plant, wiring = sections.plant(content["plant"], root / "plant", folder, simulation)
-    sensors = sections.sensors(content["sensors"], root / "sensors", wiring, plant) if "sensors" in content else None
+    plant, wiring, sensors = _plant_and_sensors(content, root, simulation)
     # The controller comes last: its design may take seconds, and a mistake elsewhere in the file needs none of it.
     parts: dict[str, Any] = {
         "reference": sections.reference(content["reference"], root / "reference"),
@@ -203,7 +204,8 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
         check_parts(
             plant, **{name: parts[name] for name in ("sensors", "faults", "noise", "input_faults")}, **asdict(wiring)
         )
-    controller = sections.controller(content, root, simulation, plant, wiring, sensors)
+    seen = (plant, wiring, sensors) if known is None else _plant_and_sensors(known, root, simulation)
+    controller = sections.controller(content, root, simulation, *seen)
     if sensors is not None:
         with (root / "sensors").named():
             controller = with_invalid(controller, sensors)
@@ -213,6 +215,16 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
     return Scenario(
         path=file, simulation=simulation, plant=plant, wiring=wiring, controller=controller, blocks=added, **parts
     )
+
+
+def _plant_and_sensors(
+    content: Mapping[str, Any], root: Place, simulation: Simulation
+) -> tuple[Block, Wiring, Sensors | None]:
+    folder = Path(root.file).absolute().parent
+    plant, wiring = sections.plant(content["plant"], root / "plant", folder, simulation)
+    if "sensors" not in content:
+        return plant, wiring, None
+    return plant, wiring, sections.sensors(content["sensors"], root / "sensors", wiring, plant)
 
 
 def _steps_of(controller: Block, simulation: Simulation) -> int:

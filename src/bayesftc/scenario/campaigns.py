@@ -18,7 +18,7 @@ from bayesftc.cosim.campaign.designs.samples import LatinHypercube, SaltelliDesi
 from bayesftc.cosim.campaign.runs.metrics import METRICS, Metric
 from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
 from bayesftc.scenario._files import find_scenario, read_toml
-from bayesftc.scenario._paths import line_of, set_line
+from bayesftc.scenario._paths import is_unknown_to_controller, line_of, set_line
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import Scenario, scenario_of
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
@@ -83,12 +83,17 @@ class ScenarioLoop:
 
     def _scenario(self, factors: Mapping[str, Any]) -> Scenario:
         try:
-            return scenario_of(self.changed(factors), Path(self.path))
+            return scenario_of(self.changed(factors), Path(self.path), self._known(factors))
         except ScenarioError as error:
             for name in factors:
                 if self._is_valid({other: value for other, value in factors.items() if other != name}):
                     raise ScenarioError(_refusal(name, error)) from error
             raise
+
+    def _known(self, factors: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Return the content for which the controller is designed, without factors of plant and sensors; None if the same."""
+        known = {name: factors[name] for name in factors if not is_unknown_to_controller(line_of(name, self.content))}
+        return self.changed(known) if len(known) < len(factors) else None
 
     def _is_valid(self, factors: Mapping[str, Any]) -> bool:
         try:

@@ -232,6 +232,22 @@ def test_a_factor_may_be_named_as_in_python(path, tmp_path, same_bits):
             same_bits(one["controller.u"], in_python["controller.u"])
 
 
+def test_a_controller_is_designed_for_the_plant_of_the_file_whatever_the_plant_is(tmp_path, same_bits):
+    """As in Python: what a wrong inertia or noisier sensors do to a controller, not what one for them would do."""
+    content = read_toml(find_scenario("position_servo"))
+    loop = ScenarioLoop(str(tmp_path / "servo.toml"), content)
+
+    def run(given):
+        return given.simulate(2.5, seed=1)["controller.u"]
+
+    for path, value in (("plant.J", 0.03), ("plant.parameters.J", 0.03), ("sensors.std", 0.05), ("sensors.bias", 0.1)):
+        same_bits(run(loop(**{path: value})), run(varied(loop(), {path.replace("parameters.", ""): value})))
+    # Its own settings, and what it is connected to, are known to it.
+    content["controller"]["acceptable_error"] = 0.02
+    same_bits(run(ScenarioLoop(loop.path, content)()), run(loop(**{"controller.acceptable_error": 0.02})))
+    assert loop(**{"sensors.count": 3, "plant.J": 0.03})["controller"].block.model.sensors == 3
+
+
 def test_two_names_of_one_line_are_refused(tmp_path):
     loop = ScenarioLoop(str(tmp_path / "car.toml"), read_toml(find_scenario("cruise_control")))
     with pytest.raises(ScenarioError, match=r"'faults\[0\]\.start', 'freeze_0\.start' refer to the same line"):
