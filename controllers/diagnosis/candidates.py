@@ -56,6 +56,12 @@ WANDERING = (1e-5, 1e-4, 1e-3, 0.01, *NOISES)
 FINER = (10.0**-0.5, 10.0**-0.25, 10.0**0.25, 10.0**0.5)
 """Multiples of the best of these in the fine search."""
 
+LOUDER = (2.0, 5.0, 15.0, 50.0, 150.0, 500.0, 1500.0)
+"""Factors of the process covariance, where it may be stated too small."""
+
+AS_STATED = -2.0
+"""In place of the number of a state: the noise acts as the model says, but is larger."""
+
 QUIETER = (1.0, 0.3, 0.1, 0.01, 1e-4)
 """Factors of the process covariance, of the plant's states and of loads, where it may be stated too large."""
 
@@ -173,7 +179,7 @@ def noisier(judge: Judge, found: list[Explanation]) -> list[Explanation]:
     belief = np.diag(prediction)
     belief = np.where(belief > ROUNDING * belief.max(), belief, 0.0)
     constant = next((x for x in found if x.kind == "load"), None)
-    noises = _with_noise(judge, belief)
+    noises = _with_noise(judge, belief) + _louder(judge)
     if not has_loads(model):
         noises += _wandering(judge, belief, constant)
     return [max(noises, key=lambda x: x.total)] if noises else []
@@ -243,6 +249,27 @@ def _with_noise(judge: Judge, belief: Floats) -> list[Explanation]:
     best, noise = max(coarse, key=lambda found: found[0].total)
     fine = tried([noise * times for times in FINER])
     return [max([best, *(x for x, _ in fine)], key=lambda x: x.total)]
+
+
+def _louder(judge: Judge) -> list[Explanation]:
+    """Judge more noise where the model has some, such as that of a stated input: the shape of its covariance stays."""
+    Q = judge.model.matrix("process_covariance")
+    plant = np.arange(len(Q)) < judge.model.plant_states
+
+    def tried(factors: Iterable[float]) -> list[Explanation]:
+        possible: list[_Fitted] = []
+        for factor in factors:
+            changed = replace(
+                judge.model, process_covariance=Q * np.outer(size := np.where(plant, factor**0.5, 1.0), size)
+            )
+            if (bank := observers(changed, judge.bank.sensors)) is not None:
+                possible.append(((AS_STATED, factor**0.5), 1, changed, bank))
+        return _by_models(judge, "noise", possible)
+
+    if not Q[:, plant].any() or not (coarse := tried(LOUDER)):
+        return []
+    best = max(coarse, key=lambda x: x.total)
+    return [best, *tried(f for times in FINER if (f := best.values[1] ** 2 * times) > LOUDER[0])]
 
 
 def _wandering(judge: Judge, belief: Floats, constant: Explanation | None) -> list[Explanation]:

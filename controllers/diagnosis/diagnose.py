@@ -32,7 +32,7 @@ from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
 from bayesftc.controllers.diagnosis.starts import wrong_start
-from bayesftc.controllers.diagnosis.words import faulty_sensors, sentence
+from bayesftc.controllers.diagnosis.words import faulty_sensors, moved_at_times, sentence
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
@@ -65,6 +65,9 @@ SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "offset"})
 
 FLEXIBLE = frozenset({"dynamics", "nonlinear"})
 """Kinds with many parameters."""
+
+OPEN = {*FLEXIBLE, "unknown"}
+"""Kinds of findings that name no cause, or may fit to what happens at times only."""
 
 WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
 """What begins during a run, and what acts all the time: where both explain it about as well, the latter does."""
@@ -126,7 +129,8 @@ class ModelFinding:
         model's, and number of the control;
         ``offset``: a value for each sensor, in its unit, 0 for those without;
         ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control) and standard
-        deviation in a sample; of a load that the model does not have, the number that its disturbance would get, the standard
+        deviation in a sample; -2 and a factor of the standard deviation where the model has noise;
+        of a load that the model does not have, the number that its disturbance would get, the standard
         deviation of its change in a sample, its mean, 0 if there is no evidence for one, and the share of the model's process
         covariance that is left beside it; ``start``: the belief, the first sample, and the sensor; else empty.
     evidence : float
@@ -250,10 +254,12 @@ def diagnose(
     if nothing and result is not None and result.kind == "unknown":
         started = wrong_start(model, controller, samples, units[0])
         result = result if started is None else ModelFinding("start", *started)
-    if result is None or result.kind == "nonlinear" or roles is None:
+    if result is None or roles is None:
         return result
-    far = far_goal(model, signals_of(roles, signals, drawn=False))  # type: ignore[arg-type]
-    return replace(result, sentence=f"{far}{result.sentence}")
+    its = signals_of(roles, signals, drawn=result.kind in OPEN)  # type: ignore[arg-type]
+    pushed = moved_at_times(its.time, its.process)
+    far = "" if result.kind == "nonlinear" else far_goal(model, its)
+    return replace(result, sentence=f"{far}{result.sentence}{pushed}")
 
 
 def _applied(signals: Mapping[str, Any], roles: LoopRoles) -> Floats:

@@ -8,15 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.controllers.diagnosis.candidates import AS_STATED
 from bayesftc.controllers.diagnosis.phrases import beyond, change, named, since, strongly
 from bayesftc.controllers.diagnosis.words_of_inputs import OF_INPUTS
 from bayesftc.controllers.models.disturbances import has_loads
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.units import behind
+from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.judging.signals import ALARM
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.cosim.types import Floats
 
 ALIKE = "All sensors disagree with the model in the same way"
 
@@ -30,6 +33,9 @@ _DISTURBANCE = "disturbance in design and in a scenario; LinearModel.with_distur
 
 USUAL_STEP = 0.02
 """Longest sample time in seconds for which the size of ``disturbance=True`` is meant."""
+
+AT_TIMES = 0.2
+"""Share of the run below which a plant that moves more than its model is said to do so at times."""
 
 PRIOR = 10.0
 """Standard deviation of an offset to be estimated, relative to the one found; with a smaller one the default learner doubts other
@@ -131,6 +137,20 @@ def faulty_sensors(blamed: Sequence[int], *, together: int, alone: bool, partner
     return (
         f"The controller blames {who}. Without the samples for which it blames {which}, there is not enough evidence against the "
         f"model. {cause} A run without faults of sensors may name the error."
+    )
+
+
+def moved_at_times(time: Floats, process: Floats | None) -> str:
+    """Return a sentence if the controller infers that something moves the plant at times; `process`: the probability of it."""
+    moved = np.zeros(0, dtype=bool) if process is None else process >= ALARM
+    if not 0.0 < np.mean(np.append(moved, False)) < AT_TIMES:
+        return ""
+    first = [f"{time[begin]:.4g} s" for begin, _ in periods(moved)]
+    first = first if len(first) < 4 else [*first[:2], "later"]
+    when = " and ".join(filter(None, (", ".join(first[:-1]), first[-1])))
+    return (
+        f" Or something that the model does not know moves the plant at times, such as gusts or bumps: the controller infers it "
+        f"at {when}. Then state noise where it acts (noise in design and in a scenario), as large as what it does."
     )
 
 
@@ -242,6 +262,12 @@ def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel
 
 def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     state, std = values[:2]
+    if state == AS_STATED:
+        return (
+            f"the plant is moved more at random than the model says, about as by noise of {std:.2g} times the stated standard "
+            f"deviation. State so much where it acts (noise in design and in a scenario), or multiply process_covariance by "
+            f"{std**2:.2g}."
+        )
     if (load := int(state) - model.states + model.disturbances) >= 0:
         return _noise_of_load(load, std, model) if has_loads(model) else _wandering(load, values[1:], model, units)
     names = None if model.names is None or state < 0 else model.names.states

@@ -14,7 +14,7 @@ from wrong_models import LEARNERS, Case, cases, loop, parts, run
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.diagnosis.diagnose import _without_blamed, diagnose_recording
 from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
-from bayesftc.controllers.diagnosis.words import sentence
+from bayesftc.controllers.diagnosis.words import moved_at_times, sentence
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
@@ -108,6 +108,66 @@ def _converter(inductance):
     B, C = [[24 / inductance, 0], [0, 0], [0, 10.0]], [[0, 1, 0], [1, 0, 0]]
     system = control.ss(A, B, C, 0, inputs=["duty", "w"], outputs=["v", "i"], states=["i_L", "v_C", "i_load"])
     return cosim.StateSpace(system, initial=[12.0, 12.0, 0.0])
+
+
+def quarter_car():
+    """A quarter of a car on a rough road, whose sensors are of the suspension's deflection and the body's acceleration."""
+    ms, mu, ks, cs, kt, lag = 350.0, 45.0, 18e3, 1.2e3, 190e3, 0.02
+    A = np.zeros((5, 5))
+    A[0, 1] = A[2, 3] = 1.0
+    A[1] = np.array([-ks, -cs, ks, cs, 1.0]) / ms
+    A[3] = np.array([ks, cs, -ks - kt, -cs, -1.0]) / mu
+    A[4, 4] = -1 / lag
+    B = np.zeros((5, 2))
+    B[3, 1], B[4, 0] = kt / mu, 1 / lag
+    names = {"inputs": ["force", "road"], "outputs": ["deflection", "acceleration"]}
+    return control.ss(A, B, [[1, 0, -1, 0, 0], A[1]], 0, **names)
+
+
+def on_a_road(road, seed):
+    """Return what the diagnosis of a run with an exact model says, which states noise of the road of 5 mm."""
+    car, std, measured = quarter_car(), [0.001, 0.0015, 0.15, 0.15], ["deflection", "acceleration"]
+    controller = controllers.design(
+        car, measured=measured, actuated="force", goal="deflection", sensors=[2, 2], sensor_std=std, noise={"road": 0.005},
+        dt=0.005, acceptable_error=0.01, acceptable_control=500.0, u_min=-2000.0, u_max=2000.0,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        car, controller, control="force", measured=measured, sensors=cosim.Sensors([2, 2], std), noise={"road": road},
+        reference=cosim.Pulse(amplitude=0.03, period=8.0, width=0.5, start=1.0),
+    )  # fmt: skip
+    return controllers.diagnose(loop.simulate(10.0, seed=seed), loop)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(("std", "seed"), [(0.05, 1), (0.05, 2), (0.02, 1), (0.1, 1)])
+def test_noise_of_a_stated_input_that_is_larger_has_its_factor(std, seed):
+    """Noise of single states, which the model does not have so, came next to it, or other dynamics."""
+    finding = on_a_road(cosim.Gaussian(std), seed)
+    assert finding.kind == "noise"
+    assert finding.values == (-2.0, pytest.approx(std / 0.005, rel=0.3))
+    assert "times the stated standard deviation. State so much where it acts" in finding.sentence
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_bumps_are_named_beside_other_dynamics(seed):
+    bumps = cosim.Table(
+        times=[3, 3.025, 3.05, 3.075, 3.1, 7, 7.025, 7.05, 7.075, 7.1], values=[0, 0.021, 0.03, 0.021, 0] * 2
+    )
+    finding = on_a_road(bumps, seed)
+    assert "Or something that the model does not know moves the plant at times" in finding.sentence
+    assert re.search(
+        r"the controller infers it at 3\.0\d+ s and 7\.0\d+ s\. Then state noise where it acts", finding.sentence
+    )
+
+
+def test_what_happens_at_times_is_listed_and_what_lasts_is_not():
+    time, times = 0.1 * np.arange(100), np.zeros(100)
+    said = [moved_at_times(time, np.isin(np.arange(100), range(5, 10 * count, 10)) * 1.0) for count in (1, 3, 5)]
+    assert [re.search("infers it at (.*?)\\. Then", text)[1] for text in said] == [
+        "0.5 s", "0.5 s, 1.5 s and 2.5 s", "0.5 s, 1.5 s and later"
+    ]  # fmt: skip
+    assert {moved_at_times(time, process) for process in (None, times, np.ones(100), np.zeros(0))} == {""}
 
 
 def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
