@@ -9,6 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from bayesftc.controllers.bayesian.describing import modulus
+from bayesftc.controllers.bayesian.linear import UnstableLoopWarning
 from bayesftc.controllers.bayesian.lqg import LQGController
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
@@ -34,6 +36,7 @@ from bayesftc.controllers.switching.learner import SwitchingPrecision
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.numbers import counted
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.blocks.linear_system import is_system
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
@@ -42,6 +45,9 @@ from bayesftc.cosim.types import Floats
 
 LOAD_STEP = 0.01
 """How far the load of ``disturbance=True`` moves in a sample: this share of each control's scale (a standard deviation)."""
+
+NEARLY_UNSTABLE = 0.1
+"""Distance of a loop from instability below which `design` warns."""
 
 CONSTANT = 1e8
 """Number of samples after which an offset of ``sensor_bias`` may be another one: far more than a run has."""
@@ -176,6 +182,8 @@ def design(
     -----
     ModelMismatchWarning
         If an FMU's response to a short step of a control differs from the model's; see `compare_with_plant`.
+    UnstableLoopWarning
+        If the loop is unstable or nearly so.
 
     Examples
     --------
@@ -278,7 +286,7 @@ def design(
     )
     if late is not model:
         model, H = late, extended_rows(late, H)
-    return LQGController(
+    controller = LQGController(
         model,
         precision=SwitchingPrecision() if precision is None else precision,
         goal_on=H,
@@ -293,6 +301,22 @@ def design(
         initial_control=initial_control,  # type: ignore[arg-type]
         preview=preview,
         goal_names=names,
+    )
+    _warn_if_nearly_unstable(controller)
+    return controller
+
+
+def _warn_if_nearly_unstable(controller: LQGController) -> None:
+    slowest = np.abs(controller.closed_loop_poles()).max(initial=0.0)
+    if slowest > 1.0 + 1e-9 or (distance := modulus(controller)) >= NEARLY_UNSTABLE:
+        return  # an unstable loop has its own warning
+    names = controller.model.names.controls if controller.model.names else ()
+    example = f'noise={{"{names[0]}": ...}}' if names else "process_covariance"
+    warn_user(
+        f"The loop is nearly unstable: it comes as near as {distance:.2g} to instability (modulus of loop.margins(); 1 without a "
+        f"control). An error of {100 * distance:.2g} % in what the control does may lose it. Expect noise at the control as well "
+        f"({example}), estimate a load (disturbance=True), or accept larger errors (acceptable_error).",
+        UnstableLoopWarning,
     )
 
 

@@ -110,6 +110,14 @@ def servo():
     controllers.BayesianController(linear, goal_on="outputs")
 
 
+def two_carts():
+    A = [[0, 1, 0, 0], [-100, -0.1, 100, 0.1], [0, 0, 0, 1], [100, 0.1, -100, -0.1]]
+    system = control.ss(A, [[0, 0], [1, 0], [0, 0], [0, 1]], [[0, 0, 1, 0]], 0, inputs=["u", "w"], outputs=["y"])
+    controllers.design(
+        system, measured="y", actuated="u", dt=0.02, sensor_std=0.01, noise={"w": 100.0}, acceptable_error=0.01
+    )
+
+
 def growing():
     unstable = cosim.StateSpace(control.ss([[3.0]], [[1.0]], [[1.0]], 0, 1.0), initial=[1.0])
     diagram = cosim.Diagram(1.0)
@@ -150,6 +158,7 @@ PROVOKED = {
     "The goals cannot each be held": lambda: two_states([[0.9, 0], [0, 0.9]], [[1, 1], [1, 1]], [[1, 0], [0, 1]]),
     "goals but only": lambda: two_states([[1, 0.1], [0, 0.9]], [[0], [1]], [[1, 0], [0, 1]]),
     "The closed loop is unstable": servo,
+    "The loop is nearly unstable": two_carts,
     "in opposite directions": lambda: controllers.compare_with_plant(
         model(B=[[-2e-4]]), car(), control="force", measured="v"
     ),

@@ -24,6 +24,9 @@ LASTING = 1e-9
 NOTHING = 1e-20
 """Largest gain, relative to the largest one, that is printed as 0."""
 
+FREQUENCIES = 500
+"""Number of frequencies at which the distance of a loop from instability is computed, besides those of its poles."""
+
 DAMPINGS, SAME = (1e-6, 1e-7), 0.01
 """Two dampings of undamped modes, and the relative difference up to which a standard deviation does not depend on them."""
 
@@ -172,6 +175,24 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats]:
     more, less = (np.array(_accuracy(controller, 1.0 - damping)) for damping in DAMPINGS)
     tracking, belief = np.where(np.abs(less - more) > SAME * more, np.inf, less)
     return tracking, belief
+
+
+def modulus(controller: BayesianController) -> float:
+    """Return the smallest distance of the loop from instability over all frequencies, in steady state and without limits.
+
+    It is the least singular value of the return difference where the controls enter the plant; with one control the distance of
+    the loop transfer function from -1, as in `cosim.control.margins`.
+    """
+    model = controller.model.moving
+    n, m = model.states - model.disturbances, model.sensors
+    A, B, C = model.matrix("A")[:n, :n], model.matrix("B")[:n], model.matrix("C")[:, :n]
+    move, given, out, direct = controller.feedback()
+    resonances = np.abs(np.angle(np.linalg.eigvals(controller.closed_loop_matrix())))
+    angles = np.concatenate([np.geomspace(1e-5, np.pi, FREQUENCIES), resonances[resonances > 1e-5]])
+    z = np.exp(1j * angles)[:, None, None]
+    of_plant = C @ np.linalg.solve(z * np.eye(n) - A, B[None] + 0j)
+    of_law = out @ np.linalg.solve(z * np.eye(len(move)) - move, given[None, :, :m] + 0j) + direct[:, :m]
+    return float(np.linalg.svd(np.eye(len(out)) - of_law @ of_plant, compute_uv=False)[:, -1].min())
 
 
 def _accuracy(controller: BayesianController, factor: float) -> tuple[Floats, Floats]:

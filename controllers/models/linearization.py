@@ -28,6 +28,7 @@ from bayesftc.controllers.models.names import (
 from bayesftc.controllers.models.pulse_responses import realise
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
+from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held, is_system
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.errors import ModelError, StepSizeError, brief
@@ -230,9 +231,12 @@ def check_plant(plant: Any) -> None:
         If it is none of which a linear model can be made.
     """
     if not (isinstance(plant, str | PathLike | FMU | StateSpace) or is_system(plant)):
+        of_blocks = ""
+        if isinstance(plant, Block):
+            of_blocks = " Export a plant of blocks as an FMU: cosim.export_fmu(plant, 'plant.fmu', dt=...)."
         raise ModelError(
             "The plant must be an FMU (cosim.FMU(path)), a system of python-control or its block cosim.StateSpace; for matrices "
-            f"give control.ss(A, B, C, D, dt), or a LinearModel. It is {brief(plant)}."
+            f"give control.ss(A, B, C, D, dt), or a LinearModel. It is {brief(plant)}.{of_blocks}"
         )
 
 
@@ -502,5 +506,6 @@ def _refuse_direct(D: Floats) -> None:
     if np.any(D != 0):
         raise ModelError(
             "An output depends directly on an input (D is not 0, a relative degree of 0), which the model y = C x cannot "
-            "represent. Measure another output, or put a lag before the input: a gust, too, is a state that white noise drives."
+            "represent. Measure another output, or put a lag before the input: a gust, too, is a state that white noise drives. "
+            "The lag must be in the plant itself, in its matrices or its FMU: a block before the plant is not seen here."
         )

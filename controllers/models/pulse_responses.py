@@ -13,7 +13,7 @@ from types import TracebackType
 import numpy as np
 
 from bayesftc.controllers.models.checks import frozen
-from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External
 from bayesftc.cosim.errors import BayesFTCError, ModelError
@@ -63,7 +63,7 @@ class Experiments:
     """Repeated experiments with a plant from the same state, which is restored, or reached again by a new instance."""
 
     def __init__(self, fmu: FMU, step: Fraction, held: Floats, rows: Sequence[int]):
-        self._fmu, self._step, self.held, self._rows = fmu, step, held, list(rows)
+        self._fmu, self.step, self.held, self._rows = fmu, step, held, list(rows)
         self._outputs = np.zeros(sum(port.size for port in fmu.outputs or ()))  # type: ignore[union-attr, misc]
         self._waited = 0
         self._plant: External | None = None
@@ -83,9 +83,15 @@ class Experiments:
         return tuple(name for port in self._fmu.inputs or () for name in labels(port.name, port.shape))  # type: ignore[union-attr]
 
     @property
+    def default_step(self) -> Fraction | None:
+        """The FMU's own step in seconds, if it names one."""
+        own = self._fmu.description.default_experiment.get("stepSize")
+        return None if own is None else rational_step(own)
+
+    @property
     def waited(self) -> Fraction:
         """Seconds until the plant was steady."""
-        return self._step * self._waited
+        return self.step * self._waited
 
     def respond(self, pulse: Floats | None = None, samples: int = SAMPLES) -> Floats:
         """Return the outputs at ``samples`` instants with held inputs, plus a `pulse` in the first step."""
@@ -119,7 +125,7 @@ class Experiments:
                 i = int(np.flatnonzero(~np.isfinite(readings).all(axis=1))[0])
                 raise ModelError(
                     f"The plant {self._fmu.default_name!r} has no steady state: with its inputs held at {self.held.tolist()} an "
-                    f"output is NaN or infinite at t = {show(self._step * (k - SAMPLES + i))} s. Give other inputs (at=...) or "
+                    f"output is NaN or infinite at t = {show(self.step * (k - SAMPLES + i))} s. Give other inputs (at=...) or "
                     "start values (FMU(parameters=...))."
                 )
             changes.append(float(np.ptp(readings, axis=0).max()))
@@ -135,7 +141,7 @@ class Experiments:
         )
         raise ModelError(
             f"The plant {self._fmu.default_name!r} does not come to rest: with its inputs held at {self.held.tolist()} its "
-            f"outputs still change after {show(self._step * k)} s.{longer} Give start values of a steady state "
+            f"outputs still change after {show(self.step * k)} s.{longer} Give start values of a steady state "
             "(FMU(parameters=...)), or other inputs (at=...). For a plant without one identify a model from a recording "
             "(LinearModel.identify)."
         )
@@ -145,7 +151,7 @@ class Experiments:
             self._plant.restore(self._saved)
             return self._plant
         self._close()
-        plant = self._plant = self._fmu.instantiate(self._step, self._fmu.default_name)
+        plant = self._plant = self._fmu.instantiate(self.step, self._fmu.default_name)
         for k in range(self._waited):
             self._advance(plant, self.held.copy(), k)
         if plant.can_save:
@@ -154,7 +160,7 @@ class Experiments:
 
     def _advance(self, plant: External, inputs: Floats, k: int) -> Floats:
         """Make a step; return the outputs before it."""
-        t, outputs = float(k * self._step), self._outputs
+        t, outputs = float(k * self.step), self._outputs
         status = plant.output(inputs, outputs, t) or plant.update(inputs, outputs, t)
         if status:
             reason = plant.explain(status)
@@ -280,6 +286,11 @@ def _experimented(
     return Realisation(A, B, C, y, start, waited, values, miss)
 
 
+def _unusual(plant: Experiments) -> str:
+    own = plant.default_step
+    return f" (the FMU's own are of {show(own)} s)" if own is not None and own != plant.step else ""
+
+
 def _markov(plant: Experiments, scale: Mapping[int, float]) -> tuple[Floats, Floats]:
     """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), and their errors."""
     slope = [_derivative(plant, j, full, len(plant.held)) for j, full in scale.items()]
@@ -328,7 +339,8 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
         warn_user(f"{lost}; the model is that of the larger pulses, and may be inaccurate.", PoorFitWarning)
     if best is None:
         raise ModelError(
-            "The plant fails in every experiment from its steady state; give other inputs (at=...) or start values."
+            f"The plant fails in every experiment from its steady state, in steps of {show(plant.step)} s"
+            f"{_unusual(plant)}. Give a smaller dt (in seconds), other inputs (at=...) or start values."
         )
     if bend > BENDS:
         warn_user(

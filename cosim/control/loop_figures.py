@@ -90,7 +90,11 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
                     f"{margins.gain:.3g} = {20.0 * np.log10(margins.gain):.3g} dB{', the lower limit' * (margins.gain < 1.0)}",
                     margins.phase_crossover,
                 ),
-                ("phase margin", f"{margins.phase:.1f} degrees", margins.gain_crossover),
+                (
+                    "phase margin",
+                    f"{abs(margins.phase):.1f} degrees{' of lead, not of lag' * (margins.phase < 0.0)}",
+                    margins.gain_crossover,
+                ),
             )
         ]
         for axis, at in zip(axes, (margins.phase_crossover, margins.gain_crossover), strict=True):

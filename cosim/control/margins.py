@@ -33,7 +33,8 @@ class Margins(NamedTuple):
         Gain margin: the factor of the loop gain, nearest to 1 on a logarithmic scale, at which the loop is at the limit of
         stability. It is below 1 if a lower gain reaches the limit sooner than a higher gain.
     phase : float
-        Phase margin in degrees: the smallest change of phase, in either direction, at which the loop is at the limit.
+        Phase margin in degrees: the smallest change of phase, in either direction, at which the loop is at the limit. It is
+        negative if that is a lead; the delay margin then belongs to another crossover.
     delay : float
         Delay margin in seconds: the shortest additional delay at which the loop is at the limit. NaN if the gain is 1 or more
         at half of the sampling frequency, because there a delay of a part of a sample has no meaning.

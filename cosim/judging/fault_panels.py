@@ -259,8 +259,9 @@ def _with_beta(signals: LoopSignals) -> list[SensorSignals]:
 
 
 def _alarmed(signals: LoopSignals) -> list[SensorSignals | ActuatorSignals]:
-    """Return the sensors and actuators with an alarm and known kinds."""
-    devices: list[SensorSignals | ActuatorSignals] = [*signals.sensors, *signals.actuators]
+    """Return the sensors and actuators with an alarm and known kinds, and the process if it moves more than its model expects."""
+    moved = [] if signals.moved is None else [signals.moved]
+    devices: list[SensorSignals | ActuatorSignals] = [*signals.sensors, *signals.actuators, *moved]
     return [
         each
         for each in devices

@@ -43,9 +43,6 @@ PLAIN = ("DroppedOut",)
 UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
 """Units of sizes that are not in the unit of the sensor or the control."""
 
-PROCESS_KINDS = ("NoisierProcess",)
-"""The kind of all process modes."""
-
 AT_ONCE = 20
 """Number of samples within which an alarm begins with the run."""
 
@@ -132,9 +129,8 @@ def findings(signals: LoopSignals, threshold: float = ALARM, hold: float | None 
         found += _of(sensor, signals.sensor_name(sensor.index), time, threshold, hold)
     for actuator in signals.actuators:
         found += _of(actuator, f"actuator {actuator.name}", time, threshold, hold)
-    if (p := signals.process) is not None:
-        process = ActuatorSignals("process", None, None, p, np.ones_like(p), None, PROCESS_KINDS)
-        found += _of(process, process.name, time, threshold, hold)
+    if (moved := signals.moved) is not None:
+        found += _of(moved, moved.name, time, threshold, hold)
     return sorted(found, key=lambda each: each.start)
 
 

@@ -247,6 +247,10 @@ class ControlSignals:
     dt: float | None = None
 
 
+PROCESS_KINDS = ("NoisierProcess",)
+"""The kind of all process modes."""
+
+
 @dataclass(frozen=True, eq=False)
 class LoopSignals:
     """A run of a closed loop: time in seconds, the measured quantities, the sensors, the inputs with faults.
@@ -270,6 +274,12 @@ class LoopSignals:
     def faulty(self) -> Flags | None:
         """Whether any sensor or input had a fault; None if one of them was not recorded."""
         return any_of([*(s.faulty for s in self.sensors), *(i.faulty for i in self.inputs)])
+
+    @property
+    def moved(self) -> ActuatorSignals | None:
+        """Whether the plant moves more than its model expects, as the one kind of fault of the process; None if not inferred."""
+        p = self.process
+        return None if p is None else ActuatorSignals("process", None, None, p, np.ones_like(p), None, PROCESS_KINDS)
 
     def sensor_name(self, index: int) -> str:
         """Return the name of a sensor: its number, and of several quantities the one that it measures."""

@@ -1,5 +1,7 @@
 """A controller from nothing but a plant: linear models of FMUs and of python-control systems, and the call that uses them."""
 
+import re
+import warnings
 from dataclasses import replace
 
 import control
@@ -9,6 +11,8 @@ from scipy.linalg import expm
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, SignalNames, design
+from bayesftc.controllers.bayesian.describing import modulus
+from bayesftc.controllers.bayesian.linear import UnstableLoopWarning
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models import pulse_responses
 from bayesftc.controllers.models.differences import derivative
@@ -154,6 +158,35 @@ def test_limits_that_exclude_the_operating_point_are_refused(settings, words):
     )
     with pytest.raises(ModelError, match=words):
         design(cosim.StateSpace(system, initial=[0.0]), measured="y", actuated="u", dt=0.1, **settings)
+
+
+@pytest.mark.parametrize("delays", [0, 3])
+@pytest.mark.parametrize("expected", [{"noise": {"w": 100.0}}, {"noise": {"w": 100.0, "u": 10.0}}])
+def test_a_loop_that_a_small_error_would_lose_is_warned_of(expected, delays):
+    """The distance is that of the margins of the loop, computed from the diagram."""
+    A = [[0, 1, 0, 0], [-100, -0.1, 100, 0.1], [0, 0, 0, 1], [100, 0.1, -100, -0.1]]
+    carts = control.ss(A, [[0, 0], [1, 0], [0, 0], [0, 1]], [[0, 0, 1, 0]], 0, inputs=["u", "w"], outputs=["y"])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        controller = controllers.design(
+            carts,
+            measured="y",
+            actuated="u",
+            dt=0.02,
+            sensor_std=0.01,
+            acceptable_error=0.3,
+            input_delays=delays,
+            **expected,
+        )
+    found = modulus(controller)
+    if not delays:
+        loop = cosim.closed_loop(carts, controller, control="u", measured="y", reference=0.0)
+        assert found == pytest.approx(loop.margins().modulus, rel=0.01)
+    said = [str(each.message) for each in caught if each.category is UnstableLoopWarning]
+    assert len(said) == (found < 0.1)
+    assert all(
+        re.search(rf'as near as {found:.2g} to instability .* \(noise={{"u": ...}}\), estimate', text) for text in said
+    )
 
 
 def test_a_start_elsewhere_is_no_fault_of_the_sensors_if_it_is_expected():

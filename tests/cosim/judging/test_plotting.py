@@ -258,6 +258,15 @@ def test_only_a_sensor_with_an_alarm_and_without_weight_for_its_quantity_is_call
     assert marked(sensors=(first, alone), quantities=apart)[-1] == "sensor 1 (w)"
 
 
+def test_times_at_which_the_plant_moves_more_than_its_model_have_a_row(signals):
+    moved = np.where((signals.time > 2.0) & (signals.time < 3.0), 0.9, 0.0)
+    words = [
+        [text.get_text() for text in panel(plot_run(replace(signals, process=process)), "fault").texts]
+        for process in (moved, 0.0 * moved, None)
+    ]
+    assert ["noisier process" in texts for texts in words] == [True, False, False]
+
+
 def test_missing_samples_are_gaps_and_marks():
     loop = integrator_loop(
         faults=[cosim.Dropout(sensor=0, start=2.0, stop=3.0)],

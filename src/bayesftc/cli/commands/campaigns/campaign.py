@@ -70,7 +70,7 @@ def campaign(
         output.say_notes(unused_of_campaign(loaded, str(file)))
     chosen = _executor(executor, jobs, scheduler)
     folder = Path(file.stem) if out is None else out
-    began, before = time.perf_counter(), _runs_in(folder)
+    began, before = time.perf_counter(), _runs_in(folder, loaded.job.plan.runs)
     again = ["bayesftc", "campaign", str(file)] + (["-o", str(out)] if out else [])
     first = _beginning(loaded.job.plan.runs, before, folder)
     with _kept(folder, again), _progress(file.stem, first, shown=not quiet and not json) as progress:
@@ -100,12 +100,12 @@ def _kept(store: Path, again: list[str]) -> Iterator[None]:
         raise
 
 
-def _runs_in(store: Path) -> int:
-    """Return how many runs a folder has already, 0 if it is no store."""
+def _runs_in(store: Path, runs: int) -> int:
+    """Return how many of a campaign's runs a folder has already; 0 if it is no store, or one of another number of runs."""
     from bayesftc.cosim.campaign.working import kept_runs
 
     kept = kept_runs(store) if store.is_dir() else None
-    return kept[0] if kept else 0
+    return kept[0] if kept and kept[1] == runs else 0
 
 
 def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Runner | None:
