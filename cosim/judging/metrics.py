@@ -5,7 +5,8 @@ estimate, a true value or a probability in it is not finite, so that a run that 
 follow river's ``drift/evaluate.py`` (delay, misses, blame of healthy sensors), in seconds and with alarms that last:
 
 - a *fault* is an unbroken sequence of samples in which it is present. A sample has an *alarm* if its probability is at least 0.5.
-  For a controller without probabilities, it has one if the controller reports a detected fault;
+  For a controller without probabilities, it has one if the controller reports a detected fault. A fault that acts at times,
+  as `Spikes`, is present between these, too: there it delays the detection, and lowers the AUC, of one that is right;
 - a *missing* sample (NaN) needs no detector, because the controller leaves it out immediately, and contains no information for
   a detector. It counts in none of the figures below. A fault whose samples are all missing is *seen as missing*, neither
   detected nor missed;

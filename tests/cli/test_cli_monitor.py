@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from bayesftc.cli import app
 from bayesftc.cli.commands.recordings._faults import print_disagreements, print_faults
+from bayesftc.cli.commands.recordings.monitor import _rate
 from bayesftc.cli.commands.recordings.monitor import monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.bayesian import recorded
@@ -78,6 +79,13 @@ def test_it_prints_the_fault_and_writes_all_files(files, tmp_path):
         "mean_probability": pytest.approx(table.b.mean(), rel=1e-6),
     }  # fmt: skip
     assert (out / "figure.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_sampling_of_a_slow_sensor_is_that_between_its_gaps():
+    fast, slow = 0.1 * np.arange(600), np.concatenate([np.arange(0.0, 20.0, 2.0), np.arange(40.0, 60.0, 2.0)])
+    signals = {name: Signal(time, np.ones(len(time))) for name, time in (("a", fast), ("b", slow))}
+    recordings = [align(signals, {}, dt=dt) for dt in (0.1, 1.0)]
+    assert [[round(_rate(each, i), 9) for i in (0, 1)] for each in recordings] == [[10.0, 0.5], [10.0, 0.5]]
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -204,13 +204,12 @@ def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspic
 def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Sequence[FaultEvent] = ()) -> dict[str, Any]:
     """Return the faults, which of them are due to a wrong model, and how the model is wrong, as plain data."""
     recording = monitored.recording
-    seconds = len(recording.y) * float(recording.dt)
     sensors = {}
     for i, name in enumerate(recording.sensors):
         count = int(np.isfinite(recording.y[:, i]).sum())
         sensors[name] = {
             "samples": count,
-            "rate": (count + recording.replaced[i]) / seconds,
+            "rate": _rate(recording, i),
             "replaced": recording.replaced[i],
             "mean_probability": float(monitored.fault_probability[:, i].mean()),
             "alarms": sum(event.sensor == name and not event.continued for event in monitored.events),
@@ -281,6 +280,14 @@ def _gaps(recording: Recording) -> str:
         f"{begin}, in which no sensor has a sample{lead} {', '.join(named)}. A gap is no fault. The fault "
         "probabilities keep their values in it."
     )
+
+
+def _rate(recording: Recording, sensor: int) -> float:
+    """Return the samples of a sensor per second: the usual ones, without gaps, unless it has several in a step."""
+    sent = np.flatnonzero(np.isfinite(recording.y[:, sensor]))
+    if len(sent) > 1 and not recording.replaced[sensor]:
+        return 1.0 / (float(np.median(np.diff(sent))) * float(recording.dt))
+    return (len(sent) + recording.replaced[sensor]) / (len(recording.y) * float(recording.dt))
 
 
 def _sampling(rate: float) -> str:
