@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from bayesftc.cli import app
 from bayesftc.cli.commands.recordings._faults import print_disagreements, print_faults
-from bayesftc.cli.commands.recordings.monitor import _rate
-from bayesftc.cli.commands.recordings.monitor import monitor as monitor_command
+from bayesftc.cli.commands.recordings.monitor import _rate, monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
@@ -85,7 +84,9 @@ def test_the_sampling_of_a_slow_sensor_is_that_between_its_gaps():
     fast, slow = 0.1 * np.arange(600), np.concatenate([np.arange(0.0, 20.0, 2.0), np.arange(40.0, 60.0, 2.0)])
     signals = {name: Signal(time, np.ones(len(time))) for name, time in (("a", fast), ("b", slow))}
     recordings = [align(signals, {}, dt=dt) for dt in (0.1, 1.0)]
-    assert [[round(_rate(each, i), 9) for i in (0, 1)] for each in recordings] == [[10.0, 0.5], [10.0, 0.5]]
+    assert [round(_rate(each, 1), 9) for each in recordings] == [0.5, 0.5]
+    assert _rate(recordings[0], 0) == pytest.approx(10.0)
+    assert _rate(recordings[1], 0) == pytest.approx(600 / 61)  # several in one step
 
 
 @pytest.mark.usefixtures("undrawn")
