@@ -32,7 +32,7 @@ from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
 from bayesftc.controllers.diagnosis.starts import wrong_start
-from bayesftc.controllers.diagnosis.words import faulty_sensors, moved_at_times, sentence
+from bayesftc.controllers.diagnosis.words import faulty_sensors, inferred_fault, moved_at_times, sentence
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
@@ -65,6 +65,9 @@ SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "offset"})
 
 FLEXIBLE = frozenset({"dynamics", "nonlinear"})
 """Kinds with many parameters."""
+
+OF_FAULTS = {"offset", "noise"}
+"""Kinds that several faulty sensors look like."""
 
 OPEN = {*FLEXIBLE, "unknown"}
 """Kinds of findings that name no cause, or may fit to what happens at times only."""
@@ -241,16 +244,16 @@ def diagnose(
     u = signals[f"{name}.u"] if roles is None else _applied(signals, roles)
     units = ([x.unit for x in roles.sensors], [x.unit for x in roles.controls]) if roles is not None else ((), ())
 
-    def found(samples: Floats) -> ModelFinding | None:
-        return _finding(model, samples, u, controller.initial_mean, alone=raised, inferred=inferred, units=units)
+    def found(samples: Floats, alone: bool = False) -> ModelFinding | None:
+        return _finding(model, samples, u, controller.initial_mean, alone=alone, inferred=inferred, units=units)
 
-    result = found(samples)
+    result = found(samples, raised)
     if nothing := result is None and raised:
         result = ModelFinding("unknown", sentence("unknown", (), model))
-    if result is not None and result.kind == "unknown":
+    if result is not None and result.kind in {"unknown", *OF_FAULTS}:
         blamed = _blamed_together(signals, samples, name)
         if blamed is not None:
-            result = _without_blamed(model, samples, blamed, found) or result
+            result = _beside(result, _without_blamed(model, samples, blamed, found))
     if nothing and result is not None and result.kind == "unknown":
         started = wrong_start(model, controller, samples, units[0])
         result = result if started is None else ModelFinding("start", *started)
@@ -259,7 +262,20 @@ def diagnose(
     its = signals_of(roles, signals, drawn=result.kind in OPEN)  # type: ignore[arg-type]
     pushed = moved_at_times(its.time, its.process)
     far = "" if result.kind == "nonlinear" else far_goal(model, its)
-    return replace(result, sentence=f"{far}{result.sentence}{pushed}")
+    acting = inferred_fault(inferred, model)
+    acting = "" if acting in result.sentence else acting
+    return replace(result, sentence=f"{far}{result.sentence}{pushed}{acting}")
+
+
+def _beside(result: ModelFinding, left: ModelFinding | None) -> ModelFinding:
+    """Return a finding beside that without the samples of blamed sensors: these are faulty, or there is another cause."""
+    if left is None:
+        return result
+    if result.kind == "unknown" or left.kind not in {"sensors", "unknown"}:
+        return left
+    return replace(
+        left, sentence=f"{left.sentence} If they are healthy: {result.sentence}", others=(result.kind, *result.others)
+    )
 
 
 def _applied(signals: Mapping[str, Any], roles: LoopRoles) -> Floats:

@@ -41,6 +41,12 @@ PRIOR = 10.0
 """Standard deviation of an offset to be estimated, relative to the one found; with a smaller one the default learner doubts other
 sensors until it is estimated."""
 
+SEVERAL = (
+    " All sensors of several quantities are rarely wrong together: a load, or a control with another effect than in B, looks "
+    "the same. Try disturbance=True in design first."
+)
+"""What to try before offsets of several quantities are believed."""
+
 UNMOVED = (
     "the quantity moves differently from the model, a sensor follows it late, or the recording has long gaps. Fit the model to a "
     "recording that moves as this one does (bayesftc monitor --fit). If it is fitted to this one, it is too simple for it: trust "
@@ -101,14 +107,22 @@ def _actuators(
     if not inferred:
         return " Record actuator_fault_probability of the controller: its actuator modes may see it."
     j = int(lost[0][3]) if lost else int(np.argmax(inferred))
-    if inferred[j] >= ALARM:
-        return (
-            f" The controller infers a fault of {named(j, model)}: its fault probability reaches {inferred[j]:.2g}. "
-            "result.findings() has its kind and size."
-        )
-    return (
+    return inferred_fault(inferred, model, j) or (
         f" The actuator modes of the controller do not see it: the fault probability of {named(j, model)} is at most "
         f"{inferred[j]:.2g}."
+    )
+
+
+def inferred_fault(inferred: Sequence[float] | None, model: LinearModel, control: int | None = None) -> str:
+    """Return a sentence if the controller infers a fault of an actuator, by default of the one that is most likely faulty."""
+    if not inferred:
+        return ""
+    j = int(np.argmax(inferred)) if control is None else control
+    if inferred[j] < ALARM:
+        return ""
+    return (
+        f" The controller infers a fault of {named(j, model)}: its fault probability reaches {inferred[j]:.2g}. "
+        "result.findings() has its kind and size."
     )
 
 
@@ -242,7 +256,7 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
     return (
         f"{each}. Subtract this from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
-        f"sensors={sensors}), or [[errors]] in a monitor's model file."
+        f"sensors={sensors}), or [[errors]] in a monitor's model file.{SEVERAL if len(groups) > 1 and np.any(model.B) else ''}"
     )
 
 

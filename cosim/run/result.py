@@ -273,30 +273,32 @@ class Result(Mapping[str, Floats]):
         ]
         model, named, often = (self._agreement[of] for of in ("model", "named", "often"))
         limited = [note for note, _ in self._limited]
-        return [*notes, *(f"{text}{why}" for text in wrong or model), *named, *([] if wrong else often), *limited]
+        speaking = [*wrong, *model]
+        speaking[-1:] = [f"{text}{why}" for text in speaking[-1:]]
+        return [*notes, *speaking, *named, *([] if speaking else often), *limited]
 
     @property
     def suspicions(self) -> list[str]:
-        """Sentences on each controller whose sensors contradict its model: from when on ``model_suspect`` is above one half."""
-        return [
+        """Sentences on what speaks against a model: from when on ``model_suspect`` is above one half, and sensors that agree."""
+        suspect = [
             f"The model of {block} is suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s."
             for block, k in self._suspect.items()
         ]
+        return [*suspect, *(f"{text[0].upper()}{text[1:]}." for text in self._agreement["model"])]
 
     def _sentences(self) -> list[str]:
         """Return the notes as sentences."""
         notes = ["The run stopped early."] if self.stopped else []
         wrong = self.suspicions
-        model, named, often = (
-            [f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("model", "named", "often")
-        )
+        named, often = ([f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("named", "often"))
         cause = (
             f"If it is wrong, sensors may be blamed because of it. {DIAGNOSE} looks for the cause; None means too little "
             f"evidence for any, not that the model is right. {ESTIMATE_A_LOAD}"
         )
         blamed = [] if wrong else [f"{text} {self._advice}" for text in often]
         limited = [f"The {note}. {advice}" for note, advice in self._limited]
-        return [*notes, *(f"{text} {cause}" for text in wrong or model), *named, *blamed, *limited]
+        wrong[-1:] = [f"{text} {cause}" for text in wrong[-1:]]
+        return [*notes, *wrong, *named, *blamed, *limited]
 
     @cached_property
     def _suspect(self) -> dict[str, int]:
@@ -320,8 +322,8 @@ class Result(Mapping[str, Floats]):
 
         probability = np.ravel(self.get(f"{block}.fault_probability", np.zeros((k + 1, 0)))[k])
         blamed = np.flatnonzero(probability >= ALARM).tolist()
-        if not blamed or len(blamed) == len(probability) > 1:
-            return ""
+        if not blamed or len(blamed) == len(probability) > 1 or self._agreement["model"]:
+            return ""  # sensors that are blamed although they agree speak for a wrong model, too
         if len(blamed) > 1:
             return ", or several sensors are faulty,"
         quantities = () if self.roles is None or self.roles.controller != block else self.roles.quantities
