@@ -76,6 +76,14 @@ def test_a_reader_that_has_enough(tmp_path):
     assert "Traceback" not in done.stderr
 
 
+def test_files_are_written_also_if_the_reader_has_enough(tmp_path):
+    """As after ``| head``: the figures are printed first, because the figure takes seconds."""
+    text = f"{' '.join(COMMAND)} run cruise_control --duration 1 --out out | true"
+    done = subprocess.run(["sh", "-c", text], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert "Traceback" not in done.stderr
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"figure.png", "figures.json", "result.npz"}
+
+
 def test_help_loads_nothing_heavy(tmp_path):
     code = (
         "import sys\nfrom typer.testing import CliRunner\nfrom bayesftc.cli import app\n"

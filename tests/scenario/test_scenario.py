@@ -213,6 +213,22 @@ units = { force = "N", v = "m/s" }
         )
 
 
+def test_a_controller_may_be_designed_for_another_plant_and_other_sensors(write):
+    """As in Python: the design for one, the loop with another."""
+    text = find_scenario("position_servo").read_text()
+    text = text.replace('fmu = "PositionServo"', 'fmu = "PositionServo"\nparameters = { J = 0.03 }')
+    known = '[known.plant]\nfmu = "PositionServo"\ncontrol = "voltage"\nmeasured = "angle"\n'
+    wrong = load_scenario(write(text=f"{text}\n{known}\n[known.sensors]\ncount = 2\nstd = 0.05\n"))
+    design = load_scenario("position_servo").controller
+    assert wrong.plant.parameters == {"J": 0.03}
+    np.testing.assert_array_equal(wrong.controller.model.matrix("A"), design.model.matrix("A"))
+    np.testing.assert_allclose(wrong.controller.model.matrix("sensor_covariance"), np.diag([0.05**2] * 2))
+    with pytest.raises(ScenarioError, match=r"'known' has the unknown key 'noise'; known names: plant, sensors"):
+        load_scenario(write(text=f"{text}\n[known.noise]\nstd = 1\n"))
+    with pytest.raises(ScenarioError, match=r"'known\.plant' lacks 'measured'"):
+        load_scenario(write(text=text + '\n[known.plant]\nfmu = "PositionServo"\ncontrol = "voltage"\n'))
+
+
 def test_continuous_linear_plant_with_process_noise(write):
     plant = "A = [[-0.05]]\nB = [[0.01]]\nC = [[1.0]]\ndt = 0\nprocess_noise = [[1e-4]]\ninitial = [20.0]\n"
     text = CAR[: CAR.index("[noise.")] + CAR[CAR.index("[sensors]") :]

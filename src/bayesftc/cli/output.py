@@ -368,7 +368,13 @@ def terminal(width: int | None = None) -> Console:
     """Return the terminal, which prints names as they are: rich would take ``[degC]`` for a style, and ``:car:`` too."""
     from rich.console import Console
 
-    return Console(highlight=False, markup=False, emoji=False, width=width)
+    class Terminal(Console):
+        def on_broken_pipe(self) -> None:
+            """Go on in silence: rich would exit, and no file be written, because `head` has read enough."""
+            self.quiet = True
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+    return Terminal(highlight=False, markup=False, emoji=False, width=width)
 
 
 def sayer() -> tuple[Console, Callable[..., None]]:

@@ -22,13 +22,15 @@ from bayesftc.scenario import _sections as sections
 from bayesftc.scenario._blocks import Added, Connection, Surroundings, blocks, connections
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._place import Place
-from bayesftc.scenario._schema import build
+from bayesftc.scenario._schema import as_table, build
 from bayesftc.scenario._sections import Simulation, Wiring
 
 if TYPE_CHECKING:
     from bayesftc.cosim.diagram.diagram import Diagram
     from bayesftc.cosim.run.result import Result
 
+KNOWN = "known"
+"""The section of what a controller is designed for, if that is not the plant and the sensors of the run."""
 SECTIONS = (
     "simulation",
     "plant",
@@ -41,8 +43,11 @@ SECTIONS = (
     "controller",
     "blocks",
     "connections",
+    KNOWN,
 )
 REQUIRED = ("simulation", "plant", "reference", "controller")
+
+_Seen = tuple[Block, Wiring, Sensors | None]
 
 
 @dataclass(frozen=True)
@@ -171,10 +176,8 @@ def load_scenario(path: str | os.PathLike[str]) -> Scenario:
     return scenario_of(read_toml(file), file)
 
 
-def scenario_of(content: Mapping[str, Any], file: Path, known: Mapping[str, Any] | None = None) -> Scenario:
+def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
     """Return the scenario of a file's content. The file is only used in messages and as the start of relative paths.
-
-    A controller that is designed for the plant and the sensors is designed for those of `known`, by default of `content`.
 
     Raises
     ------
@@ -204,8 +207,9 @@ def scenario_of(content: Mapping[str, Any], file: Path, known: Mapping[str, Any]
         check_parts(
             plant, **{name: parts[name] for name in ("sensors", "faults", "noise", "input_faults")}, **asdict(wiring)
         )
-    seen = (plant, wiring, sensors) if known is None else _plant_and_sensors(known, root, simulation)
-    controller = sections.controller(content, root, simulation, *seen)
+    controller = sections.controller(
+        content, root, simulation, *_known(content, root, simulation, plant, wiring, sensors)
+    )
     if sensors is not None:
         with (root / "sensors").named():
             controller = with_invalid(controller, sensors)
@@ -217,14 +221,21 @@ def scenario_of(content: Mapping[str, Any], file: Path, known: Mapping[str, Any]
     )
 
 
-def _plant_and_sensors(
-    content: Mapping[str, Any], root: Place, simulation: Simulation
-) -> tuple[Block, Wiring, Sensors | None]:
-    folder = Path(root.file).absolute().parent
-    plant, wiring = sections.plant(content["plant"], root / "plant", folder, simulation)
+def _plant_and_sensors(content: Mapping[str, Any], place: Place, simulation: Simulation) -> _Seen:
+    folder = Path(place.file).absolute().parent
+    plant, wiring = sections.plant(content["plant"], place / "plant", folder, simulation)
     if "sensors" not in content:
         return plant, wiring, None
-    return plant, wiring, sections.sensors(content["sensors"], root / "sensors", wiring, plant)
+    return plant, wiring, sections.sensors(content["sensors"], place / "sensors", wiring, plant)
+
+
+def _known(content: Mapping[str, Any], root: Place, simulation: Simulation, *there: Any) -> _Seen:
+    """Return the plant and the sensors that a controller is designed for: those of ``[known]``, by default those of the run."""
+    if KNOWN not in content:
+        return there  # type: ignore[return-value]
+    known = as_table(content[KNOWN], root / KNOWN)
+    (root / KNOWN).refuse_unknown(known, ["plant", "sensors"])
+    return _plant_and_sensors({**content, **known}, root / KNOWN, simulation)
 
 
 def _steps_of(controller: Block, simulation: Simulation) -> int:

@@ -20,7 +20,7 @@ from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
 from bayesftc.scenario._files import find_scenario, read_toml
 from bayesftc.scenario._paths import is_unknown_to_controller, line_of, set_line
 from bayesftc.scenario._place import Place
-from bayesftc.scenario._scenario import Scenario, scenario_of
+from bayesftc.scenario._scenario import KNOWN, Scenario, scenario_of
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
 
 if TYPE_CHECKING:
@@ -83,17 +83,12 @@ class ScenarioLoop:
 
     def _scenario(self, factors: Mapping[str, Any]) -> Scenario:
         try:
-            return scenario_of(self.changed(factors), Path(self.path), self._known(factors))
+            return scenario_of(self.changed(factors), Path(self.path))
         except ScenarioError as error:
             for name in factors:
                 if self._is_valid({other: value for other, value in factors.items() if other != name}):
                     raise ScenarioError(_refusal(name, error)) from error
             raise
-
-    def _known(self, factors: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Return the content for which the controller is designed, without factors of plant and sensors; None if the same."""
-        known = {name: factors[name] for name in factors if not is_unknown_to_controller(line_of(name, self.content))}
-        return self.changed(known) if len(known) < len(factors) else None
 
     def _is_valid(self, factors: Mapping[str, Any]) -> bool:
         try:
@@ -103,19 +98,27 @@ class ScenarioLoop:
         return True
 
     def changed(self, factors: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the content of the scenario file with these factors.
+        """Return the content of the scenario file with these factors; those of plant and sensors are unknown to the controller.
 
         Raises
         ------
         ScenarioError
             If two factors refer to one line, or there is no such line.
         """
-        content = deepcopy(dict(self.content))
         lines = {line_of(name, self.content): value for name, value in factors.items()}
         if len(lines) < len(factors):
             raise ScenarioError(
                 f"Two of the factors {', '.join(map(repr, factors))} refer to the same line. Leave one out."
             )
+        content = self._with(lines)
+        known = {line: value for line, value in lines.items() if not is_unknown_to_controller(line)}
+        if len(known) < len(lines) and KNOWN not in content:
+            before = self._with(known)
+            content[KNOWN] = {name: before[name] for name in ("plant", "sensors") if name in before}
+        return content
+
+    def _with(self, lines: Mapping[str, Any]) -> dict[str, Any]:
+        content = deepcopy(dict(self.content))
         for line in sorted(lines, key=_depth):  # a table before its parts, in any order of the factors
             set_line(content, line, deepcopy(lines[line]))
         return content

@@ -15,6 +15,7 @@ from bayesftc.cosim import ScenarioError, varied
 from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.scenario import find_scenario
 from bayesftc.scenario._files import read_toml
+from bayesftc.scenario._scenario import scenario_of
 from bayesftc.scenario._unused import unused_of_campaign
 from bayesftc.scenario.campaigns import ScenarioLoop, load_campaign
 
@@ -242,6 +243,8 @@ def test_a_controller_is_designed_for_the_plant_of_the_file_whatever_the_plant_i
 
     for path, value in (("plant.J", 0.03), ("plant.parameters.J", 0.03), ("sensors.std", 0.05), ("sensors.bias", 0.1)):
         same_bits(run(loop(**{path: value})), run(varied(loop(), {path.replace("parameters.", ""): value})))
+    changed = loop.changed({"plant.J": 0.03})  # as the page of a replay has it, and its download
+    same_bits(run(scenario_of(changed, tmp_path / "servo.toml").loop()), run(loop(**{"plant.J": 0.03})))
     # Its own settings, and what it is connected to, are known to it.
     content["controller"]["acceptable_error"] = 0.02
     same_bits(run(ScenarioLoop(loop.path, content)()), run(loop(**{"controller.acceptable_error": 0.02})))
