@@ -122,8 +122,9 @@ def design(
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations. It is white: a new value in each sample. A disturbance
         that lasts, as a gust, is a state of the plant that such noise drives. By default each control has noise of 5 % of half
-        the range between its limits, or of `acceptable_control`. State it if you know better: if the plant moves far less at
-        random, equal sensors seem unequal. `describe()` prints it.
+        the range between its limits, or of `acceptable_control`. Noise that is given replaces that: name a control as well if it
+        has some. State it if you know better: if the plant moves far less at random, equal sensors seem unequal. `describe()`
+        prints it.
     disturbance : bool, number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
         model would leave, and healthy sensors are blamed far less for it. True: the load moves in each sample by 1 % of

@@ -188,11 +188,17 @@ def modulus(controller: BayesianController) -> float:
     A, B, C = model.matrix("A")[:n, :n], model.matrix("B")[:n], model.matrix("C")[:, :n]
     move, given, out, direct = controller.feedback()
     resonances = np.abs(np.angle(np.linalg.eigvals(controller.closed_loop_matrix())))
-    angles = np.concatenate([np.geomspace(1e-5, np.pi, FREQUENCIES), resonances[resonances > 1e-5]])
-    z = np.exp(1j * angles)[:, None, None]
-    of_plant = C @ np.linalg.solve(z * np.eye(n) - A, B[None] + 0j)
-    of_law = out @ np.linalg.solve(z * np.eye(len(move)) - move, given[None, :, :m] + 0j) + direct[:, :m]
-    return float(np.linalg.svd(np.eye(len(out)) - of_law @ of_plant, compute_uv=False)[:, -1].min())
+    angles = np.sort(np.concatenate([np.geomspace(1e-5, np.pi, FREQUENCIES), resonances[resonances > 1e-5]]))
+
+    def distances(angles: Floats) -> Floats:
+        z = np.exp(1j * angles)[:, None, None]
+        of_plant = C @ np.linalg.solve(z * np.eye(n) - A, B[None] + 0j)
+        of_law = out @ np.linalg.solve(z * np.eye(len(move)) - move, given[None, :, :m] + 0j) + direct[:, :m]
+        return np.asarray(np.linalg.svd(np.eye(len(out)) - of_law @ of_plant, compute_uv=False)[:, -1])
+
+    least = int(distances(angles).argmin())
+    around = angles[max(least - 1, 0)], angles[min(least + 1, len(angles) - 1)]
+    return float(distances(np.linspace(*around, FREQUENCIES)).min())
 
 
 def _accuracy(controller: BayesianController, factor: float) -> tuple[Floats, Floats]:

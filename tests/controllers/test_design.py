@@ -181,7 +181,7 @@ def test_a_loop_that_a_small_error_would_lose_is_warned_of(expected, delays):
     found = modulus(controller)
     if not delays:
         loop = cosim.closed_loop(carts, controller, control="u", measured="y", reference=0.0)
-        assert found == pytest.approx(loop.margins().modulus, rel=0.01)
+        assert found == pytest.approx(loop.margins().modulus, rel=1e-4)
     said = [str(each.message) for each in caught if each.category is UnstableLoopWarning]
     assert len(said) == (found < 0.1)
     assert all(

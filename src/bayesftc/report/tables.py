@@ -19,6 +19,8 @@ ROWS = 60
 WORST, LEVELS, REASONS, METRICS, CELL = 5, 10, 10, 6, 15
 """Largest numbers of listed runs, of levels with a run of their own in that list, of listed reasons, of metrics with a column, of
 values of a factor with rows."""
+MOST_TEXT = 2000
+"""Most characters of a block's settings."""
 NUMBER = re.compile(r"[-−]?(\d[\d.]*(e[-+]?\d+)?|inf|nan)( ± .*| \(.*)?|–|< .*|(None|True|False)")
 
 
@@ -51,7 +53,7 @@ def settings(contents: Contents) -> Table:
         ["failed", str(contents.failed)],
         ["computing time", f"{contents.store.seconds:.4g} s, of all cores together"],
         ["recorded", ", ".join(metadata.signals)],
-        *([f"block {name}", text] for name, text in description.get("blocks", {}).items()),
+        *([f"block {name}", _shortened(text)] for name, text in description.get("blocks", {}).items()),
         *([f"FMU {name}", f"SHA-256 {digest}"] for digest, name in metadata.fmus.items()),
         ["versions", ", ".join(f"{name} {version}" for name, version in versions.items())],
     ]
@@ -61,6 +63,14 @@ def settings(contents: Contents) -> Table:
         else ""
     )
     return Table("Settings", ["", ""], [row for row in rows if row[1]], note)
+
+
+def _shortened(text: str) -> str:
+    """Return the settings of a block without the middle of very long ones, such as a table of a thousand values."""
+    half = MOST_TEXT // 2
+    return (
+        text if len(text) <= MOST_TEXT else f"{text[:half]} ... ({len(text) - 2 * half} characters) ... {text[-half:]}"
+    )
 
 
 def design(contents: Contents) -> Table | None:

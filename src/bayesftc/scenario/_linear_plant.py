@@ -72,6 +72,10 @@ def linear_plant(table: dict[str, Any], place: Place, known: Sequence[str] = ("c
     keys = [f.name for f in fields(Matrices)]
     others = [f.name for f in fields(StateSpace) if f.name in LINEAR]
     place.refuse_unknown(table, [*known, *keys, *others])
+    if "dt" not in table:
+        raise place.error(
+            "lacks 'dt'. Add dt = 0 if A, B and C are of continuous time, else their sample time in seconds."
+        )
     matrices: Matrices = build(Matrices, {key: value for key, value in table.items() if key in keys}, place)
     rest = {key: value for key, value in table.items() if key in others}
     return build(StateSpace, rest, place, given={"system": matrices.system(place)})  # type: ignore[no-any-return]

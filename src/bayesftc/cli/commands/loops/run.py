@@ -119,7 +119,8 @@ def run(
     numbers, signals = _report(scenario, loaded, loop, result)
     numbers["model"], compared = _diagnosed(loaded, loop, result)
     hints = _blamed(numbers, signals, loaded.controller, result.decimation)
-    numbers["notes"] += hints
+    said = [note for note in numbers["notes"] if not any(note in hint for hint in hints)]  # a hint has advice as well
+    numbers["notes"] = [*said, *hints]
     numbers["model_without_error"] = None if numbers["model"] or hints or not compared else compared
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
@@ -228,7 +229,7 @@ def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block,
         for of, notes in blamed_together(signals, decimation).items()
     }
     if together["named"]:
-        return [*together["named"], *([] if numbers["model"] else together["model"])]
+        return together["named"]
     often = often_blamed(signals)
     if often is None or numbers["model"]:
         return []
