@@ -16,10 +16,11 @@ import typer
 from bayesftc._interrupt import Interrupted
 from bayesftc.cli import completion, output
 from bayesftc.cli.commands.loops._compare import compare_scenarios
+from bayesftc.cli.model_check import diagnosed, source_of_samples
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed, check_numbers
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.roles import find_roles
-from bayesftc.cosim.diagram.wiring import dead_times, find_controller
+from bayesftc.cosim.diagram.wiring import dead_times
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.findings import advice_on, blamed_together, never_began, numbers_of, often_blamed
 from bayesftc.cosim.judging.metrics import limited, without_nan
@@ -117,7 +118,7 @@ def run(
             error.args = (f"{said} The signals up to then are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
-    numbers["model"], compared = _diagnosed(loaded, loop, result)
+    numbers["model"], compared = diagnosed(loop, result)
     hints = _blamed(numbers, signals, loaded.controller, result.decimation)
     said = [note for note in numbers["notes"] if not any(note in hint for hint in hints)]  # a hint has advice as well
     numbers["notes"] = [*said, *hints]
@@ -204,22 +205,6 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         numbers["pace"] = pace
         numbers["notes"].append(_in_time(pace))
     return numbers, signals
-
-
-def _diagnosed(scenario: Scenario, loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int]:
-    """Return how the controller's model is wrong, as far as the run was recorded, and how many samples were compared with it.
-
-    The first is None without enough evidence against the model.
-    """
-    from bayesftc.controllers import NonlinearModel, diagnose
-    from bayesftc.controllers.diagnosis.diagnose import checked_model, compared_samples
-
-    model, samples = checked_model(scenario.controller), _source_of_samples(loop)
-    needed = ("controller.model_suspect",) if isinstance(model, NonlinearModel) else (samples, "controller.u")
-    if model is None or result.decimation != 1 or not all(name in result for name in needed):
-        return None, 0
-    finding = diagnose(result, scenario.controller, y=samples)
-    return None if finding is None else without_nan(asdict(finding)), compared_samples(model, len(result.time))
 
 
 def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block, decimation: int) -> list[str]:
@@ -377,20 +362,13 @@ def _is_ser(scenario: Scenario) -> bool:
     return isinstance(controller, BayesianController) and isinstance(controller.precision, SERFDI)
 
 
-def _source_of_samples(loop: Diagram) -> str | None:
-    """Return the name of the signal that is connected to the controller's ``y``."""
-    controller = find_controller(loop)
-    source = loop.source_of(controller, controller.port("y"), 0)
-    return None if source is None else f"{source[0].node.name}.{source[0].port.name}"
-
-
 def _with_kalmans(scenario: Scenario, loop: Diagram) -> list[str] | None:
     """Return the signals that the scenario records and those that the comparison needs; None for all signals."""
     record = scenario.simulation.record
     if record is None:
         return None
     needed = [f"controller.{port}" for port in ("u", "x_hat", "P", "R")]
-    return [*([record] if isinstance(record, str) else record), *needed, _source_of_samples(loop) or "controller.y"]
+    return [*([record] if isinstance(record, str) else record), *needed, source_of_samples(loop) or "controller.y"]
 
 
 def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None = None) -> dict[str, Any]:
@@ -400,7 +378,7 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None 
 
     controller = scenario.controller
     assert isinstance(controller, BayesianController)
-    name = _source_of_samples(loop)
+    name = source_of_samples(loop)
     signals: Mapping[str, Any] = result
     together = _has_another_form(controller)
     try:
