@@ -41,6 +41,9 @@ PRIOR = 10.0
 """Standard deviation of an offset to be estimated, relative to the one found; with a smaller one the default learner doubts other
 sensors until it is estimated."""
 
+UNEQUAL = 3.0
+"""Standard deviations of a sensor from which on offsets of one quantity are no common one."""
+
 SEVERAL = (
     " All sensors of several quantities are rarely wrong together: a load, or a control with another effect than in B, looks "
     "the same. Try disturbance=True in design first."
@@ -254,9 +257,13 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
     std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
+    std_of = np.sqrt(np.diag(model.matrix("sensor_covariance")))
+    apart = any(np.ptp([values[i] for i in group]) > UNEQUAL * max(std_of[i] for i in group) for group in groups)
     return (
         f"{each}. Subtract this from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
         f"sensors={sensors}), or [[errors]] in a monitor's model file.{SEVERAL if len(groups) > 1 and np.any(model.B) else ''}"
+        + " Offsets of one quantity that differ so much are faults of single sensors: look at these first."
+        * apart
     )
 
 

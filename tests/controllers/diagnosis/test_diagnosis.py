@@ -161,6 +161,48 @@ def test_bumps_are_named_beside_other_dynamics(seed):
     )
 
 
+@pytest.mark.parametrize(("offsets", "differ"), [((0.086, -0.017), True), ((0.086, 0.09), False)])
+def test_offsets_of_one_quantity_that_differ_are_called_faults_of_single_sensors(offsets, differ):
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 1e-4, dt=0.1)
+    assert ("are faults of single sensors" in sentence("offset", offsets, model)) == differ
+
+
+def test_offsets_of_several_quantities_are_doubted():
+    model = controllers.LinearModel(
+        np.eye(2) * 0.9, [[0.1], [0.0]], np.repeat(np.eye(2), 2, axis=0), 1e-4, 1e-4, dt=0.1
+    )
+    both, one = sentence("offset", (1.0, 1.0, 2.0, 2.0), model), sentence("offset", (1.0, 1.0, 0.0, 0.0), model)
+    assert "Try disturbance=True in design first." in both
+    assert "Try disturbance" not in one
+
+
+def two_faulty(plant, precision=None):
+    """Return the run and the loop of an elastic joint: an encoder of the motor jumps, and later one of the link drifts."""
+    std, measured = [2e-3, 2e-3, 3e-3, 0.02], ["motor", "link"]
+    controller = controllers.design(
+        plant, measured=measured, actuated="torque", goal="link", sensors=[2, 2], sensor_std=std, noise={"push": 1.0},
+        dt=0.005, acceptable_error=0.02, acceptable_control=2.0, precision=precision,
+    )  # fmt: skip
+    faults = [cosim.Bias(sensor=0, start=2.5, magnitude=0.1), cosim.Drift(sensor=3, start=6.0, slope=0.02)]
+    loop = cosim.closed_loop(
+        plant, controller, control="torque", measured=measured, sensors=cosim.Sensors([2, 2], std), faults=faults,
+        noise={"push": cosim.Gaussian(1.0)}, reference=cosim.Sine(amplitude=0.5, period=4.0),
+    )  # fmt: skip
+    return loop.simulate(16.0, seed=1), loop
+
+
+def test_faulty_sensors_of_two_quantities_come_before_offsets_and_noise():
+    """It said that all sensors of one have offsets, or that a load acts, and the advice made the run worse."""
+    A = np.array([[0, 1, 0, 0], [-2500, -5, 2500, 0], [0, 0, 0, 1], [500, 0, -500, -0.5]])
+    B = np.array([[0, 0], [50, 0], [0, 0], [0, 10]])
+    joint = control.ss(A, B, [[1, 0, 0, 0], [0, 0, 1, 0]], 0, inputs=["torque", "push"], outputs=["motor", "link"])
+    finding = controllers.diagnose(*two_faulty(joint))
+    assert finding.kind == "sensors"
+    assert finding.sentence.startswith("The controller blames sensors 0 and 3 at the same time.")
+    assert "If they are healthy: " in finding.sentence
+    assert set(finding.others) & {"offset", "noise"}
+
+
 def test_what_happens_at_times_is_listed_and_what_lasts_is_not():
     time, times = 0.1 * np.arange(100), np.zeros(100)
     said = [moved_at_times(time, np.isin(np.arange(100), range(5, 10 * count, 10)) * 1.0) for count in (1, 3, 5)]
