@@ -191,6 +191,7 @@ def two_faulty(plant, precision=None):
     return loop.simulate(16.0, seed=1), loop
 
 
+@pytest.mark.slow
 def test_faulty_sensors_of_two_quantities_come_before_offsets_and_noise():
     """It said that all sensors of one have offsets, or that a load acts, and the advice made the run worse."""
     A = np.array([[0, 1, 0, 0], [-2500, -5, 2500, 0], [0, 0, 0, 1], [500, 0, -500, -0.5]])
