@@ -268,10 +268,10 @@ def diagnose(
 
 
 def _beside(result: ModelFinding, left: ModelFinding | None) -> ModelFinding:
-    """Return a finding beside that without the samples of blamed sensors: these are faulty, or there is another cause."""
-    if left is None:
+    """Return a finding beside that without the samples of blamed sensors, where these may be all that is wrong."""
+    if left is None or (result.kind != "unknown" and left.kind not in {"sensors", "unknown"}):
         return result
-    if result.kind == "unknown" or left.kind not in {"sensors", "unknown"}:
+    if result.kind == "unknown":
         return left
     return replace(
         left, sentence=f"{left.sentence} If they are healthy: {result.sentence}", others=(result.kind, *result.others)
