@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers.bayesian.describing import modulus
+from bayesftc.controllers.bayesian.describing import moduli
 from bayesftc.controllers.bayesian.linear import UnstableLoopWarning
 from bayesftc.controllers.bayesian.lqg import LQGController
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
@@ -309,14 +309,20 @@ def design(
 
 def _warn_if_nearly_unstable(controller: LQGController) -> None:
     slowest = np.abs(controller.closed_loop_poles()).max(initial=0.0)
-    if slowest > 1.0 + 1e-9 or (distance := modulus(controller)) >= NEARLY_UNSTABLE:
+    if slowest > 1.0 + 1e-9:
         return  # an unstable loop has its own warning
+    distances = moduli(controller)
+    j = int(distances.argmin())
+    if (distance := float(distances[j])) >= NEARLY_UNSTABLE:
+        return
     names = controller.model.names.controls if controller.model.names else ()
-    example = f'noise={{"{names[0]}": ...}}' if names else "process_covariance"
+    example = f'noise={{"{names[j]}": ...}}' if names else "process_covariance"
+    at = f'at="{names[j]}"' if len(names) > 1 else ""
     warn_user(
-        f"The loop is nearly unstable: it comes as near as {distance:.2g} to instability (modulus of loop.margins(); 1 without a "
-        f"control). An error of {100 * distance:.2g} % in what the control does may lose it. Expect noise at the control as well "
-        f"({example}), estimate a load (disturbance=True), or accept larger errors (acceptable_error).",
+        f"The loop is nearly unstable: its transfer function comes as near as {distance:.2g} to -1 (the modulus of "
+        f"loop.margins({at})). An error of about {100 * distance:.2g} % in what the control does may lose it. Expect noise at "
+        f"the control, or more of it ({example}), estimate a load (disturbance=True), or accept larger errors "
+        "(acceptable_error).",
         UnstableLoopWarning,
     )
 

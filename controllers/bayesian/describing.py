@@ -25,7 +25,8 @@ NOTHING = 1e-20
 """Largest gain, relative to the largest one, that is printed as 0."""
 
 FREQUENCIES = 500
-"""Number of frequencies at which the distance of a loop from instability is computed, besides those of its poles."""
+"""Number of frequencies at which the distance of a loop from instability is computed, besides those of its poles; then of finer
+ones about the least distance."""
 
 DAMPINGS, SAME = (1e-6, 1e-7), 0.01
 """Two dampings of undamped modes, and the relative difference up to which a standard deviation does not depend on them."""
@@ -177,11 +178,11 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats]:
     return tracking, belief
 
 
-def modulus(controller: BayesianController) -> float:
-    """Return the smallest distance of the loop from instability over all frequencies, in steady state and without limits.
+def moduli(controller: BayesianController) -> Floats:
+    """Return the smallest distance of each loop from instability over all frequencies, in steady state and without limits.
 
-    It is the least singular value of the return difference where the controls enter the plant; with one control the distance of
-    the loop transfer function from -1, as in `cosim.control.margins`.
+    It is the distance of the loop transfer function from -1 where one control enters the plant, with the other loops closed, as
+    in `cosim.control.margins`: the inverse of that control's diagonal element in the inverse of the return difference.
     """
     model = controller.model.moving
     n, m = model.states - model.disturbances, model.sensors
@@ -194,11 +195,14 @@ def modulus(controller: BayesianController) -> float:
         z = np.exp(1j * angles)[:, None, None]
         of_plant = C @ np.linalg.solve(z * np.eye(n) - A, B[None] + 0j)
         of_law = out @ np.linalg.solve(z * np.eye(len(move)) - move, given[None, :, :m] + 0j) + direct[:, :m]
-        return np.asarray(np.linalg.svd(np.eye(len(out)) - of_law @ of_plant, compute_uv=False)[:, -1])
+        inverse = np.linalg.inv(np.eye(len(out)) - of_law @ of_plant)
+        return np.asarray(1.0 / np.abs(np.diagonal(inverse, axis1=1, axis2=2)))
 
-    least = int(distances(angles).argmin())
-    around = angles[max(least - 1, 0)], angles[min(least + 1, len(angles) - 1)]
-    return float(distances(np.linspace(*around, FREQUENCIES)).min())
+    found = []
+    for j, k in enumerate(distances(angles).argmin(axis=0)):
+        around = angles[max(k - 1, 0)], angles[min(k + 1, len(angles) - 1)]
+        found.append(distances(np.linspace(*around, FREQUENCIES))[:, j].min())
+    return np.array(found)
 
 
 def _accuracy(controller: BayesianController, factor: float) -> tuple[Floats, Floats]:

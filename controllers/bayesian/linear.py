@@ -32,7 +32,7 @@ from bayesftc.cosim.types import Floats
 
 
 class UnstableLoopWarning(UserWarning):
-    """The closed loop is not stable, because of the goal and control priors or of a mode that no sensor sees."""
+    """The closed loop is not stable, or nearly unstable: because of goal and control priors, or of a mode that no sensor sees."""
 
 
 class SteadyTarget(NamedTuple):

@@ -119,8 +119,9 @@ class ModelFinding:
         (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only where another kind would count without
         it, or `model_suspect` was raised),
-        ``"sensors"`` (one or several of them failed: nothing explains the run, and without the samples for which the controller
-        blames them nothing speaks against the model), ``"start"`` (the belief starts where the samples exclude it),
+        ``"sensors"`` (one or several of them failed: nothing explains the run, or only offsets or noise, which are then among
+        the `others`, and without the samples for which the controller blames them nothing speaks against the model),
+        ``"start"`` (the belief starts where the samples exclude it),
         ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
@@ -269,7 +270,7 @@ def diagnose(
 
 def _beside(result: ModelFinding, left: ModelFinding | None) -> ModelFinding:
     """Return a finding beside that without the samples of blamed sensors, where these may be all that is wrong."""
-    if left is None or (result.kind != "unknown" and left.kind not in {"sensors", "unknown"}):
+    if left is None or (result.kind != "unknown" and left.kind != "sensors"):
         return result
     if result.kind == "unknown":
         return left

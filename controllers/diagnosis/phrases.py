@@ -33,7 +33,7 @@ def change(values: Sequence[float], model: LinearModel, units: Sequence[str | No
 
 def since(values: Sequence[float]) -> str:
     """Return from when to when something acts, of which these are the first two values."""
-    begin, end = map(_seconds, values[:2])
+    begin, end = map(seconds, values[:2])
     return (
         f"from {begin} to {end} after the first sample"
         if isfinite(values[1])
@@ -41,7 +41,7 @@ def since(values: Sequence[float]) -> str:
     )
 
 
-def _seconds(time: float) -> str:
+def seconds(time: float) -> str:
     """Return a time with four digits, without an exponent below a year: ``14410 s``."""
     return f"{time:.0f} s" if 1e3 <= time < 1e8 else f"{time:.4g} s"
 

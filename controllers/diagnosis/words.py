@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.diagnosis.candidates import AS_STATED
-from bayesftc.controllers.diagnosis.phrases import beyond, change, named, since, strongly
+from bayesftc.controllers.diagnosis.phrases import beyond, change, named, seconds, since, strongly
 from bayesftc.controllers.diagnosis.words_of_inputs import OF_INPUTS
 from bayesftc.controllers.models.disturbances import has_loads
 from bayesftc.cosim.base.numbers import counted
@@ -43,6 +43,11 @@ sensors until it is estimated."""
 
 UNEQUAL = 3.0
 """Standard deviations of a sensor from which on offsets of one quantity are no common one."""
+
+DIFFERENT = (
+    " Offsets of one quantity that differ so much are more likely faults of single sensors: look at these first."
+)
+"""What to think of such offsets."""
 
 SEVERAL = (
     " All sensors of several quantities are rarely wrong together: a load, or a control with another effect than in B, looks "
@@ -82,7 +87,7 @@ def sentence(
         "onset": partial(_onset, units=control_units, elsewhere=elsewhere),
         "noise": partial(_noise, units=control_units),
         **(OF_INPUTS if recorded else {}),
-        "offset": partial(_offset, units=units),
+        "offset": partial(_offset, units=units, controlled=moved and not recorded and not has_loads(model)),
     }
     said: dict[str, str] = {}
     for each, its in found:
@@ -162,7 +167,7 @@ def moved_at_times(time: Floats, process: Floats | None) -> str:
     moved = np.zeros(0, dtype=bool) if process is None else process >= ALARM
     if not 0.0 < np.mean(np.append(moved, False)) < AT_TIMES:
         return ""
-    first = [f"{time[begin]:.4g} s" for begin, _ in periods(moved)]
+    first = [seconds(float(time[begin])) for begin, _ in periods(moved)]
     first = first if len(first) < 4 else [*first[:2], "later"]
     when = " and ".join(filter(None, (", ".join(first[:-1]), first[-1])))
     return (
@@ -251,7 +256,7 @@ def _estimate(load: str, model: LinearModel) -> str:
     return f"estimate {load} ({_DISTURBANCE})"
 
 
-def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None], controlled: bool) -> str:
     groups = [group for group in model.alike if any(values[i] for i in group)]
     sensors = sorted(i for group in groups for i in group)
     stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
@@ -259,11 +264,10 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
     std_of = np.sqrt(np.diag(model.matrix("sensor_covariance")))
     apart = any(np.ptp([values[i] for i in group]) > UNEQUAL * max(std_of[i] for i in group) for group in groups)
+    doubts = (SEVERAL if len(groups) > 1 and controlled else "") + (DIFFERENT if apart else "")
     return (
         f"{each}. Subtract this from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
-        f"sensors={sensors}), or [[errors]] in a monitor's model file.{SEVERAL if len(groups) > 1 and np.any(model.B) else ''}"
-        + " Offsets of one quantity that differ so much are faults of single sensors: look at these first."
-        * apart
+        f"sensors={sensors}), or [[errors]] in a monitor's model file.{doubts}"
     )
 
 
@@ -286,8 +290,8 @@ def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     if state == AS_STATED:
         return (
             f"the plant is moved more at random than the model says, about as by noise of {std:.2g} times the stated standard "
-            f"deviation. State so much where it acts (noise in design and in a scenario), or multiply process_covariance by "
-            f"{std**2:.2g}."
+            "deviation, if those of the sensors are right. State so much where it acts (noise in design and in a scenario), or "
+            f"multiply process_covariance by {std**2:.2g}."
         )
     if (load := int(state) - model.states + model.disturbances) >= 0:
         return _noise_of_load(load, std, model) if has_loads(model) else _wandering(load, values[1:], model, units)

@@ -108,7 +108,7 @@ def _draw_deviation(
 def _most(signals: LoopSignals, sensor: SensorSignals, expected: Mapping[int, Floats]) -> float:
     """Return the largest expected standard deviation that has a weight beside the best sensor of the same quantity."""
     peers = next((q.sensors for q in signals.quantities if sensor.index in q.sensors), tuple(expected))
-    own = expected[sensor.index]
+    own = expected[sensor.index]  # the least of all: at the start it may be as modelled for a moment only
     usual = WORSE * float(np.nanmin(own)) if np.isfinite(own).any() else 0.0
     return max(IGNORED * _smallest(np.concatenate([expected[i] for i in peers if i in expected])), usual)
 

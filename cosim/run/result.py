@@ -47,6 +47,9 @@ _TABLES = frozenset({".csv", ".tsv", ".xlsx", ".parquet", ".json", ".mat"})
 
 DIAGNOSE = "controllers.diagnose(result, loop)"
 """The call that looks for an error of the model; its room is above this one, and it takes seconds."""
+REMEMBERED = 1000
+"""Steps within which faults of several sensors count as one after another: the check of the model remembers some hundred samples,
+and a slow sensor has one in a few steps."""
 ESTIMATE_A_LOAD = (
     "Where nobody knows the error, an estimated load, or a larger one (disturbance in design, model.with_disturbance), takes up "
     "much of what acts where the control does, and noise= of further inputs what acts there."
@@ -330,7 +333,8 @@ class Result(Mapping[str, Floats]):
         alone = any(quantity.sensors == (blamed[0],) for quantity in quantities)
         if alone:
             return f", or sensor {blamed[0]}, the only one of its quantity, is faulty,"
-        so_far = np.reshape(self[f"{block}.fault_probability"][: k + 1], (k + 1, -1)) >= ALARM
+        lately = self[f"{block}.fault_probability"][max(0, k - REMEMBERED // self.decimation) : k + 1]
+        so_far = lately.reshape(len(lately), -1) >= ALARM
         return ", or several sensors have failed, one after another," if so_far.any(axis=0).sum() > 1 else ""
 
     @cached_property

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, SignalNames, design
-from bayesftc.controllers.bayesian.describing import modulus
+from bayesftc.controllers.bayesian.describing import moduli
 from bayesftc.controllers.bayesian.linear import UnstableLoopWarning
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models import pulse_responses
@@ -178,15 +178,32 @@ def test_a_loop_that_a_small_error_would_lose_is_warned_of(expected, delays):
             input_delays=delays,
             **expected,
         )
-    found = modulus(controller)
+    (found,) = moduli(controller)
     if not delays:
         loop = cosim.closed_loop(carts, controller, control="u", measured="y", reference=0.0)
         assert found == pytest.approx(loop.margins().modulus, rel=1e-4)
     said = [str(each.message) for each in caught if each.category is UnstableLoopWarning]
     assert len(said) == (found < 0.1)
-    assert all(
-        re.search(rf'as near as {found:.2g} to instability .* \(noise={{"u": ...}}\), estimate', text) for text in said
+    assert all(re.search(rf'as near as {found:.2g} to -1 .* \(noise={{"u": ...}}\), estimate', text) for text in said)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
+def test_how_near_loops_are_to_instability_does_not_depend_on_units(unit):
+    """Each loop is opened alone, as by loop.margins(at=): watts beside a valve from 0 to 1 are no reason for a warning."""
+    rooms = control.ss(
+        [[-0.2, 0.1], [0.1, -0.3]],
+        [[1, 0.3 / unit], [0.2, 1 / unit]],
+        np.eye(2),
+        0,
+        inputs=["a", "b"],
+        outputs=["x", "y"],
     )
+    controller = controllers.design(
+        rooms, measured=["x", "y"], actuated=["a", "b"], dt=0.5, sensor_std=0.01, acceptable_error=0.1,
+        acceptable_control=[1.0, unit], noise={"a": 0.05, "b": 0.05 * unit},
+    )  # fmt: skip
+    loop = cosim.closed_loop(rooms, controller, control=["a", "b"], measured=["x", "y"], reference=[0.0, 0.0])
+    assert moduli(controller) == pytest.approx([loop.margins(at=name).modulus for name in "ab"], rel=1e-3)
 
 
 def test_a_start_elsewhere_is_no_fault_of_the_sensors_if_it_is_expected():

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.diagram.wiring import find_controller, find_inference, inferring
-from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.errors import BayesFTCError, UnknownNameError
 from bayesftc.cosim.judging.metrics import without_nan
 
 if TYPE_CHECKING:
@@ -26,13 +26,15 @@ def diagnosed(loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int
         node = find_inference(loop)
     except BayesFTCError:
         return None, 0
-    controller = inferring(node.block)
-    model, samples = checked_model(controller), source_of_samples(loop)
-    suspect, control = f"{node.name}.model_suspect", f"{node.name}.u"
-    needed = (suspect,) if isinstance(model, NonlinearModel) else (samples, control)
-    if model is None or result.decimation != 1 or not all(name in result for name in needed):
+    model = checked_model(inferring(node.block))
+    if model is None or result.decimation != 1:
         return None, 0
-    finding = diagnose(result, controller, y=samples, name=node.name)
+    if isinstance(model, NonlinearModel) and f"{node.name}.model_suspect" not in result:
+        return None, 0
+    try:
+        finding = diagnose(result, loop)
+    except UnknownNameError:  # a signal that it needs is not recorded
+        return None, 0
     return None if finding is None else without_nan(asdict(finding)), compared_samples(model, len(result.time))
 
 

@@ -122,7 +122,8 @@ def _cells(contents: Contents, beside: Pair) -> list[str]:
         "several tests)."
     )
     if rest == len(rows):
-        return [f"{tested} None of these {len(rows)} is significant. Other pairs are in the tables below."]
+        none = "It is not" if len(rows) == 1 else f"None of these {len(rows)} is"
+        return [f"{tested} {none} significant. Other pairs are in the tables below."]
     parts = [f"{word} at {count}" for word, count in (("lower", lower), ("higher", higher)) if count]
     others = "the other one" if rest == 1 else f"the other {rest}"
     more = f", and not significantly different at {others}" if rest else ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -52,16 +52,20 @@ def line_of(path: str, content: Mapping[str, Any]) -> str:
     return f"{line}.{rest}" if rest else line
 
 
-def is_unknown_to_controller(line: str) -> bool:
-    """Return whether a factor changes the plant or the sensors, and not the controller that is designed for them.
+def known_to_controller(lines: Iterable[str]) -> set[str]:
+    """Return those of a point's factors that a controller which is designed for the plant knows.
+
+    These are all but numbers of the plant and of the sensors. If another factor changes what it is connected to, such as the
+    number of sensors, it knows the numbers of that section, too.
 
     Parameters
     ----------
-    line : str
+    lines : iterable of str
         From `line_of`.
     """
-    section, *rest = _steps(line)
-    return section in SHAPES and bool(rest) and rest[0] not in SHAPES[str(section)]
+    steps = {line: _steps(line) for line in lines}
+    connected = {of[0] for of in steps.values() if len(of) == 1 or of[1] in SHAPES.get(str(of[0]), ())}
+    return {line for line, of in steps.items() if of[0] not in SHAPES or of[0] in connected}
 
 
 def _steps(path: str) -> list[str | int]:

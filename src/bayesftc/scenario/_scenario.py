@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
@@ -48,6 +49,7 @@ SECTIONS = (
 REQUIRED = ("simulation", "plant", "reference", "controller")
 
 _Seen = tuple[Block, Wiring, Sensors | None]
+"""A plant, its control and measured variables, and the sensors."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,7 @@ def scenario_of(content: Mapping[str, Any], file: Path) -> Scenario:
             plant, **{name: parts[name] for name in ("sensors", "faults", "noise", "input_faults")}, **asdict(wiring)
         )
     controller = sections.controller(
-        content, root, simulation, *_known(content, root, simulation, plant, wiring, sensors)
+        content, root, simulation, *_known(content, root, simulation, (plant, wiring, sensors))
     )
     if sensors is not None:
         with (root / "sensors").named():
@@ -229,10 +231,22 @@ def _plant_and_sensors(content: Mapping[str, Any], place: Place, simulation: Sim
     return plant, wiring, sections.sensors(content["sensors"], place / "sensors", wiring, plant)
 
 
-def _known(content: Mapping[str, Any], root: Place, simulation: Simulation, *there: Any) -> _Seen:
+def is_designed(content: Mapping[str, Any]) -> bool:
+    """Return whether a scenario's controller, or its model, is made from the plant."""
+    tables = [table if isinstance(table := content.get(name), Mapping) else {} for name in ("controller", "model")]
+    return str(tables[0].get("kind")).lower() == "design" or "kind" in tables[1]
+
+
+def _known(content: Mapping[str, Any], root: Place, simulation: Simulation, there: _Seen) -> _Seen:
     """Return the plant and the sensors that a controller is designed for: those of ``[known]``, by default those of the run."""
     if KNOWN not in content:
-        return there  # type: ignore[return-value]
+        return there
+    if not is_designed(content):
+        warn_user(
+            f"The section [{KNOWN}] has no effect: the controller is not designed for the plant. Leave it out, or choose "
+            "kind = 'design' in [controller]."
+        )
+        return there
     known = as_table(content[KNOWN], root / KNOWN)
     (root / KNOWN).refuse_unknown(known, ["plant", "sensors"])
     return _plant_and_sensors({**content, **known}, root / KNOWN, simulation)

@@ -18,9 +18,9 @@ from bayesftc.cosim.campaign.designs.samples import LatinHypercube, SaltelliDesi
 from bayesftc.cosim.campaign.runs.metrics import METRICS, Metric
 from bayesftc.cosim.errors import BayesFTCError, ScenarioError, did_you_mean
 from bayesftc.scenario._files import find_scenario, read_toml
-from bayesftc.scenario._paths import is_unknown_to_controller, line_of, set_line
+from bayesftc.scenario._paths import known_to_controller, line_of, set_line
 from bayesftc.scenario._place import Place
-from bayesftc.scenario._scenario import KNOWN, Scenario, scenario_of
+from bayesftc.scenario._scenario import KNOWN, Scenario, is_designed, scenario_of
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
 
 if TYPE_CHECKING:
@@ -111,10 +111,12 @@ class ScenarioLoop:
                 f"Two of the factors {', '.join(map(repr, factors))} refer to the same line. Leave one out."
             )
         content = self._with(lines)
-        known = {line: value for line, value in lines.items() if not is_unknown_to_controller(line)}
-        if len(known) < len(lines) and KNOWN not in content:
-            before = self._with(known)
-            content[KNOWN] = {name: before[name] for name in ("plant", "sensors") if name in before}
+        known = known_to_controller(lines)
+        if len(known) < len(lines) and is_designed(content):
+            before = self._with({line: lines[line] for line in known})
+            content[KNOWN] = {name: before[name] for name in ("plant", "sensors") if name in before} | content.get(
+                KNOWN, {}
+            )
         return content
 
     def _with(self, lines: Mapping[str, Any]) -> dict[str, Any]:

@@ -164,7 +164,7 @@ def test_bumps_are_named_beside_other_dynamics(seed):
 @pytest.mark.parametrize(("offsets", "differ"), [((0.086, -0.017), True), ((0.086, 0.09), False)])
 def test_offsets_of_one_quantity_that_differ_are_called_faults_of_single_sensors(offsets, differ):
     model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 1e-4, dt=0.1)
-    assert ("are faults of single sensors" in sentence("offset", offsets, model)) == differ
+    assert ("are more likely faults of single sensors" in sentence("offset", offsets, model)) == differ
 
 
 def test_offsets_of_several_quantities_are_doubted():
@@ -174,14 +174,18 @@ def test_offsets_of_several_quantities_are_doubted():
     both, one = sentence("offset", (1.0, 1.0, 2.0, 2.0), model), sentence("offset", (1.0, 1.0, 0.0, 0.0), model)
     assert "Try disturbance=True in design first." in both
     assert "Try disturbance" not in one
+    assert "Try disturbance" not in sentence(
+        "offset", (1.0, 1.0, 2.0, 2.0), model, recorded=True
+    )  # a monitor has no design
+    assert "Try disturbance" not in sentence("offset", (1.0, 1.0, 2.0, 2.0), model.with_disturbance(1e-4))
 
 
-def two_faulty(plant, precision=None):
+def two_faulty(plant):
     """Return the run and the loop of an elastic joint: an encoder of the motor jumps, and later one of the link drifts."""
     std, measured = [2e-3, 2e-3, 3e-3, 0.02], ["motor", "link"]
     controller = controllers.design(
         plant, measured=measured, actuated="torque", goal="link", sensors=[2, 2], sensor_std=std, noise={"push": 1.0},
-        dt=0.005, acceptable_error=0.02, acceptable_control=2.0, precision=precision,
+        dt=0.005, acceptable_error=0.02, acceptable_control=2.0,
     )  # fmt: skip
     faults = [cosim.Bias(sensor=0, start=2.5, magnitude=0.1), cosim.Drift(sensor=3, start=6.0, slope=0.02)]
     loop = cosim.closed_loop(

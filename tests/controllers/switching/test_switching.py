@@ -692,7 +692,7 @@ def test_the_loss_of_a_slow_sensor_counts_the_steps_between_its_samples(loss, be
 
 @pytest.mark.parametrize("every", [2, 10, 50])
 def test_a_slow_sensor_that_is_back_has_no_alarm_between_its_samples(every):
-    """The steps between two samples speak against neither; a sensor that has dropped out sends as rarely of what is due."""
+    """A sensor that has dropped out sends as rarely of what is due, however slow it is."""
     model = controllers.LinearModel([[1.0]], [[0.0]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.01)
     step = controllers.StateEstimator(model, SwitchingPrecision().for_rates((1, every), (1, 1))).online()
     rng, p = np.random.default_rng(every), []

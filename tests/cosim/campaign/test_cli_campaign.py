@@ -249,6 +249,14 @@ def test_a_controller_is_designed_for_the_plant_of_the_file_whatever_the_plant_i
     content["controller"]["acceptable_error"] = 0.02
     same_bits(run(ScenarioLoop(loop.path, content)()), run(loop(**{"controller.acceptable_error": 0.02})))
     assert loop(**{"sensors.count": 3, "plant.J": 0.03})["controller"].block.model.sensors == 3
+    both = loop(**{"sensors.count": 3, "sensors.std": [0.01, 0.02, 0.03]})["controller"].block.model
+    np.testing.assert_allclose(np.diag(both.matrix("sensor_covariance")), np.square([0.01, 0.02, 0.03]))
+    # What the file says of one of both is kept, and the other is that of the file, too.
+    said = ScenarioLoop(loop.path, {**content, "known": {"plant": {**content["plant"], "parameters": {"J": 0.02}}}})
+    for factor in ({}, {"sensors.std": 0.05}, {"plant.J": 0.03}):
+        known = said(**factor)["controller"].block.model
+        np.testing.assert_allclose(np.diag(known.matrix("sensor_covariance")), [1e-4, 1e-4])
+        np.testing.assert_array_equal(known.matrix("A"), said()["controller"].block.model.matrix("A"))
 
 
 def test_two_names_of_one_line_are_refused(tmp_path):

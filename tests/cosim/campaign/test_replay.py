@@ -6,6 +6,7 @@ import pickle
 import re
 import sys
 
+import control
 import numpy as np
 import pytest
 
@@ -76,6 +77,23 @@ def test_a_replay_lists_the_inferred_faults_as_a_run_does(bayesftc_, tmp_path):
     for done in (replayed, run):
         assert "Faults that the controller infers" in done.stdout, done.output
         assert "The model\nA comparison with the 401 samples found no error" in done.stdout, done.output
+
+
+def test_a_replay_with_an_estimator_alone_compares_its_model(said, tmp_path):
+    """Its control is a signal of another block. The plant moves twice as far as the model says."""
+    from bayesftc import controllers
+
+    model = controllers.LinearModel([[0.95]], [[0.05]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    system = control.ss([[0.95]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"])
+    diagram = cosim.Diagram(0.1)
+    blocks = cosim.StateSpace(system), cosim.Sensors(2, 0.1), controllers.StateEstimator(model), cosim.Sine(1.0, 4.0)
+    plant, sensors, estimator, source = map(diagram.add, blocks, ("plant", "sensors", "estimator", "source"))
+    diagram.connect(source["y"], plant["u"])
+    diagram.connect(plant["y"], sensors["u"])
+    diagram.connect(sensors["y"], estimator["y"])
+    diagram.connect(source["y"], estimator["u"])
+    cosim.Campaign(diagram, duration=60.0, grid={"source.amplitude": [1.0, 2.0]}).run(tmp_path / "estimated")
+    assert said("estimated", 1)["model"]["kind"] == "gain"
 
 
 def test_a_run_that_differs_is_told(said, tmp_path):

@@ -145,7 +145,7 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
     numbers |= numbers_of(signals)
     numbers["notes"] += result.suspicions
     numbers["model"], compared = diagnosed(diagram, result)
-    numbers["model_without_error"] = None if numbers["model"] or not compared else compared
+    numbers["model_without_error"] = None if numbers["model"] or result.suspicions or not compared else compared
     if not json and not quiet:
         output.print_report(numbers)
     if out is not None:

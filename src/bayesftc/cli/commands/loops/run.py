@@ -122,7 +122,8 @@ def run(
     hints = _blamed(numbers, signals, loaded.controller, result.decimation)
     said = [note for note in numbers["notes"] if not any(note in hint for hint in hints)]  # a hint has advice as well
     numbers["notes"] = [*said, *hints]
-    numbers["model_without_error"] = None if numbers["model"] or hints or not compared else compared
+    blaming = numbers["model"] or hints or result.suspicions
+    numbers["model_without_error"] = None if blaming or not compared else compared
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
     elif _is_ser(loaded):
