@@ -58,7 +58,7 @@ def test_the_alarms_of_a_run_do_not_begin_inside_the_one_before():
         chances=None, onset=np.full(40, 2.0), size=np.full(40, 1.0),
     )  # fmt: skip
     run = SimpleNamespace(
-        time=np.arange(40.0), sensors=[sensor], actuators=[], process=None, sensor_name=lambda i: f"sensor {i}"
+        time=np.arange(40.0), sensors=[sensor], actuators=[], moved=None, sensor_name=lambda i: f"sensor {i}"
     )
     assert [(found.onset, found.start, found.end) for found in findings(run)] == [(2.0, 3.0, 4.0), (4.0, 30.0, 31.0)]
 
