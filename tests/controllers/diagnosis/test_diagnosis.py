@@ -145,7 +145,7 @@ def test_noise_of_a_stated_input_that_is_larger_has_its_factor(std, seed):
     finding = on_a_road(cosim.Gaussian(std), seed)
     assert finding.kind == "noise"
     assert finding.values == (-2.0, pytest.approx(std / 0.005, rel=0.3))
-    assert "times the stated standard deviation. State so much where it acts" in finding.sentence
+    assert "times the stated standard deviation, if those of the sensors are right. State so much" in finding.sentence
 
 
 @pytest.mark.sampled(1)
