@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesftc.controllers.bayesian.describing import moduli
 from bayesftc.controllers.bayesian.linear import UnstableLoopWarning
 from bayesftc.controllers.bayesian.lqg import LQGController
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
+from bayesftc.controllers.bayesian.steady import moduli
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
 from bayesftc.controllers.estimation.innovation import predicted_covariance
 from bayesftc.controllers.estimation.unused import warn_of_unused

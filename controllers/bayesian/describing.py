@@ -24,10 +24,6 @@ LASTING = 1e-9
 NOTHING = 1e-20
 """Largest gain, relative to the largest one, that is printed as 0."""
 
-FREQUENCIES = 500
-"""Number of frequencies at which the distance of a loop from instability is computed, besides those of its poles; then of finer
-ones about the least distance."""
-
 DAMPINGS, SAME = (1e-6, 1e-7), 0.01
 """Two dampings of undamped modes, and the relative difference up to which a standard deviation does not depend on them."""
 
@@ -176,33 +172,6 @@ def expected_accuracy(controller: BayesianController) -> tuple[Floats, Floats]:
     more, less = (np.array(_accuracy(controller, 1.0 - damping)) for damping in DAMPINGS)
     tracking, belief = np.where(np.abs(less - more) > SAME * more, np.inf, less)
     return tracking, belief
-
-
-def moduli(controller: BayesianController) -> Floats:
-    """Return the smallest distance of each loop from instability over all frequencies, in steady state and without limits.
-
-    It is the distance of the loop transfer function from -1 where one control enters the plant, with the other loops closed, as
-    in `cosim.control.margins`: the inverse of that control's diagonal element in the inverse of the return difference.
-    """
-    model = controller.model.moving
-    n, m = model.states - model.disturbances, model.sensors
-    A, B, C = model.matrix("A")[:n, :n], model.matrix("B")[:n], model.matrix("C")[:, :n]
-    move, given, out, direct = controller.feedback()
-    resonances = np.abs(np.angle(np.linalg.eigvals(controller.closed_loop_matrix())))
-    angles = np.sort(np.concatenate([np.geomspace(1e-5, np.pi, FREQUENCIES), resonances[resonances > 1e-5]]))
-
-    def distances(angles: Floats) -> Floats:
-        z = np.exp(1j * angles)[:, None, None]
-        of_plant = C @ np.linalg.solve(z * np.eye(n) - A, B[None] + 0j)
-        of_law = out @ np.linalg.solve(z * np.eye(len(move)) - move, given[None, :, :m] + 0j) + direct[:, :m]
-        inverse = np.linalg.inv(np.eye(len(out)) - of_law @ of_plant)
-        return np.asarray(1.0 / np.abs(np.diagonal(inverse, axis1=1, axis2=2)))
-
-    found = []
-    for j, k in enumerate(distances(angles).argmin(axis=0)):
-        around = angles[max(k - 1, 0)], angles[min(k + 1, len(angles) - 1)]
-        found.append(distances(np.linspace(*around, FREQUENCIES))[:, j].min())
-    return np.array(found)
 
 
 def _accuracy(controller: BayesianController, factor: float) -> tuple[Floats, Floats]:

@@ -1,19 +1,22 @@
-"""The gains of filter and control in steady state, from which stability is judged.
+"""The gains of filter and control in steady state, from which stability is judged, and how near a loop is to instability.
 
-They take a few hundred steps of the covariances, most of the time of making a controller. They depend on the model and the
+Gains take a few hundred steps of the covariances, most of the time of making a controller. They depend on the model and the
 priors only, and are cached: a campaign over plants or over settings of the precision learner computes them once.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from bayesftc.controllers.bayesian.block import VARIANCE_CAP
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.controllers.bayesian.linear import BayesianController
 
 Packed = tuple[tuple[int, ...], bytes]
 """A matrix as a cache key: its shape and its elements."""
@@ -30,6 +33,10 @@ _NAMES = (
     "the control prior's precision",
     "the initial covariance",
 )
+
+FREQUENCIES = 500
+"""Number of frequencies at which the distance of a loop from instability is computed, besides those of its poles; then of finer
+ones about the least distance."""
 
 
 class Gains(NamedTuple):
@@ -127,4 +134,31 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
     return Gains(*(np.asarray(gain, float) for gain in (K, L, M, T, F)))
 
 
-__all__ = ["Gains", "steady_gains"]
+def moduli(controller: BayesianController) -> Floats:
+    """Return the smallest distance of each loop from instability over all frequencies, in steady state and without limits.
+
+    It is the distance of the loop transfer function from -1 where one control enters the plant, with the other loops closed, as
+    in `cosim.control.margins`: the inverse of that control's diagonal element in the inverse of the return difference.
+    """
+    model = controller.model.moving
+    n, m = model.states - model.disturbances, model.sensors
+    A, B, C = model.matrix("A")[:n, :n], model.matrix("B")[:n], model.matrix("C")[:, :n]
+    move, given, out, direct = controller.feedback()
+    resonances = np.abs(np.angle(np.linalg.eigvals(controller.closed_loop_matrix())))
+    angles = np.sort(np.concatenate([np.geomspace(1e-5, np.pi, FREQUENCIES), resonances[resonances > 1e-5]]))
+
+    def distances(angles: Floats) -> Floats:
+        z = np.exp(1j * angles)[:, None, None]
+        of_plant = C @ np.linalg.solve(z * np.eye(n) - A, B[None] + 0j)
+        of_law = out @ np.linalg.solve(z * np.eye(len(move)) - move, given[None, :, :m] + 0j) + direct[:, :m]
+        inverse = np.linalg.inv(np.eye(len(out)) - of_law @ of_plant)
+        return np.asarray(1.0 / np.abs(np.diagonal(inverse, axis1=1, axis2=2)))
+
+    found = []
+    for j, k in enumerate(distances(angles).argmin(axis=0)):
+        around = angles[max(k - 1, 0)], angles[min(k + 1, len(angles) - 1)]
+        found.append(distances(np.linspace(*around, FREQUENCIES))[:, j].min())
+    return np.array(found)
+
+
+__all__ = ["Gains", "moduli", "steady_gains"]

@@ -11,8 +11,8 @@ from scipy.linalg import expm
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, SignalNames, design
-from bayesftc.controllers.bayesian.describing import moduli
 from bayesftc.controllers.bayesian.linear import UnstableLoopWarning
+from bayesftc.controllers.bayesian.steady import moduli
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models import pulse_responses
 from bayesftc.controllers.models.differences import derivative

@@ -48,7 +48,7 @@ def guarded(debug: bool = False) -> Iterator[None]:
         )
         raise typer.Exit(NO_MEMORY) from None
     except BrokenPipeError:  # the reader of the output, such as `head`, has closed it
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        print_nothing_more()
         raise typer.Exit(BROKEN_PIPE) from None
     except Exception as error:
         if isinstance(error, typer.Exit | typer.BadParameter):
@@ -56,6 +56,12 @@ def guarded(debug: bool = False) -> Iterator[None]:
         traceback.print_exc()
         _say("Error: this is a bug in bayesftc. Please report it, with the lines above and the command that you ran.")
         raise typer.Exit(BUG) from None
+
+
+def print_nothing_more() -> None:
+    """Discard what is still printed, because nobody reads it."""
+    with open(os.devnull, "w") as nothing:
+        os.dup2(nothing.fileno(), 1)
 
 
 def _say(sentence: str) -> None:

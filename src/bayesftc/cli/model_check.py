@@ -19,7 +19,7 @@ def diagnosed(loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int
 
     The first is None without enough evidence against the model, the second 0 if no model was compared.
     """
-    from bayesftc.controllers import NonlinearModel, diagnose
+    from bayesftc.controllers import diagnose
     from bayesftc.controllers.diagnosis.diagnose import checked_model, compared_samples
 
     try:
@@ -28,8 +28,6 @@ def diagnosed(loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int
         return None, 0
     model = checked_model(inferring(node.block))
     if model is None or result.decimation != 1:
-        return None, 0
-    if isinstance(model, NonlinearModel) and f"{node.name}.model_suspect" not in result:
         return None, 0
     try:
         finding = diagnose(result, loop)

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bayesftc.cli.guard import print_nothing_more
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.errors import ResultFileError
 from bayesftc.cosim.judging.metrics import without_nan
@@ -372,7 +373,7 @@ def terminal(width: int | None = None) -> Console:
         def on_broken_pipe(self) -> None:
             """Go on in silence: rich would exit, and no file be written, because `head` has read enough."""
             self.quiet = True
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            print_nothing_more()
 
     return Terminal(highlight=False, markup=False, emoji=False, width=width)
 
