@@ -562,10 +562,11 @@ def advice_on(signals: LoopSignals, sensor: int) -> str:
     if quantity.belief is None or quantity.spread is None:
         return LOOK_AT_MODEL
     blamed = wrongly & np.isfinite(of.samples)
-    apart, expected = (
-        float(np.sqrt(np.mean(values[blamed] ** 2))) if blamed.any() else np.nan
-        for values in (of.samples - quantity.belief, quantity.spread)
-    )
+    with np.errstate(over="ignore"):  # of a loop that diverges
+        apart, expected = (
+            float(np.sqrt(np.mean(values[blamed] ** 2))) if blamed.any() else np.nan
+            for values in (of.samples - quantity.belief, quantity.spread)
+        )
     if not apart < QUIET * expected:
         return LOOK_AT_MODEL
     unit = of.unit or ""

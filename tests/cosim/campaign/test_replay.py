@@ -12,6 +12,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.cosim.run.result import Result
+from bayesftc.scenario import shipped_scenarios
 
 pytest.importorskip("zarr", reason="stores need the extra 'campaign'")
 
@@ -77,6 +78,25 @@ def test_a_replay_lists_the_inferred_faults_as_a_run_does(bayesftc_, tmp_path):
     for done in (replayed, run):
         assert "Faults that the controller infers" in done.stdout, done.output
         assert "The model\nA comparison with the 401 samples found no error" in done.stdout, done.output
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("process_covariance = 0.001", "process_covariance = 1e-5", "Look at the model first"),
+        ("initial_mean = 20.0", "initial_mean = 20.0\nu_max = 100.0", "force is at its limit of 100 N for"),
+    ],
+)
+def test_a_replay_has_the_notes_of_a_run(said, bayesftc_, tmp_path, old, new, words):
+    text = shipped_scenarios()["cruise_control"].read_text()
+    assert old in text
+    (tmp_path / "car.toml").write_text(text.replace(old, new, 1))
+    (tmp_path / "study.toml").write_text('scenario = "car.toml"\nseeds = 1\n')
+    assert bayesftc_("campaign", "study.toml", "-q").exit_code == 0
+    replayed = said("study", 0)
+    run = json.loads(bayesftc_("run", "car.toml", "--seed", replayed["seed"], "--json").stdout)
+    assert any(words in note for note in replayed["notes"])
+    assert replayed["notes"][1:] == run["notes"]
 
 
 def test_a_replay_with_an_estimator_alone_compares_its_model(said, tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
-from bayesftc.cli.model_check import diagnosed
+from bayesftc.cli.findings import add_findings, notes_on
 from bayesftc.cli.options import Json, Quiet, RunFolder, Store
 from bayesftc.cli.page import HOST, PORT, Host, OpenPage, PagePort, need_console, serve_page
 from bayesftc.cosim.base.announcing import reported
@@ -143,9 +143,8 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
             typer.echo(output.as_json(numbers) if json else "\n\n".join([*numbers["notes"], *written]))
         return
     numbers |= numbers_of(signals)
-    numbers["notes"] += result.suspicions
-    numbers["model"], compared = diagnosed(diagram, result)
-    numbers["model_without_error"] = None if numbers["model"] or result.suspicions or not compared else compared
+    numbers["notes"] += notes_on(diagram, result, signals)
+    add_findings(numbers, diagram, result, signals)
     if not json and not quiet:
         output.print_report(numbers)
     if out is not None:

@@ -16,14 +16,14 @@ import typer
 from bayesftc._interrupt import Interrupted
 from bayesftc.cli import completion, output
 from bayesftc.cli.commands.loops._compare import compare_scenarios
-from bayesftc.cli.model_check import diagnosed, source_of_samples
+from bayesftc.cli.findings import add_findings, notes_on, source_of_samples
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed, check_numbers
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
-from bayesftc.cosim.judging.findings import advice_on, blamed_together, never_began, numbers_of, often_blamed
-from bayesftc.cosim.judging.metrics import limited, without_nan
+from bayesftc.cosim.judging.findings import numbers_of
+from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.scenario import Scenario, load_scenario
@@ -31,7 +31,6 @@ from bayesftc.scenario._unused import unused
 
 if TYPE_CHECKING:
     from bayesftc.controllers import BayesianController, LinearModel
-    from bayesftc.cosim.block import Block
     from bayesftc.cosim.diagram.diagram import Diagram
     from bayesftc.cosim.run.result import Result
     from bayesftc.cosim.run.running import Progress
@@ -118,12 +117,7 @@ def run(
             error.args = (f"{said} The signals up to then are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
-    numbers["model"], compared = diagnosed(loop, result)
-    hints = _blamed(numbers, signals, loaded.controller, result.decimation)
-    said = [note for note in numbers["notes"] if not any(note in hint for hint in hints)]  # a hint has advice as well
-    numbers["notes"] = [*said, *hints]
-    blaming = numbers["model"] or hints or result.suspicions
-    numbers["model_without_error"] = None if blaming or not compared else compared
+    add_findings(numbers, loop, result, signals)
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
     elif _is_ser(loaded):
@@ -197,46 +191,13 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         **numbers_of(signals),
         "notes": [
             *_notes(scenario, signals, _unrecorded(loop, result)),
-            *result.suspicions,
-            *(f"The {note}. {advice}" for note, advice in limited(signals)),
-            *(never_began(loop, result) if result.decimation == 1 else ()),
+            *notes_on(loop, result, signals),
         ],
     }
     if pace := result.metadata.get("pace"):
         numbers["pace"] = pace
         numbers["notes"].append(_in_time(pace))
     return numbers, signals
-
-
-def _blamed(numbers: Mapping[str, Any], signals: LoopSignals, controller: Block, decimation: int) -> list[str]:
-    """Return a hint if a healthy sensor is blamed often, and nothing else says what is wrong in the model."""
-    together = {
-        of: [f"{note[0].upper()}{note[1:]}." for note in notes]
-        for of, notes in blamed_together(signals, decimation).items()
-    }
-    if together["named"]:
-        return together["named"]
-    often = often_blamed(signals)
-    if often is None or numbers["model"]:
-        return []
-    worst, note = often
-    blamed = " ".join(together["model"]) or f"{note[0].upper()}{note[1:]}."
-    return [f"{blamed} {_scatter(signals, worst, controller) or advice_on(signals, worst)}"]
-
-
-def _scatter(signals: LoopSignals, sensor: int, controller: Block) -> str:
-    """Return a sentence if a sensor's healthy samples are further from the true values than its model expects; else nothing."""
-    of = signals.sensors[sensor]
-    truth = next((q.truth for q in signals.quantities if sensor in q.sensors), None)
-    covariance = getattr(getattr(controller, "model", None), "sensor_covariance", None)
-    if of.samples is None or of.faulty is None or truth is None or covariance is None:
-        return ""
-    from bayesftc.controllers.diagnosis.scatter import scatter
-
-    expected = float(np.sqrt(np.asarray(covariance)[sensor, sensor]))
-    errors = (of.samples - truth)[~of.faulty]
-    subject = "Its healthy samples differ from the true values"
-    return scatter(errors, expected, of.unit, subject, "the square root of its sensor_covariance")
 
 
 def _in_time(pace: Mapping[str, float]) -> str:
