@@ -225,6 +225,8 @@ def test_a_controller_may_be_designed_for_another_plant_and_other_sensors(write)
     np.testing.assert_allclose(wrong.controller.model.matrix("sensor_covariance"), np.diag([0.05**2] * 2))
     with pytest.raises(ScenarioError, match=r"'known' has the unknown key 'noise'; known names: plant, sensors"):
         load_scenario(write(text=f"{text}\n[known.noise]\nstd = 1\n"))
+    with pytest.raises(ScenarioError, match=r"'known' gives the controller 3 sensors, but the run has 2\. Repeat in"):
+        load_scenario(write(text=f"{text}\n[known.sensors]\ncount = 3\nstd = 0.05\n"))
     with pytest.warns(UserWarning, match=r"The section \[known\] has no effect: the controller is not designed"):
         load_scenario(write(text=f"{find_scenario('cruise_control').read_text()}\n[known.sensors]\ncount = 7\n"))
     with pytest.raises(ScenarioError, match=r"'known\.plant' lacks 'measured'"):

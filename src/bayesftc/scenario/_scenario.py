@@ -249,7 +249,21 @@ def _known(content: Mapping[str, Any], root: Place, simulation: Simulation, ther
         return there
     known = as_table(content[KNOWN], root / KNOWN)
     (root / KNOWN).refuse_unknown(known, ["plant", "sensors"])
-    return _plant_and_sensors({**content, **known}, root / KNOWN, simulation)
+    designed_for = _plant_and_sensors({**content, **known}, root / KNOWN, simulation)
+    counts = [_count_samples(wiring, plant, sensors) for plant, wiring, sensors in (designed_for, there)]
+    if counts[0] != counts[1]:
+        raise (root / KNOWN).error(
+            f"gives the controller {counts[0]} sensors, but the run has {counts[1]}. Repeat in [{KNOWN}.plant] and "
+            f"[{KNOWN}.sensors] what is the same, as 'measured' and 'count'."
+        )
+    return designed_for
+
+
+def _count_samples(wiring: Wiring, plant: Block, sensors: Sensors | None) -> int:
+    if sensors is not None:
+        return len(sensors)
+    names = [wiring.measured] if isinstance(wiring.measured, str) else wiring.measured
+    return sum(port.size for port in plant.outputs if port.name in names)
 
 
 def _steps_of(controller: Block, simulation: Simulation) -> int:
