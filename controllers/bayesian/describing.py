@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Any
 
@@ -194,17 +195,27 @@ def _accuracy(controller: BayesianController, factor: float) -> tuple[Floats, Fl
     return _std(G @ covariance[:plant, :plant] @ G.T), _std(G @ belief @ G.T)
 
 
-def pole_lines(poles: Any, at_zero: int) -> list[str]:
+def pole_lines(poles: Any, dt: float, at_zero: int) -> list[str]:
     """Return a line with the poles of plant and filter together."""
-    return [f"Poles of the closed loop, the filter's included: {listed(poles, at_zero)}."]
+    return [f"Poles of the closed loop, the filter's included: {listed(poles, dt, at_zero)}."]
 
 
-def listed(poles: Any, at_zero: int = 0) -> str:
+def listed(poles: Any, dt: float, at_zero: int = 0) -> str:
     """Return poles as text, the slowest first; `at_zero` is the number of further ones at 0, those of delays."""
     ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))
     slowest = abs(ordered[0]) if ordered else 0.0
     zeros = f", and {at_zero} at 0 for the delays" if at_zero else ""
-    return ", ".join(shown(pole) for pole in ordered) + zeros + f"; the slowest of magnitude {slowest:.3f}"
+    return ", ".join(shown(pole) for pole in ordered) + zeros + f"; the slowest of magnitude {_with_time(slowest, dt)}"
+
+
+def _with_time(magnitude: float, dt: float) -> str:
+    """Return the magnitude of a pole, with the time constant of its mode."""
+    decay = 1.0 - magnitude
+    if decay > LASTING:
+        decimals = max(3, 1 - math.floor(math.log10(decay)))
+        time = f" (time constant {-dt / math.log(magnitude):.3g} s)" if magnitude > 0.0 else ""
+        return f"{magnitude:.{decimals}f}{time}"
+    return "1 (does not decay)" if decay >= -LASTING else f"{magnitude:.3f} (grows)"
 
 
 def _differs(value: Any, setting: Any) -> bool:

@@ -389,7 +389,7 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
         from bayesftc.controllers.bayesian.describing import pole_lines
 
         of, past = self._apart
-        return pole_lines(of._relevant_poles(), 2 * past)
+        return pole_lines(of._relevant_poles(), float(self.model.step), 2 * past)
 
     def _steady_gains(self, A: Floats, B: Floats, C: Floats, G: Floats) -> Gains:
         """Return the gains of filter and control in steady state."""

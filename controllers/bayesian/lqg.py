@@ -197,9 +197,10 @@ class LQGController(BayesianController):
         of, past = self._apart
         plant = of.model.states - of.model.disturbances
         A, B = of.model.matrix("A")[:plant, :plant], of.model.matrix("B")[:plant]
-        lines = [f"Closed-loop poles of the control: {listed(of.regulator.poles(A, B), past)}."]
-        lines.append(f"All poles, the filter's included: {listed(of._relevant_poles(), 2 * past)}.")
-        lines.append(f"Without control: {listed(np.linalg.eigvals(A), past)}.")
+        dt = float(of.model.step)
+        lines = [f"Closed-loop poles of the control: {listed(of.regulator.poles(A, B), dt, past)}."]
+        lines.append(f"All poles, the filter's included: {listed(of._relevant_poles(), dt, 2 * past)}.")
+        lines.append(f"Without control: {listed(np.linalg.eigvals(A), dt, past)}.")
         if self.preview:
             ahead = show(self.preview * self.model.step)
             lines.append(f"The input goal is the goal of {self.preview} samples later ({ahead} s).")

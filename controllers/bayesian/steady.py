@@ -1,7 +1,7 @@
 """The gains of filter and control in steady state, from which stability is judged, and how near a loop is to instability.
 
-Gains take a few hundred steps of the covariances, most of the time of making a controller. They depend on the model and the
-priors only, and are cached: a campaign over plants or over settings of the precision learner computes them once.
+Gains take steps of the covariances, most of the time of making a controller. They depend on the model and the priors only, and
+are cached: a campaign over plants or over settings of the precision learner computes them once.
 """
 
 from __future__ import annotations
@@ -37,6 +37,17 @@ _NAMES = (
 FREQUENCIES = 500
 """Number of frequencies at which the distance of a loop from instability is computed, besides those of its poles; then of finer
 ones about the least distance."""
+
+
+STEPS = 2000
+"""Largest number of single steps of the covariances."""
+LEAP_AFTER = 64
+"""Number of single steps before many steps are taken at once."""
+DOUBLINGS = 20
+"""Number of doublings of the steps taken at once: a million steps. A slower filter has no steady state in practice, as that of
+a constant without process noise, whose gain falls as the inverse of the number of samples."""
+SETTLED = 1e-10
+"""Largest change of a covariance by which it counts as steady, in units in which its variances are 1."""
 
 
 class Gains(NamedTuple):
@@ -118,20 +129,63 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
     start = start * min(1.0, 1e6 / max(1.0, float((np.diag(C @ start @ C.T) / np.diag(R)).max())))
     predicted = start + Q + 1e-9 * np.trace(R) * one
     largest = VARIANCE_CAP * np.trace(predicted)
-    for _ in range(2000):  # the covariances' recursion, which diverges for an undetectable model
-        K = np.linalg.solve(C @ predicted @ C.T + R, C @ predicted).T
+    goals = GA.T @ V @ GA if joint else np.zeros_like(A)
+    for taken in range(STEPS):  # the covariances' recursion, which diverges for an undetectable model
+        innovation = C @ predicted @ C.T + R
+        K = np.linalg.solve(innovation, C @ predicted).T
         P = (one - K @ C) @ predicted @ (one - K @ C).T + K @ R @ K.T
-        T = np.linalg.inv(one + P @ GA.T @ V @ GA) if joint else one
+        T = np.linalg.inv(one + P @ goals)
         following = A @ (T @ P) @ A.T + Q
-        change = np.abs(following - predicted).max()
-        predicted = (following + following.T) / 2
-        if change <= 1e-10 * np.abs(predicted).max() or np.trace(predicted) > largest:
+        before, predicted = predicted, (following + following.T) / 2
+        if _is_close(predicted, before) or np.trace(predicted) > largest:
             break
+        if taken == LEAP_AFTER:
+            update = one - K @ C
+            information = C.T @ np.linalg.solve(innovation, C) + update.T @ goals @ T @ update
+            units = _units(before)  # in which pivots of inverses are those of the problem, not of its units
+            scale = np.outer(units, units)
+            leapt = before + scale * _leap(
+                A @ T @ update * units / units[:, None], information * scale, (predicted - before) / scale
+            )
+            if np.isfinite(leapt).all() and np.trace(leapt) <= largest:
+                predicted = leapt
     weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
     information = prior + GB.T @ weight
     L, M = np.linalg.solve(information, weight.T @ GA), np.linalg.solve(information, weight.T)
     F = T @ P @ GA.T @ V if joint else np.zeros((len(A), len(G)))
     return Gains(*(np.asarray(gain, float) for gain in (K, L, M, T, F)))
+
+
+def _is_close(P: Floats, other: Floats) -> bool:
+    """Return whether two covariances are equal but for SETTLED, in units in which the variances of the first are 1."""
+    units = _units(P)
+    return bool((np.abs(P - other) <= SETTLED * np.outer(units, units)).all())
+
+
+def _units(P: Floats) -> Floats:
+    """Return units of the states in which the variances of a covariance are 1."""
+    return np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
+
+
+def _leap(F: Floats, information: Floats, change: Floats) -> Floats:
+    """Return the change of a covariance over many steps, given that over the next one.
+
+    From a covariance P on, its change D obeys D' = F D (I + S D)^-1 F' + change, where F is the transition of the prediction's
+    error and S the information of the samples, both at P. Two such maps in a row are again such a map, so that the number of
+    steps doubles (Anderson 1978, the doubling algorithm).
+    """
+    one = np.eye(len(F))
+    with np.errstate(all="ignore"):  # of an undetectable model; whoever uses the result judges it
+        for _ in range(DOUBLINGS):
+            weight = np.linalg.inv(one + change @ information)
+            following = change + F @ weight @ change @ F.T
+            information = information + F.T @ information @ weight @ F
+            F = F @ weight @ F
+            if not np.isfinite(following).all() or np.array_equal(following, change):
+                break
+            change = (following + following.T) / 2
+            information = (information + information.T) / 2
+    return change
 
 
 def moduli(controller: BayesianController) -> Floats:

@@ -116,7 +116,8 @@ def test_a_bayesian_controller_says_its_poles_and_why_it_has_no_probability():
     )  # fmt: skip
     text = controller.describe()
     largest = np.abs(controller.closed_loop_poles()).max()
-    assert f"the slowest of magnitude {largest:.3f}" in text.splitlines()[0]
+    constant = -MODEL.dt / np.log(largest)
+    assert f"the slowest of magnitude {largest:.3f} (time constant {constant:.3g} s)" in text.splitlines()[0]
     assert "GammaPrecision, with forgetting=0.8." in text
     assert "There is no fault probability: GammaPrecision has no calibration" in text
 

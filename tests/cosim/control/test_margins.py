@@ -114,7 +114,7 @@ def test_margins_and_poles_do_not_depend_on_the_units_of_the_states():
         closed = cosim.closed_loop(
             plant, controller, control="valve", measured=["x", "p"], sensors=sensors, reference=0.1
         )
-        poles = re.search(r"All poles.*the slowest of magnitude ([\d.]+)\.", controller.describe())[1]
+        poles = re.search(r"All poles.*the slowest of magnitude ([\d.]+) \(", controller.describe())[1]
         assert float(poles) == pytest.approx(np.abs(closed.poles()).max(), abs=1e-3)
         _, phases, _, _, crossovers, _ = control.stability_margins(closed.linear().open(), returnall=True)
         delay = min(np.deg2rad(phase % 360) / w for phase, w in zip(phases, crossovers, strict=True))
