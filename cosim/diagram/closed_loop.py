@@ -160,6 +160,7 @@ def closed_loop(
     controller = with_arrays(controller)
     _check_kinds(plant, controller, sensors, noise)
     diagram = Diagram(base_step(controller, dt))
+    diagram.defer_units()  # a block that converts them may replace a connection of the loop
     goals = [diagram.add(block, name)[output] for name, block, output in _references(reference, controller)]
     chains = [faults, *(input_faults.values() if isinstance(input_faults, Mapping) else ())]
     plant = plant.watching([*_names(measured, "measured"), *_compared("plant", chains), *_taken("plant", connections)])
@@ -215,6 +216,7 @@ def closed_loop(
         _feed(diagram, _start_value(diagram, target, name), target, chain, name)
     warn_of_other_signals(diagram, node, controller_node)
     _extend(diagram, blocks or {}, connections)
+    diagram.check_units()
     warn_of_held_inputs(diagram, node, controller_node)
     warn_of_start(diagram, node, controller_node)
     check_goals_ahead(diagram, controller_node)

@@ -57,6 +57,7 @@ class Diagram(LoopMethods):
         self._coupling: Coupling | None = None
         self._schedule: Schedule | None = None
         self._session: Session | None = None
+        self._units_later: list[tuple[list[tuple[PortRef, int]], PortRef]] | None = None
 
     def add(self, block: Block, name: str | None = None, every: int = 1) -> Node:
         """Add a block and return its node, whose ports can be connected.
@@ -143,13 +144,10 @@ class Diagram(LoopMethods):
             )
         # All or nothing: a refused connection does not change the diagram.
         origins = [(s, element) for s in sources for element in s.elements]
-        for (s, element), e in zip(origins, target.elements, strict=True):
-            a, b = s.port, target.port
-            of_source, of_target = a.unit_of(element), b.unit_of(e)
-            if of_source and of_target and (gap := difference(of_source, of_target, a.meaning, b.meaning)):
-                raise ConnectionError(
-                    f"{s.with_unit_of(element)} is in {of_source}, but {target.with_unit_of(e)} is in {of_target}{gap}"
-                )
+        if self._units_later is None:
+            _check_units(origins, target)
+        else:
+            self._units_later.append((origins, target))
         new = {
             (target.node.name, target.port.name, e): origin for e, origin in zip(target.elements, origins, strict=True)
         }
@@ -159,6 +157,24 @@ class Diagram(LoopMethods):
                 before = self._sources[block, port, element][0].name
                 raise ConnectionError(f"{where} already has a source ({before}); it cannot also take {s.name}.")
         self._sources.update(new)
+
+    def defer_units(self) -> None:
+        """Let `check_units` compare the units of connections from now on: some may be replaced before it is called."""
+        self._units_later = []
+
+    def check_units(self) -> None:
+        """Compare the units of the connections since `defer_units` that are left.
+
+        Raises
+        ------
+        ConnectionError
+            If two differ.
+        """
+        for origins, target in self._units_later or ():
+            for origin, element in zip(origins, target, strict=True):
+                if self._sources.get((target.node.name, target.port.name, element.elements[0])) == origin:
+                    _check_units([origin], element)
+        self._units_later = None
 
     def disconnect(self, target: PortRef) -> None:
         """Remove the connection of an input, or of some of its elements; it can then be connected to another source.
@@ -561,3 +577,14 @@ class Diagram(LoopMethods):
 def is_external(node: Node) -> bool:
     """Return whether the node's block is an FMU or another block with step functions in C."""
     return isinstance(node.block, ExternalBlock)
+
+
+def _check_units(origins: Sequence[tuple[PortRef, int]], target: PortRef) -> None:
+    """Refuse elements of outputs that feed those of an input and have other units."""
+    for (source, element), e in zip(origins, target.elements, strict=True):
+        a, b = source.port, target.port
+        of_source, of_target = a.unit_of(element), b.unit_of(e)
+        if of_source and of_target and (gap := difference(of_source, of_target, a.meaning, b.meaning)):
+            raise ConnectionError(
+                f"{source.with_unit_of(element)} is in {of_source}, but {target.with_unit_of(e)} is in {of_target}{gap}"
+            )

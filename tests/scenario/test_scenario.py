@@ -233,6 +233,17 @@ def test_a_controller_may_be_designed_for_another_plant_and_other_sensors(write)
         load_scenario(write(text=text + '\n[known.plant]\nfmu = "PositionServo"\ncontrol = "voltage"\n'))
 
 
+def test_a_design_is_for_the_units_of_the_plant(write):
+    """The samples of sensors in degrees would be 57 times as large as the model expects."""
+    text = find_scenario("position_servo").read_text()
+    assert "[sensors]\n" in text
+    degrees = text.replace("[sensors]\n", '[sensors]\nunit = "deg"\n')
+    sentence = r"'controller' cannot be a design, because angle is in rad in the plant, .* in deg in \[sensors\]\. Give"
+    with pytest.raises(ScenarioError, match=sentence):
+        load_scenario(write(text=degrees))
+    load_scenario(write(text=text.replace("[sensors]\n", '[sensors]\nunit = "rad"\n')))
+
+
 def test_continuous_linear_plant_with_process_noise(write):
     plant = "A = [[-0.05]]\nB = [[0.01]]\nC = [[1.0]]\ndt = 0\nprocess_noise = [[1e-4]]\ninitial = [20.0]\n"
     text = CAR[: CAR.index("[noise.")] + CAR[CAR.index("[sensors]") :]

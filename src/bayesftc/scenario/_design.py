@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from bayesftc.controllers import NonlinearModel, design
+from bayesftc.cosim.base.units import difference
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
+from bayesftc.cosim.diagram.wiring import element_name
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._schema import build
@@ -55,7 +57,10 @@ def _of_plant(
     """Call a function that takes the plant, and what the sections [plant] and [sensors] have, with a table's settings."""
     settings = dict(table)
     if sensors is not None:
-        from_file["sensors"] = _numbers(sensors, place, "a design" if function is design else "a model of the plant")
+        what = "a design" if function is design else "a model of the plant"
+        from_file["sensors"] = _numbers(sensors, place, what)
+        if "sensor_std" not in table:  # whoever gives it converts the samples for the controller
+            _check_units(sensors, from_file.get("plant") or from_file["fmu"], from_file["measured"], place, what)
         if sensors.covariance is not None and "sensor_std" not in table:
             raise place.error(
                 "lacks 'sensor_std', which it needs if [sensors] has a covariance: it assumes independent noise. Add "
@@ -68,6 +73,23 @@ def _of_plant(
         if name in table:
             raise (place / name).error("is already set by [plant] and [sensors]. Leave it out here.")
     return build(function, settings, place, given=from_file, of_kind=True)
+
+
+def _check_units(sensors: Sensors, plant: Block, measured: str | Sequence[str], place: Place, what: str) -> None:
+    """Refuse sensors in other units than the plant's variables, which the controller would take for samples in those."""
+    names = [measured] if isinstance(measured, str) else measured
+    ports = {port.name: port for port in plant.outputs}
+    variables = [(ports[name], i) for name in names if name in ports for i in range(ports[name].size)]
+    read = next(port for port in sensors.inputs if port.name == "u")
+    if len(variables) != read.size:  # elements of vectors
+        return
+    for k, (port, i) in enumerate(variables):
+        of_sensor, of_plant = read.unit_of(k), port.unit_of(i)
+        if of_sensor and of_plant and difference(of_plant, of_sensor, port.meaning, read.meaning):
+            raise place.error(
+                f"cannot be {what}, because {element_name(port, i)} is in {of_plant} in the plant, and so in the model, but in "
+                f"{of_sensor} in [sensors]. Give unit and std there in {of_plant}, or [plant] an output in {of_sensor}."
+            )
 
 
 def _numbers(sensors: Sensors, place: Place, what: str) -> int | list[int]:

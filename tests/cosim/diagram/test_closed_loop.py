@@ -536,7 +536,21 @@ def test_a_reference_is_checked_through_blocks_and_by_the_units_of_sensors():
     with pytest.raises(
         cosim.ConnectionError, match=re.escape("plant.position is in km, but sensors.u[1] is in m; put")
     ):
-        in_units("m/s", "km", 1.0, sensors=sensors)
+        in_units("m/s", "km", [1.0, 3.0], sensors=sensors)
+
+
+def test_the_advised_gain_stands_between_plant_and_sensors():
+    sensors = cosim.Sensors(2, unit=["m/s", "m"])
+    sentence = "plant.position is in km, but sensors.u[1] is in m; put Gain(1000) between them."
+    with pytest.raises(cosim.ConnectionError, match=re.escape(sentence)):
+        in_units("m/s", "km", [1.0, 3.0], sensors=sensors)
+    between = [("plant.position", "si.u"), ("si.y", "sensors.u[1]")]
+    converted = in_units("m/s", "km", [1.0, 3.0], sensors=sensors, blocks={"si": cosim.Gain(1000.0)}, connections=between)
+    run = converted.simulate(0.1, engine="interpreted")
+    np.testing.assert_allclose(run["sensors.y"][:, 1], 1000.0 * run["plant.position"])
+    wrong = [("plant.position", "si.u"), ("si.y", "sensors.u[0]")]
+    with pytest.raises(cosim.ConnectionError, match=re.escape(sentence)):
+        in_units("m/s", "km", [1.0, 3.0], sensors=sensors, blocks={"si": cosim.Gain(1000.0)}, connections=wrong)
 
 
 def test_elements_of_one_port_keep_their_own_units():
