@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bayesftc.controllers.bayesian.block import VARIANCE_CAP
+from bayesftc.controllers.linalg.riccati import doubled
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
@@ -142,18 +143,19 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
         if taken == LEAP_AFTER:
             update = one - K @ C
             information = C.T @ np.linalg.solve(innovation, C) + update.T @ goals @ T @ update
-            units = _units(before)  # in which pivots of inverses are those of the problem, not of its units
-            scale = np.outer(units, units)
-            leapt = before + scale * _leap(
-                A @ T @ update * units / units[:, None], information * scale, (predicted - before) / scale
-            )
+            # The change D of a covariance obeys D' = F D (I + S D)^-1 F' + change, where F is the transition of the prediction's
+            # error, and S the information of a sample. Pivots should not depend on the units of the states.
+            units = _units(before)
+            scale, F = np.outer(units, units), A @ T @ update
+            change = doubled(F * units / units[:, None], information * scale, (predicted - before) / scale, DOUBLINGS)
+            leapt = before + scale * change
             if np.isfinite(leapt).all() and np.trace(leapt) <= largest:
                 predicted = leapt
     weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
     information = prior + GB.T @ weight
     L, M = np.linalg.solve(information, weight.T @ GA), np.linalg.solve(information, weight.T)
-    F = T @ P @ GA.T @ V if joint else np.zeros((len(A), len(G)))
-    return Gains(*(np.asarray(gain, float) for gain in (K, L, M, T, F)))
+    by_goal = T @ P @ GA.T @ V if joint else np.zeros((len(A), len(G)))
+    return Gains(*(np.asarray(gain, float) for gain in (K, L, M, T, by_goal)))
 
 
 def _is_close(P: Floats, other: Floats) -> bool:
@@ -165,27 +167,6 @@ def _is_close(P: Floats, other: Floats) -> bool:
 def _units(P: Floats) -> Floats:
     """Return units of the states in which the variances of a covariance are 1."""
     return np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
-
-
-def _leap(F: Floats, information: Floats, change: Floats) -> Floats:
-    """Return the change of a covariance over many steps, given that over the next one.
-
-    From a covariance P on, its change D obeys D' = F D (I + S D)^-1 F' + change, where F is the transition of the prediction's
-    error and S the information of the samples, both at P. Two such maps in a row are again such a map, so that the number of
-    steps doubles (Anderson 1978, the doubling algorithm).
-    """
-    one = np.eye(len(F))
-    with np.errstate(all="ignore"):  # of an undetectable model; whoever uses the result judges it
-        for _ in range(DOUBLINGS):
-            weight = np.linalg.inv(one + change @ information)
-            following = change + F @ weight @ change @ F.T
-            information = information + F.T @ information @ weight @ F
-            F = F @ weight @ F
-            if not np.isfinite(following).all() or np.array_equal(following, change):
-                break
-            change = (following + following.T) / 2
-            information = (information + information.T) / 2
-    return change
 
 
 def moduli(controller: BayesianController) -> Floats:

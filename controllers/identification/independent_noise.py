@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from bayesftc.controllers.linalg.lyapunov import stationary_covariance
+from bayesftc.controllers.linalg.riccati import doubled
 from bayesftc.cosim.types import Floats
 
 MOST = 60
 """Largest number of free parameters; a gradient needs as many evaluations, each of the third power of the order."""
+DOUBLINGS = 60
+"""Largest number of doublings of the steps of a Riccati equation."""
 
 
 def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Floats, Floats]:
@@ -43,7 +46,7 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
     def criterion(theta: Floats) -> float:
         Q, R = unpack(theta)
         try:
-            P = _riccati(A, C, Q, R)
+            P = doubled(A, C.T @ np.linalg.solve(R, C), Q, DOUBLINGS)
             promised = C @ P @ C.T + R
             gain = A @ np.linalg.solve(promised, C @ P).T
             between = stationary_covariance(A - gain @ C, (K - gain) @ S @ (K - gain).T)
@@ -64,19 +67,3 @@ def independent_noise(A: Floats, C: Floats, K: Floats, S: Floats) -> tuple[Float
     assert best is not None
     Q, R = unpack(best.x)
     return Q, R * np.outer(units, units)
-
-
-def _riccati(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
-    """Return the covariance of the prediction, by structure-preserving doubling (Chu et al., Linear Algebra Appl. 396, 2005).
-
-    SciPy's solver is more careful but, for such small matrices, a hundred times slower; there is one call per evaluation.
-    """
-    F, G, P, one = A.T, C.T @ np.linalg.solve(R, C), Q, np.eye(len(A))
-    for _ in range(60):
-        inner = np.linalg.solve(one + G @ P, np.hstack([F, G]))
-        left, right = inner[:, : len(A)], inner[:, len(A) :]
-        step = F.T @ P @ left
-        F, G, P = F @ left, G + F @ right @ F.T, P + (step + step.T) / 2
-        if not np.abs(step).max() > 1e-15 * np.abs(P).max():
-            break
-    return np.asarray(P)

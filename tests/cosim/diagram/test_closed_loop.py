@@ -545,7 +545,9 @@ def test_the_advised_gain_stands_between_plant_and_sensors():
     with pytest.raises(cosim.ConnectionError, match=re.escape(sentence)):
         in_units("m/s", "km", [1.0, 3.0], sensors=sensors)
     between = [("plant.position", "si.u"), ("si.y", "sensors.u[1]")]
-    converted = in_units("m/s", "km", [1.0, 3.0], sensors=sensors, blocks={"si": cosim.Gain(1000.0)}, connections=between)
+    converted = in_units(
+        "m/s", "km", [1.0, 3.0], sensors=sensors, blocks={"si": cosim.Gain(1000.0)}, connections=between
+    )
     run = converted.simulate(0.1, engine="interpreted")
     np.testing.assert_allclose(run["sensors.y"][:, 1], 1000.0 * run["plant.position"])
     wrong = [("plant.position", "si.u"), ("si.y", "sensors.u[0]")]
