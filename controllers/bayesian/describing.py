@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Any
 
@@ -212,8 +211,8 @@ def _with_time(magnitude: float, dt: float) -> str:
     """Return the magnitude of a pole, with the time constant of its mode."""
     decay = 1.0 - magnitude
     if decay > LASTING:
-        decimals = max(3, 1 - math.floor(math.log10(decay)))
-        time = f" (time constant {-dt / math.log(magnitude):.3g} s)" if magnitude > 0.0 else ""
+        decimals = max(3, 1 - int(np.floor(np.log10(decay))))
+        time = f" (time constant {-dt / np.log(magnitude):.3g} s)" if magnitude > 0.0 else ""
         return f"{magnitude:.{decimals}f}{time}"
     return "1 (does not decay)" if decay >= -LASTING else f"{magnitude:.3f} (grows)"
 

@@ -46,6 +46,10 @@ FALSE_ALARMS = (
     "docs/how-to/alarm-threshold.md."
 )
 """What is said below the table of sensors of alarms that begin without a fault."""
+BETWEEN = (
+    "Where an AUC is below .5 but no fault was missed, the alarms are rare, as those at outliers (Spikes): the samples between them "
+    "count as faulty, too."
+)
 EARLY = 0.01
 """Share of fault-free time with an alarm from which on that is said: it makes delays look short."""
 MOST_FINDINGS = 20
@@ -200,6 +204,8 @@ def _below_sensors(sensors: Sequence[Mapping[str, Any]], alarms: Mapping[str, An
         remarks.append(FALSE_ALARMS.format(alarms["false_alarms"], *bounds))
     if any(map(_blamed_before, sensors)):
         remarks.append(BEFORE)
+    if any(s["auc"] is not None and s["auc"] < 0.5 and not s["missed"] for s in sensors):
+        remarks.append(BETWEEN)
     return " ".join(remarks)
 
 
