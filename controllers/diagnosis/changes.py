@@ -38,6 +38,9 @@ LIKELY = 8
 LEAST_PUSHED = 8
 """Least number of samples of a push."""
 
+STUCK = 0.2
+"""Largest part of a control's effect that is left, with either sign, of an actuator that is stuck."""
+
 LEAST_LOSS = 0.05
 """A change of a control's effect by a smaller share is none. Where the control is far from zero, as an absolute temperature, a
 load looks like a change by 1 %."""
@@ -50,9 +53,10 @@ AT_ONCE = 5_000
 
 
 def changes(judge: Judge, others: Sequence[Explanation] = ()) -> list[Explanation]:
-    """Return the best load that begins during the run, or two, and the best loss of effect; none without a control.
+    """Return the best load that begins during the run, or two, and the best losses of effect; none without a control.
 
-    Two loads are not tried where one number explains all, better than one load: among `others`.
+    A loss is that of a part, or of all of an actuator that is stuck somewhere. Two loads are not tried where one number explains
+    all, better than one load: among `others`.
     """
     model, steps = judge.model, len(judge.recording.u)
     width, last = max(1, steps // (TIMES + 1)), steps - LEAST_PUSHED
@@ -75,6 +79,10 @@ def changes(judge: Judge, others: Sequence[Explanation] = ()) -> list[Explanatio
                 acting = coarse.best_two(coarse.along, among) if best.columns == coarse.states else None
                 two = _placed(judge, kind, pair, acting, 2 * width)
                 results += [two] * _pays(two, one)
+    lost = any(x.kind == "loss" and x.total > EVIDENCE for x in results)
+    if lost and (best := coarse.best("stuck")) is not None:
+        stuck = _placed(judge, "stuck", best, None, width)
+        results += [stuck] * (abs(stuck.values[2]) < STUCK)
     return results
 
 
@@ -182,6 +190,7 @@ class _Pushes:
         self.columns: dict[str, list[tuple[int, ...]]] = {
             "onset": [self.along, self.states],
             "loss": [(int(j),) for j in controls],
+            "stuck": [(int(j), i) for i, j in enumerate(controls)],  # without its effect, but with a constant one
         }
         responses = self._responses()
         self.sets = [self._equations(responses, k) for k in range(len(judge.bank))]
@@ -347,7 +356,8 @@ def _explained(judge: Judge, kind: str, found: _Found) -> Explanation:
         values = tuple(x for h, load in enumerate(found.loads) for x in (*times[2 * h : 2 * h + 2], *map(float, load)))
     else:
         control = found.columns[0] - judge.model.controls - judge.model.plant_states
-        values = *times, 1.0 + float(found.sizes[0, 0]), float(control)
+        values = *times, 1.0 + float(found.sizes[0, 0]), float(control), *map(float, found.sizes[0, 1:])
+        kind = "loss"
     return judge.of(kind, [values], (found.losses[:, np.newaxis], found.squares[:, np.newaxis]), found.parameters)[0]
 
 

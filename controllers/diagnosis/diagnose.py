@@ -130,7 +130,7 @@ class ModelFinding:
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
         ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the first sample (infinity: to
         the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin, end, effect relative to the
-        model's, and number of the control;
+        model's, and number of the control, and of an actuator that is stuck (effect near 0) the control at which it is;
         ``offset``: a value for each sensor, in its unit, 0 for those without;
         ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control) and standard
         deviation in a sample; -2 and a factor of the standard deviation where the model has noise;

@@ -11,6 +11,9 @@ from bayesftc.cosim.base.units import behind
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
+STUCK_AT = 4
+"""Place, in the values of a lost effect, of the control at which the actuator is stuck; of another loss there is none."""
+
 NO_EFFECT = 0.05
 """Effect of a control, relative to the model's, below which it counts as none."""
 
@@ -57,4 +60,4 @@ def strongly(effect: float) -> str:
     return f"{effect:.2g} times as strongly as in the model" if abs(effect) >= NO_EFFECT else "not at all"
 
 
-__all__ = ["beyond", "change", "named", "since", "strongly"]
+__all__ = ["STUCK_AT", "beyond", "change", "named", "since", "strongly"]

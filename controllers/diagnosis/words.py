@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.diagnosis.candidates import AS_STATED
-from bayesftc.controllers.diagnosis.phrases import beyond, change, named, seconds, since, strongly
+from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, change, named, seconds, since, strongly
 from bayesftc.controllers.diagnosis.words_of_inputs import OF_INPUTS
 from bayesftc.controllers.models.disturbances import has_loads
 from bayesftc.cosim.base.numbers import counted
@@ -84,6 +84,7 @@ def sentence(
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
         **_WORDS,
         "load": partial(_load, units=control_units),
+        "loss": partial(_loss, units=control_units),
         "onset": partial(_onset, units=control_units, elsewhere=elsewhere),
         "noise": partial(_noise, units=control_units),
         **(OF_INPUTS if recorded else {}),
@@ -108,10 +109,11 @@ def _actuators(
     if not lost and not (inferred is not None and any(kind == "onset" for kind, _ in found)):
         return ""
     if inferred is None:
-        return (
-            " A controller with precision=controllers.SwitchingPrecision(actuator_modes=[controllers.LostEffect()]) can infer a "
-            "lost effect of an actuator."
-        )
+        mode, fault = "LostEffect", "a lost effect of an actuator"
+        if lost and len(lost[0]) > STUCK_AT:
+            mode, fault = "StuckActuator", "an actuator that is stuck"
+        precision = f"controllers.SwitchingPrecision(actuator_modes=[controllers.{mode}()])"
+        return f" A controller with precision={precision} can infer {fault}."
     if not inferred:
         return " Record actuator_fault_probability of the controller: its actuator modes may see it."
     j = int(lost[0][3]) if lost else int(np.argmax(inferred))
@@ -354,8 +356,12 @@ def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     )
 
 
-def _loss(values: Sequence[float], model: LinearModel) -> str:
-    return f"{named(values[3], model)} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of the actuator."
+def _loss(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    control = named(values[3], model)
+    if len(values) > STUCK_AT:
+        unit = behind(units[int(values[3])]) if len(units) == model.controls else ""
+        return f"{control} is stuck at about {values[STUCK_AT]:.3g}{unit} {since(values)}. Look for a fault of the actuator."
+    return f"{control} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of the actuator."
 
 
 def _nonlinear(values: Sequence[float], model: LinearModel) -> str:
@@ -396,7 +402,6 @@ _WORDS = {
     "late": _late,
     "early": _early,
     "limit": _limit,
-    "loss": _loss,
     "nonlinear": _nonlinear,
     "dynamics": _dynamics,
     "unknown": _unknown,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from bayesftc.controllers.diagnosis.phrases import beyond, since, strongly
+from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, since, strongly
 from bayesftc.cosim.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -60,6 +60,11 @@ def _limit(values: Sequence[float], model: LinearModel) -> str:
 
 def _loss(values: Sequence[float], model: LinearModel) -> str:
     name = _input(values[3], model)
+    if len(values) > STUCK_AT:
+        return (
+            f"the plant moves {since(values)} as if {name} were stuck at about {values[STUCK_AT]:.3g}. Look for a fault of "
+            f"{name}, or of what it drives."
+        )
     return f"{name} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of {name}, or of what it drives."
 
 

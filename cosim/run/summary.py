@@ -47,8 +47,8 @@ FALSE_ALARMS = (
 )
 """What is said below the table of sensors of alarms that begin without a fault."""
 BETWEEN = (
-    "Where an AUC is below .5 but no fault was missed, the alarms are rare, as those at outliers (Spikes): the samples between them "
-    "count as faulty, too."
+    "Where an AUC is below .5 but no fault was missed, the alarms are rare, as those at outliers (Spikes): the samples between "
+    "them count as faulty, too."
 )
 EARLY = 0.01
 """Share of fault-free time with an alarm from which on that is said: it makes delays look short."""

@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 from wrong_models import LEARNERS, Case, cases, loop, parts, run
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.diagnosis.diagnose import _without_blamed, diagnose_recording
+from bayesftc.controllers.diagnosis.diagnose import _without_blamed, diagnose_inputs, diagnose_recording
 from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
 from bayesftc.controllers.diagnosis.words import moved_at_times, sentence
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
@@ -467,6 +467,26 @@ def test_a_weak_actuator_is_no_load(seed):
     finding = controllers.diagnose(loop.simulate(7200.0, seed=seed), loop)
     assert (finding.kind, finding.others) == ("loss", ())
     assert finding.values[2] == pytest.approx(0.5, abs=0.15)
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+@pytest.mark.parametrize("end", [300, 400])
+def test_an_actuator_that_is_stuck_is_named_with_its_control(end, recorded):
+    """It is no load that changes all the time, which would be as much motion, and no loss of a part of its effect."""
+    model = controllers.LinearModel([[0.95]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=1.0)
+    rng, x = np.random.default_rng(0), np.zeros((400, 1))
+    u = np.repeat(rng.normal(size=80), 5)[:, None]
+    for k in range(399):
+        x[k + 1] = 0.95 * x[k] + 0.1 * (0.8 if 200 <= k < end else u[k]) + 0.01 * rng.standard_normal()
+    y = x + 0.1 * rng.standard_normal((400, 2))
+    finding = diagnose_inputs(model, y, u, np.zeros(1)) if recorded else controllers.diagnose_recording(model, y, u)
+    assert finding.kind == "loss"
+    begin, stop, effect, control, at = finding.values
+    assert (begin, stop) == pytest.approx((200.0, end if end < 400 else np.inf), abs=4.0)
+    assert (effect, control, at) == (pytest.approx(0.0, abs=0.15), 0.0, pytest.approx(0.8, abs=0.1))
+    stuck = "as if input 0 were stuck at about 0." if recorded else "the control is stuck at about 0."
+    assert stuck in finding.sentence
+    assert ("actuator_modes=[controllers.StuckActuator()]" in finding.sentence) == (not recorded)
 
 
 @pytest.mark.parametrize("weak", [True, False])
