@@ -186,8 +186,9 @@ def _alone(model: LinearModel) -> str:
     if not single:
         return ""
     if model.names:
-        names = [f"the only sensor of {model.names.sensors[i]}" for i in single]
-        return f" A fault of {' or of '.join(names)} may look the same."
+        names = [model.names.sensors[i] for i in single]
+        only = "a sensor that is the only one of its quantity" if len(names) > 1 else "the only sensor of its quantity"
+        return f" A fault of {only} ({', '.join(names)}) may look the same."
     names = [f"sensor {i}" for i in single]
     return f" A fault of {' or '.join(names)} may look the same, because no other sensor measures the same quantity."
 

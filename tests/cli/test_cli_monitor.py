@@ -668,6 +668,27 @@ def test_a_column_that_does_not_follow_is_named(tmp_path):
     assert any(note.startswith("baro and sonar do not agree") for note in json.loads(two.stdout)["notes"])
 
 
+def test_a_column_that_moves_the_other_way_is_named_with_what_to_write(tmp_path):
+    """In an error where its distance is larger than the motion of the others, else in a note."""
+    rng, t = np.random.default_rng(0), np.arange(3000)
+    command = ["monitor", str(tmp_path / "dive.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
+
+    def said(depth):
+        table = pd.DataFrame({"t": t, **{name: depth + 0.1 * rng.standard_normal(3000) for name in "abc"}})
+        table["c"] = 40.0 - table["c"]
+        table.to_csv(tmp_path / "dive.csv", index=False)
+        return RUNNER.invoke(app, command)
+
+    refused = " ".join(said(15 + 3 * np.sin(2 * np.pi * t / 300)).output.split())
+    assert "'c' moves the other way than the others" in refused
+    assert float(re.search(r"gain = -1\.0, bias = ([\d.]+), and its std", refused)[1]) == pytest.approx(40.0, abs=0.1)
+    swings = 15 + 0.9 ** (t[:, None] - t[None]).clip(0) * (t[:, None] >= t[None]) @ rng.standard_normal(3000)
+    (note,) = json.loads(said(swings).stdout)["notes"]
+    assert note.startswith("c does not follow the other sensors: while they move by 1, it moves by -")
+    bias = float(re.search(r"write gain = -1\.0 and bias = ([\d.]+) below \[sensors\.c\]", note)[1])
+    assert bias == pytest.approx(40.0, abs=0.5)
+
+
 def test_a_column_in_degrees_fahrenheit_is_named(tmp_path):
     rng, t = np.random.default_rng(0), np.arange(3000)
     level = 120 + 30 * np.sin(2 * np.pi * t / 300)
@@ -753,6 +774,11 @@ def test_sensors_that_are_open_at_the_same_time_have_one_sentence(capsys):
     doubtful = FaultEvent("a", 40.0, 48.0, 1.0, "Offset")
     print_disagreements(monitored, [doubtful])
     printed = " ".join(capsys.readouterr().out.split())
-    assert printed.count("One of") == 2
-    assert "One of a, b and c is faulty, or the model is wrong, from 10.00 to 20.00 s" in printed
-    assert "One of b and c is faulty from 80.00 to 90.00 s (the sum of two fault probabilities reaches 0.97)" in printed
+    assert printed.count("it was open which") == 2
+    assert (
+        "From 10.00 to 20.00 s it was open which of a, b and c is faulty, or whether the model is wrong (the" in printed
+    )
+    assert (
+        "From 80.00 to 90.00 s it was open which of b and c is faulty (the sum of two fault probabilities reaches 0.97)"
+        in printed
+    )

@@ -4,10 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bayesftc.controllers.models.checks import check_number
 from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.errors import ModelError
+
+
+def check_gain(owner: Any) -> None:
+    """Check the setting ``gain`` of `owner`.
+
+    Raises
+    ------
+    ModelError
+        If it is zero, or no finite number.
+    """
+    check_number(owner, "gain")
+    if owner.gain == 0.0:
+        raise ModelError(
+            f"{type(owner).__name__} has gain=0; it must be a number above 0, or below 0 where samples move the other way."
+        )
 
 
 @dataclass(frozen=True)
@@ -29,7 +45,8 @@ class Column:
     invalid : sequence of float or str
         Values that the device records in place of a sample, such as ``[-9999, "Bad Input"]``.
     gain : float
-        How far its samples move while the quantity moves by 1: samples, less the bias, are divided by it.
+        How far its samples move while the quantity moves by 1, as -1 for an altitude beside a depth: samples, less the bias, are
+        divided by it.
 
     Examples
     --------
@@ -55,7 +72,7 @@ class Column:
     gain: float = 1.0
 
     def __post_init__(self) -> None:
-        check_number(self, "gain", above=0)
+        check_gain(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -63,10 +63,13 @@ def plot_monitored(monitored: Monitored, figure: Figure | None = None) -> Figure
     heights = [MAIN] * len(quantities) + strips + [MAIN]
     figure, axes = make_panels(heights, figure)
     belief = monitored.x_hat @ monitored.model.quantities.T
+    several = len(quantities) > 1
     for members, axis in zip(quantities, axes, strict=False):
-        axis.plot(*thin(time, belief[:, members[0]]), color=BLACK, lw=1.2, label="belief")
-        what = f"belief of what\n{sensors[members[0]]} reads" if len(quantities) > 1 else "belief"
-        axis.set_ylabel(broken(with_unit(what, units[members[0]]), MAIN))
+        i = members[0]
+        values = recording.as_read(i, belief[:, i]) if several else belief[:, i]
+        axis.plot(*thin(time, values), color=BLACK, lw=1.2, label="belief")
+        what = f"belief of what\n{sensors[i]} reads" if several else "belief"
+        axis.set_ylabel(broken(with_unit(what, units[i]), MAIN))
     for i, axis in enumerate(axes[len(quantities) : -1]):
         _dots(axis, i, time, recording.y[:, i] - belief[:, i])
         axis.axhline(0.0, color="0.4", lw=0.8, zorder=0)

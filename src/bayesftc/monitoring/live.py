@@ -226,7 +226,7 @@ class MonitorStepper(Stepper):
         """Return what the first samples say of the sensors."""
         sensors = monitor.sensors
         times = [np.asarray(np.flatnonzero(np.isfinite(column)) * float(self.step)) for column in y.T]
-        given = [None if s.resolution is None else s.resolution / s.gain for s in sensors.values()]
+        given = [None if s.resolution is None else s.resolution / abs(s.gain) for s in sensors.values()]
         return Recording(
             start=0.0,
             dt=self.step,

@@ -220,7 +220,7 @@ class Monitor:
                 invalid=place.invalid,
                 gain=gain * s.gain,
                 std=s.std,
-                resolution=gain * s.resolution,
+                resolution=abs(gain) * s.resolution,
                 repeats=s.repeats,
                 period=place.period,
                 held=place.held,

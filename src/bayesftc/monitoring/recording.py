@@ -25,6 +25,7 @@ from bayesftc.cosim.base.timebase import rational_step, show, spoken
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.columns import check_gain
 from bayesftc.monitoring.gaps import Gap, find_gaps
 
 LATE = 0.02
@@ -72,7 +73,8 @@ class Signal:
         Full turn of a sensor of an angle, such as 360 for a heading in degrees: its samples then count on where they begin
         anew. 0 if it measures no angle. Sensors with the same period measure the same angle.
     gain : float
-        How far the values move while the quantity moves by 1. Values, less the bias, are divided by it.
+        How far the values move while the quantity moves by 1; negative if they move the other way. Values, less the bias, are
+        divided by it.
     held : bool
         Whether a value that repeats the one before is no sample: the log is faster than the sensor and repeats its last value.
 
@@ -123,7 +125,7 @@ class Signal:
             check_number(self, name)
         check_number(self, "smooth", least=0)
         check_number(self, "period", least=0)
-        check_number(self, "gain", above=0)
+        check_gain(self)
         check_number(self, "resolution", optional=True, least=0)
         usable = np.abs(values) <= LARGEST  # not if NaN
         kept = usable & ~np.isin(values, invalid_values("A signal", self.invalid, 1))
@@ -251,6 +253,11 @@ class Recording:
         chosen: dict[str, Any] = {name: tuple(values[i] for i in kept) for name, values in fields.items() if values}
         return replace(self, y=self.y[:, list(kept)], **chosen)
 
+    def as_read(self, sensor: int, values: Floats) -> Floats:
+        """Return values of what a sensor measures as the sensor reads them: with its bias and its gain."""
+        bias, gain = (given[sensor] if given else usual for given, usual in ((self.bias, 0.0), (self.gain, 1.0)))
+        return bias + gain * values
+
     def without(self, bias: Sequence[float], gain: Sequence[float]) -> Recording:
         """Return the recording with these biases subtracted and divided by these gains, whatever was subtracted before."""
         sensors = len(self.sensors)
@@ -258,7 +265,7 @@ class Recording:
         if np.array_equal(before, bias) and np.array_equal(factor, gain):
             return self
         y = (self.y * factor + before - np.array(bias)) / np.array(gain)
-        resolution = tuple((np.array(self.resolution) * factor / np.array(gain)).tolist())
+        resolution = tuple((np.array(self.resolution) * np.abs(factor / np.array(gain))).tolist())
         return replace(self, y=y, resolution=resolution, bias=tuple(bias), gain=tuple(gain))
 
     @property
@@ -343,7 +350,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         time, values = signal.corrected
         u[:, j] = _mean_before(_snapped(time - start, float(step)), values, ends, max(signal.smooth, float(step)))
     resolution, units = zip(
-        *((float(signal.resolution or 0.0) / signal.gain, signal.unit) for signal in sensors.values()), strict=True
+        *((float(signal.resolution or 0.0) / abs(signal.gain), signal.unit) for signal in sensors.values()), strict=True
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
     subtracted = tuple(tuple(float(getattr(s, name)) for s in sensors.values()) for name in ("bias", "gain"))

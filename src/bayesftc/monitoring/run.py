@@ -45,8 +45,9 @@ if TYPE_CHECKING:
 HEALTHY = "healthy"
 Event = TypeVar("Event", FaultEvent, ActuatorEvent)
 
-MANY_BURSTS, AROUND = 0.01, 10
-"""Share of a sensor's samples from which on its bursts have a note; steps around one in which no other sensor has any."""
+MANY_BURSTS, AROUND, MOST = 0.01, 10, 0.8
+"""Share of a sensor's samples from which on its bursts have a note; steps around one in which no other sensor has any; share of
+the bursts whose span the note has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,9 +184,9 @@ class Monitored:
         notes = []
         for name, (flags, time) in self._bursts(alone=True).items():
             if len(flags) and np.mean(flags) >= MANY_BURSTS:
-                first, last = np.quantile(time[flags], [0.05, 0.95]).tolist()
+                most, first, last = _densest(time[flags])
                 notes.append(
-                    f"{name} has {counted(int(flags.sum()), 'burst')} ({np.mean(flags):.1%} of its samples), mostly from "
+                    f"{name} has {counted(int(flags.sum()), 'burst')} ({np.mean(flags):.1%} of its samples), {most} of them from "
                     f"{span_text(first, last, self.recording.origin)}: samples with far more noise, while the other sensors have "
                     "none. A burst is no fault and hardly counts in the belief. So many may be a loose contact or a reflection."
                 )
@@ -353,6 +354,13 @@ def signal_names(precision: PrecisionLearner) -> list[str]:
     """Return the names of the estimator's outputs that a monitor needs."""
     of_actuators = [f"actuator_{name}" for name in ACTUATOR_SIGNALS] if precision.actuator_modes else []
     return ["x_hat", "innovation", *judged_names(precision), *of_actuators]
+
+
+def _densest(time: Floats) -> tuple[int, float, float]:
+    """Return the shortest span with at least `MOST` of some instants: how many of them it has, its first and its last."""
+    spanned = int(np.ceil(MOST * len(time))) - 1
+    first = int(np.argmin(time[spanned:] - time[: len(time) - spanned]))
+    return spanned + 1, float(time[first]), float(time[first + spanned])
 
 
 def _kinds(modes: Sequence[object]) -> tuple[str, ...]:

@@ -640,7 +640,9 @@ def test_sets_share_the_only_sensor_of_a_quantity():
         "A fault of sensor 0 may look the same, because no other sensor measures the same quantity."
     )
     named = replace(model, B=-B, names=controllers.SignalNames(["u"], ["angle", "w", "w", "w"], ["angle", "w"]))
-    assert diagnose_recording(named, y, u).sentence.endswith("A fault of the only sensor of angle may look the same.")
+    assert diagnose_recording(named, y, u).sentence.endswith(
+        "A fault of the only sensor of its quantity (angle) may look the same."
+    )
 
 
 @pytest.mark.slow

@@ -79,6 +79,13 @@ def _refuse_pairs(y: Floats, names: tuple[str, ...]) -> None:
     column = y[np.isfinite(y[:, worst]), worst]
     noise = float(np.median(np.abs(np.diff(column))))
     if typical[worst] > moved and typical[worst] > FIT.far * noise:
+        sums = y[:, worst] + median(np.delete(y, worst, axis=1), 1)
+        constant = float(np.nanmedian(sums))
+        if np.nanmedian(np.abs(sums - constant)) < moved / 2.0:
+            raise RecordingError(
+                f"The column {names[worst]!r} moves the other way than the others. Fit these (name them with --sensor), and then "
+                f"add it to the model file as [sensors.{names[worst]!r}] with gain = -1.0, bias = {constant:.4g}, and its std."
+            )
         raise RecordingError(
             f"The column {names[worst]!r} does not follow the others: it differs from them by {typical[worst]:.3g}, but they "
             f"move by {moved:.3g}. If it has failed in this recording, fit to a stretch without the fault: --from and --to, in "

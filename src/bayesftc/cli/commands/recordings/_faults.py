@@ -110,10 +110,10 @@ def print_disagreements(monitored: Monitored, doubtful: Sequence[FaultEvent]) ->
     for (start, end), pairs in together.items():
         *names, last = (name for name in recording.sensors if any(name in each.sensors for each in pairs))
         several = len(recording.sensors) > 2
-        model = ", or the model is wrong," if several and len(names) + 1 == len(recording.sensors) else ""
+        model = ", or whether the model is wrong" if several and len(names) + 1 == len(recording.sensors) else ""
         say(
-            f"One of {', '.join(names)} and {last} is faulty{model} from {clock.whole_span(start, end)} (the sum of two fault "
-            f"probabilities reaches {max(each.probability for each in pairs):.3g}), but it is open which one"
+            f"From {clock.whole_span(start, end)} it was open which of {', '.join(names)} and {last} is faulty{model} (the sum "
+            f"of two fault probabilities reaches {max(each.probability for each in pairs):.3g})"
             f"{'' if several else ': a third sensor would tell'}."
         )
 

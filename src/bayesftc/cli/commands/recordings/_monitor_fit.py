@@ -44,6 +44,8 @@ from bayesftc.monitoring.gaps import in_gaps
 
 MODEL = "model.toml"
 
+OPPOSITE = (-1.2, -0.8)
+"""Range of the motion of a sensor that measures the same the other way, while the others move by 1."""
 FAHRENHEIT = 0.03
 """Relative error of a factor from which it is not the one between degC and degF."""
 
@@ -243,8 +245,19 @@ def _strangers(fitted: FittedModel) -> Iterator[str]:
             f"{name} does not follow the other sensors: while they move by 1, it moves by {_slope(slope)}. Motion and the noise "
             f"of the others are fitted without {name}, and its whole distance from them counts as noise. If {name} measures "
             "another quantity, leave it out: name the others with --sensor. If it has failed in most of this recording, fit to a "
-            f"stretch without the fault: --from and --to.{_fahrenheit(slope, name, others)}"
+            f"stretch without the fault: --from and --to.{_fahrenheit(slope, name, others)}{_opposite(fitted, name, slope)}"
         )
+
+
+def _opposite(fitted: FittedModel, name: str, slope: float) -> str:
+    """Return a sentence if a sensor moves by about -1 while the others move by 1."""
+    if not OPPOSITE[0] < slope < OPPOSITE[1]:
+        return ""
+    bias = fitted.sensors[name].bias + 2.0 * fitted.level
+    return (
+        f" If it measures the same the other way, as an altitude beside a depth, write gain = -1.0 and bias = {bias:.4g} below "
+        f"[sensors.{name}] in the model file, and the std of its noise."
+    )
 
 
 def _fahrenheit(slope: float, name: str, other: str) -> str:
