@@ -180,8 +180,8 @@ def moved_at_times(time: Floats, process: Floats | None) -> str:
 
 def _alone(model: LinearModel) -> str:
     """Return a sentence if a fault of a sensor looks the same, because its quantity has no second one; else nothing."""
-    single = [group[0] for group in model.alike if len(group) == 1]
-    if len(single) == len(model.alike):
+    single = [group[0] for group in model.proportional if len(group) == 1]
+    if len(single) == len(model.proportional):
         return " No quantity has a second sensor, so a sensor fault may look the same."
     if not single:
         return ""

@@ -84,12 +84,11 @@ def observers(model: LinearModel, sets: tuple[tuple[int, ...], ...] | None = Non
     """
     if sets is not None:
         return _of_sets(model, sets)
-    most = min(MOST_SETS, max(map(len, model.alike)))
+    groups = model.proportional
+    most = min(MOST_SETS, max(map(len, groups)))
     for shared, counts in ((False, range(most, 1, -1)), (True, range(most, 0, -1))):
         for count in counts:
-            chosen = tuple(
-                tuple(sorted(i for g in model.alike for i in _part(g, k, count, shared))) for k in range(count)
-            )
+            chosen = tuple(tuple(sorted(i for g in groups for i in _part(g, k, count, shared))) for k in range(count))
             if (bank := _of_sets(model, chosen)) is not None:
                 return bank
     return None

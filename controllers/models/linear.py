@@ -209,6 +209,15 @@ class LinearModel(Printed, NamedArguments):
         return tuple(tuple(group) for group in groups.values())
 
     @property
+    def proportional(self) -> tuple[tuple[int, ...], ...]:
+        """The sensors in groups whose readings are multiples of each other but for a constant, as a depth and an altitude."""
+        groups: dict[bytes, list[int]] = {}
+        for i, row in enumerate(self.quantities[:, : self.states - self.constant]):
+            first = row[np.argmax(row != 0.0)]
+            groups.setdefault((np.round(row / (first or 1.0), 12) + 0.0).tobytes(), []).append(i)
+        return tuple(tuple(group) for group in groups.values())
+
+    @property
     def quantity(self) -> tuple[int, ...]:
         """For each sensor, the number of its group in `alike`."""
         return tuple(next(q for q, group in enumerate(self.alike) if i in group) for i in range(self.sensors))

@@ -1,11 +1,12 @@
 """Observers of a model at the limits of rounding."""
 
+import control
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.linalg import solve_discrete_are
 
-from bayesftc import controllers
+from bayesftc import controllers, cosim
 from bayesftc.controllers.estimation import observers as observer_module
 from bayesftc.controllers.estimation.observers import observers
 
@@ -79,3 +80,35 @@ def test_a_fading_memory_is_an_ordinary_filter_with_more_noise():
     S = model.C @ P @ model.C.T + 0.01
     np.testing.assert_allclose(bank.correction[0], P @ model.C.T / S, rtol=1e-6)
     np.testing.assert_allclose(bank.whiten[0], 1.0 / np.sqrt(S), rtol=1e-6)
+
+
+def test_sensors_that_read_a_multiple_of_the_same_are_divided_among_the_sets():
+    """An altitude of a floor is the depth but for its sign and a constant: a third vote on it."""
+    A, B, C = np.array([[1.0, 0.1], [0.0, 0.9]]), [[0.0], [0.1]], [[1.0, 0.0], [1.0, 0.0], [-2.0, 0.0], [0.0, 1.0]]
+    model = controllers.LinearModel(A, B, C, 1e-4, 0.01, dt=0.1)
+    assert model.alike == ((0, 1), (2,), (3,))
+    assert model.proportional == ((0, 1, 2), (3,))
+    placed = model.about([5.0, 0.0], [0.0], [5.0, 5.0, 30.0, 0.0])
+    assert placed.proportional == model.proportional
+    assert [set(chosen) & {0, 1, 2} for chosen in observers(placed).sensors] == [{0}, {1}, {2}]
+    delayed = model.with_delays([0], [0, 0, 3, 0])
+    assert delayed.proportional == model.proportional
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0, 2.0])
+def test_two_faults_beside_a_proportional_sensor_are_no_wrong_model(factor):
+    std, measured = [0.05, 0.1, 0.2, 0.01, 0.02], ["depth", "altitude", "rate"]
+    C = [[1, 0], [factor, 0], [0, 1]]
+    plant = control.ss([[0, 1], [0, -0.5]], [[0], [1]], C, 0, inputs=["push"], outputs=measured)
+    controller = controllers.design(
+        plant, dt=0.1, measured=measured, actuated="push", sensors=[2, 1, 2], sensor_std=std, goal="depth",
+        acceptable_error=0.5, acceptable_control=0.2,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        plant, controller, control="push", measured=measured, sensors=cosim.Sensors([2, 1, 2], std),
+        faults=[cosim.Drift(sensor=0, start=20.0, slope=0.05), cosim.Freeze(sensor=1, start=30.0)],
+        reference=cosim.Sine(2.0, 40.0),
+    )  # fmt: skip
+    run = loop.simulate(60.0, seed=1)
+    assert (run["controller.fault_probability"][-1] > 0.9).tolist() == [True, True, False, False, False]
+    assert run["controller.model_suspect"].max() < 0.2
