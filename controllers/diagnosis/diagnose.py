@@ -31,6 +31,7 @@ from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
+from bayesftc.controllers.diagnosis.scatter import stated_too_large
 from bayesftc.controllers.diagnosis.starts import wrong_start
 from bayesftc.controllers.diagnosis.words import faulty_sensors, inferred_fault, moved_at_times, sentence
 from bayesftc.controllers.estimation.observers import observers
@@ -265,7 +266,8 @@ def diagnose(
     far = "" if result.kind == "nonlinear" else far_goal(model, its)
     acting = inferred_fault(inferred, model)
     acting = "" if acting in result.sentence else acting
-    return replace(result, sentence=f"{far}{result.sentence}{pushed}{acting}")
+    loud = stated_too_large(samples, np.sqrt(np.diag(model.matrix("sensor_covariance"))), model.alike)
+    return replace(result, sentence=f"{loud}{far}{result.sentence}{pushed}{acting}")
 
 
 def _beside(result: ModelFinding, left: ModelFinding | None) -> ModelFinding:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import combinations
+
 import numpy as np
 
 from bayesftc.cosim.base.units import behind
@@ -9,6 +12,13 @@ from bayesftc.cosim.types import Floats
 
 SCATTER = 1.3
 """Root mean square of errors relative to the model's from which it explains false alarms."""
+
+
+QUIET = 3.0
+"""Stated standard deviation relative to that of the samples from which it is too large: more than a learner corrects."""
+
+ENOUGH = 20
+"""Least number of changes, or of differences, that tell the noise of a sensor."""
 
 
 def scatter(errors: Floats, expected: float, unit: str | None, subject: str, setting: str) -> str:
@@ -43,4 +53,43 @@ def excess(errors: Floats, expected: float) -> tuple[float, float]:
     return found / expected, found
 
 
-__all__ = ["SCATTER", "excess", "scatter"]
+def stated_too_large(y: Floats, std: Floats, groups: Sequence[Sequence[int]]) -> str:
+    """Return a sentence if the noise of some sensors is far less than their model says; else nothing.
+
+    White noise is at most as large as the changes from one sample to the next let it be, which contain the motion as well. Errors
+    that last show in the differences of sensors of one quantity.
+
+    Parameters
+    ----------
+    y : ndarray, steps x m
+        The samples; one that is not finite is missing. Repetitions do not count: a sensor may be frozen, or coarse.
+    std : ndarray, m
+        The standard deviations in the model.
+    groups : sequence of sequence of int
+        The sensors of each quantity.
+    """
+    most = np.full(len(std), np.inf)
+    for i, samples in enumerate(y.T):
+        changes = np.diff(samples[np.isfinite(samples)])
+        changes = changes[changes != 0.0]
+        if len(changes) >= ENOUGH:
+            most[i] = np.sqrt(np.mean(changes**2) / 2.0)
+    for group in groups:
+        for i, j in combinations(group, 2):
+            apart = y[:, i] - y[:, j]
+            apart = apart[np.isfinite(apart)]
+            if len(apart) >= ENOUGH and QUIET * np.std(apart) > np.hypot(std[i], std[j]):
+                most[[i, j]] = np.inf
+    quiet = np.flatnonzero(QUIET * most < std)
+    if not len(quiet):
+        return ""
+    *first, last = map(str, quiet)
+    who = f"sensors {', '.join(first)} and {last}" if first else f"sensor {last}"
+    times = float((std[quiet] / most[quiet]).min())
+    return (
+        f"The model states the noise of {who} too large, at least {times:.2g} times by the changes from sample to sample. "
+        "State it first (sensor_std in design, or sensor_covariance), in the unit of the samples. "
+    )
+
+
+__all__ = ["SCATTER", "excess", "scatter", "stated_too_large"]
