@@ -23,7 +23,7 @@ def test_the_header_in_c_says_what_the_description_of_the_fmu_says():
     axis = control.ss([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"])
     controller = controllers.design(
         axis, measured=["x", "v"], sensors=[2, 1], actuated="force", goal="x", dt=0.05, sensor_std=0.1,
-        acceptable_error=0.1, acceptable_control=1.0, preview=20,
+        acceptable_error=0.1, acceptable_control=1.0, preview=20, precision=controllers.GammaPrecision(),
     )  # fmt: skip
     program = program_of(controller, name="axis")
     file = write_c(program)
@@ -41,7 +41,7 @@ def test_each_element_of_the_belief_has_its_state_in_fmi_2():
     )
     controller = controllers.design(
         axis, measured=["x", "v"], sensors=[2, 1], actuated="force", goal="x", dt=0.05, sensor_std=0.1,
-        acceptable_error=0.1, acceptable_control=1.0, disturbance=0.1,
+        acceptable_error=0.1, acceptable_control=1.0, disturbance=0.1, precision=controllers.GammaPrecision(),
     )  # fmt: skip
     program = program_of(controller, name="axis")
     model = model_of(program, write_c(program), None, "")
@@ -57,8 +57,9 @@ def test_each_element_of_the_belief_has_its_state_in_fmi_2():
 def test_each_sample_has_its_unit_in_fmi_2():
     axis = control.ss([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"])
     controller = controllers.design(
-        axis, measured=["x", "v"], sensors=[2, 1], actuated="force", goal="x", dt=0.05, sensor_std=0.1
-    )
+        axis, measured=["x", "v"], sensors=[2, 1], actuated="force", goal="x", dt=0.05, sensor_std=0.1,
+        precision=controllers.GammaPrecision(),
+    )  # fmt: skip
     loop = cosim.closed_loop(
         axis, controller, control="force", measured=["x", "v"], reference=1.0,
         sensors=cosim.Sensors([2, 1], 0.1, unit=["mm", "mm/s"]),
