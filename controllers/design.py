@@ -14,9 +14,9 @@ from bayesftc.controllers.bayesian.lqg import LQGController
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.bayesian.steady import moduli
 from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
-from bayesftc.controllers.estimation.innovation import predicted_covariance
 from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
+from bayesftc.controllers.linalg.riccati import predicted_covariance
 from bayesftc.controllers.models.checks import SMALLEST, Matrix, as_covariance, as_number, as_vector, check_limits
 from bayesftc.controllers.models.delays import extended_rows, whole_delays
 from bayesftc.controllers.models.disturbances import error_variances
@@ -469,6 +469,15 @@ def _with_biases(model: LinearModel, H: Floats, std: Floats) -> tuple[LinearMode
     return model.with_sensor_errors(std[biased].tolist(), CONSTANT * float(model.step), biased), H
 
 
+def _accumulated(A: Floats, Q: Floats) -> Floats:
+    """Return the variance of each state that process noise causes in as many samples as there are states."""
+    total = part = Q
+    for _ in range(len(A) - 1):
+        part = A @ part @ A.T
+        total = total + part
+    return np.asarray(np.diag(total))
+
+
 def _initial(model: LinearModel, times: float) -> Floats:
     """Return the initial covariance: a multiple of that of the steady filter's predictions.
 
@@ -478,12 +487,13 @@ def _initial(model: LinearModel, times: float) -> Floats:
 
     moving = model.moving
     A, C, Q, R = (moving.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
-    # A mode without noise has no steady covariance; a little noise on all states gives it one.
-    spread = 1e-9 * max(float(np.trace(Q)), 1e-12)
+    # A mode without noise has no steady covariance; a little noise on all states gives it one, relative to what moves them.
+    moved = _accumulated(A, Q)
+    spread = 1e-9 * np.where(moved > 0.0, moved, max(float(np.trace(Q)), 1e-12))
     start = np.zeros((model.states, model.states))
     n = moving.states
     try:
-        start[:n, :n] = times * predicted_covariance(A, C, Q + spread * np.eye(n), R)
+        start[:n, :n] = times * predicted_covariance(A, C, Q + np.diag(spread), R)
         own = error_variances(model)
         errors = np.flatnonzero(own)
         start[errors], start[:, errors] = 0.0, 0.0

@@ -53,7 +53,7 @@ FILTER_BANK = named_alike(FilterBank, "seer_", suspect="model_suspect")
 
 def extended_consistency(start: LinearModel, mean: Floats, covariance: Floats) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the check's state and parameters for the model linearised at the initial mean, and for the initial belief."""
-    bank, m = observers(start), start.sensors
+    bank, m = observers(start, groups=start.alike), start.sensors  # what is proportional here is not elsewhere
     chosen = ((),) if bank is None else bank.sensors
     state, settings = moments_of(bank, m)
     state |= {

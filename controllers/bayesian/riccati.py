@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesftc.controllers.bayesian.stabilisability import refuse_unseen_by_goal
+from bayesftc.controllers.linalg.lyapunov import stationary_covariance
+from bayesftc.controllers.linalg.riccati import is_covariance
 from bayesftc.controllers.models.integrators import Quotient, without_integrators
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.base.numbers import counted
@@ -85,15 +87,18 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
         raise ModelError("The goals see no state of the plant, so no control moves them. Set goals for other outputs.")
     refuse_unseen_by_goal(A, H)
     try:
-        P = np.asarray(solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost))
-        P = (P + P.T) / 2
-        gain = np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A)
+        cost = H.T @ output_cost @ H
+        solution = np.asarray(solve_discrete_are(A, B, cost, input_cost))
+        solution = (solution + solution.T) / 2
+        gain = np.linalg.solve(input_cost + B.T @ solution @ B, B.T @ solution @ A)
+        P = np.asarray(_of_law(A, B, gain, cost, input_cost, solution), dtype=np.float64)
+        gain = np.asarray(np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A), dtype=np.float64)
     except (LinAlgError, ValueError) as error:
         raise ModelError(
             f"No feedback law could be computed for these weights ({str(error).rstrip('.')}). Bring the sizes of the states and "
             "of the weights of goals and controls nearer to each other."
         ) from None
-    to_goal, to_others = _steady(A, B, H, input_cost, others, _units(P))
+    to_goal, to_others = _steady(A, B, H, input_cost, others, _units(solution))
     n = len(A)
     if reduced is None:
         return Regulator(P, gain, to_goal[:n], to_others[:n], to_goal[n:], to_others[n:])
@@ -106,6 +111,18 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
         to_others[n:],
         reduced,
     )
+
+
+def _of_law(A: Floats, B: Floats, gain: Floats, state_cost: Floats, input_cost: Floats, P: Floats) -> Floats:
+    """Return the cost-to-go of a law by Lyapunov's equation; the given one if the law has none.
+
+    The costs of a state that no control moves, such as a gust, hardly count in the Riccati equation, and may be wrong in its
+    solution, even negative.
+    """
+    with np.errstate(all="ignore"):  # of a law that is not stable
+        cost = stationary_covariance((A - B @ gain).T, state_cost + gain.T @ input_cost @ gain)
+    cost = (cost + cost.T) / 2
+    return cost if np.isfinite(cost).all() and is_covariance(cost) else P
 
 
 def _units(P: Floats) -> Floats:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from bayesftc.controllers.linalg.riccati import error_transition, predicted_covariance
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -18,15 +17,6 @@ SETTLED = 1e-9
 """A response has settled if it changes by at most this in a step."""
 
 MOST_STEPS = 50_000
-
-ROUNDING = 1e-9
-"""Size of a negative eigenvalue up to which a covariance counts as rounded."""
-
-SMALL = 1e-6
-"""Mean variance of sensors below which the equation is solved in units of it."""
-
-NEWTON_STEPS = 5
-"""Most steps of Newton's method; it doubles the digits at each, and one makes the covariance positive."""
 
 SLOWEST = 1.0 - 1e-6
 """A filter with a slower pole counts as one without a steady state."""
@@ -78,7 +68,7 @@ def steady_prediction(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
     """Return the result of `steady_covariance`, given the matrices of a model."""
     try:
         P = predicted_covariance(A, C, Q, R)
-        size = float(np.abs(np.linalg.eigvals(_error_transition(A, C, P, R)[0])).max())
+        size = float(np.abs(np.linalg.eigvals(error_transition(A, C, P, R)[0])).max())
     except (np.linalg.LinAlgError, ValueError):  # also if P is not finite
         size = np.inf
     if not size < SLOWEST:
@@ -90,68 +80,13 @@ def steady_prediction(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
     return np.asarray((P + P.T) / 2, dtype=np.float64)
 
 
-class _ByValue:
-    """A matrix that equals another of the same elements in the same order in memory, in which sums have the same bits."""
-
-    def __init__(self, matrix: Floats) -> None:
-        self.matrix = matrix.copy(order="K")
-        self._key = matrix.shape, matrix.strides, matrix.tobytes()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _ByValue) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-
-def predicted_covariance(A: Floats, C: Floats, Q: Floats, R: Floats) -> Floats:
-    """Return the solution of the filter's Riccati equation.
-
-    Elements of A that are no more than rounding can mislead scipy's balancing: its solution then has a negative variance.
-    Newton's method, of which each step is a Lyapunov equation, gives a covariance from there (Hewer 1971). Small variances, as of
-    nanometres in SI units, would be lost beside elements of A near 1. So they are solved for in units of the sensors' variance.
-
-    Raises
-    ------
-    LinAlgError, ValueError
-        If there is none.
-    """
-    size = float(np.trace(R)) / len(R)
-    unit = size if 0.0 < size < SMALL else 1.0
-    return _solved(*map(_ByValue, (A, C, Q / unit, R / unit))) * unit
-
-
-@lru_cache(maxsize=512)  # a design, its learner, and each diagnosis ask for the same filters
-def _solved(*given: _ByValue) -> Floats:
-    from scipy.linalg import LinAlgWarning, solve_discrete_are, solve_discrete_lyapunov
-
-    A, C, Q, R = (each.matrix for each in given)
-    P = np.asarray(solve_discrete_are(A.T, C.T, Q, R))
-    for _ in range(NEWTON_STEPS):
-        if _is_covariance(P):
-            break
-        F, K = _error_transition(A, C, P, R)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LinAlgWarning)  # whoever uses the result judges it
-            P = np.asarray(solve_discrete_lyapunov(F, Q + A @ K @ R @ K.T @ A.T))
-    return P
-
-
-def _is_covariance(P: Floats) -> bool:
-    """Return whether a matrix has no negative eigenvalue, but for rounding, in units in which its variances are 1."""
-    variances = np.diag(P)
-    units = np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    correlation = (P + P.T) / 2 / np.outer(units, units)
-    return bool((variances >= 0.0).all()) and float(np.linalg.eigvalsh(correlation)[0]) >= -ROUNDING
-
-
 def response(model: LinearModel, sensor: int) -> Response:
     """Return the response of the Kalman filter in steady state to a fault of one sensor.
 
     The prediction error d = x_t|t-1 - x obeys d <- A (I - K C) d + A K (eta + f) - q, and the innovation is C (-d) + eta + f.
     """
     A, C, R = (model.matrix(name) for name in ("A", "C", "sensor_covariance"))
-    F, K = _error_transition(A, C, steady_covariance(model), R)
+    F, K = error_transition(A, C, steady_covariance(model), R)
     column, row = A @ K[:, sensor], C[sensor]
     d, D = np.zeros(len(A)), np.zeros_like(A)
     means, variances = [], []
@@ -169,13 +104,7 @@ def response(model: LinearModel, sensor: int) -> Response:
 def slowest(model: LinearModel) -> float:
     """Return the magnitude of the slowest pole of the filter in steady state."""
     A, C, R = (model.matrix(name) for name in ("A", "C", "sensor_covariance"))
-    return float(np.abs(np.linalg.eigvals(_error_transition(A, C, steady_covariance(model), R)[0])).max())
-
-
-def _error_transition(A: Floats, C: Floats, P: Floats, R: Floats) -> tuple[Floats, Floats]:
-    """Return the transition matrix of the prediction error, A (I - K C), and the gain K."""
-    K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
-    return np.asarray(A @ (np.eye(len(A)) - K @ C)), np.asarray(K, dtype=np.float64)
+    return float(np.abs(np.linalg.eigvals(error_transition(A, C, steady_covariance(model), R)[0])).max())
 
 
 def _prolonged(values: Floats, steps: int) -> Floats:

@@ -69,7 +69,11 @@ class Observers:
         return len(self.sensors)
 
 
-def observers(model: LinearModel, sets: tuple[tuple[int, ...], ...] | None = None) -> Observers | None:
+def observers(
+    model: LinearModel,
+    sets: tuple[tuple[int, ...], ...] | None = None,
+    groups: tuple[tuple[int, ...], ...] | None = None,
+) -> Observers | None:
     """Return observers of as many sets as can each see all undamped modes; None if all sensors together cannot.
 
     Sensors of the same quantity go to different sets, so that each set sees as much of the plant as possible. Where a quantity
@@ -81,10 +85,12 @@ def observers(model: LinearModel, sets: tuple[tuple[int, ...], ...] | None = Non
         The model.
     sets : tuple of tuple of int, optional
         The sets; by default chosen here.
+    groups : tuple of tuple of int, optional
+        The sensors of each quantity; by default those that read a multiple of the same.
     """
     if sets is not None:
         return _of_sets(model, sets)
-    groups = model.proportional
+    groups = model.proportional if groups is None else groups
     most = min(MOST_SETS, max(map(len, groups)))
     for shared, counts in ((False, range(most, 1, -1)), (True, range(most, 0, -1))):
         for count in counts:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_discrete_are
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import LinearModel, PoorFitWarning, SignalNames, design
@@ -724,3 +724,22 @@ def test_a_sensor_whose_error_hardly_changes_has_an_observer_of_its_own(time_con
     model = LinearModel([[0.99]], [[0.1]], [[1.0]] * 3, 1e-3, 0.01, dt=0.5)
     bank = observers(model.with_sensor_errors(2.0, time_constant=time_constant, sensors=[1]))
     assert bank.sensors == ((0,), (1,), (2,))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1.0 / 206265.0, 1e6])
+def test_the_initial_covariance_does_not_depend_on_units(unit):
+    """The gusts of a telescope are in N m; noise in the same number for all states was 13 arcsec of an angle in rad."""
+    arcsec, inertia = 206265.0 * unit, 400.0
+    A = np.array([[0, 1, 0], [0, -20 / inertia, arcsec / inertia], [0, 0, -0.2]])
+    plant = control.ss(
+        A, [[0, 0], [arcsec / inertia, 0], [0, 0.2]], [[1.0, 0, 0]], 0, inputs=["torque", "gust"], outputs=["angle"]
+    )
+    controller = design(
+        plant, measured="angle", actuated="torque", dt=0.02, sensors=2, sensor_std=unit, noise={"gust": 110.0, "torque": 0.5},
+        acceptable_error=unit, acceptable_control=10.0,
+    )  # fmt: skip
+    model, states = controller.model, np.array([unit, unit, 1.0])
+    A, Q = model.A / states[:, None] * states, model.process_covariance / np.outer(states, states)
+    P = solve_discrete_are(A.T, (model.C * states / unit).T, Q, np.eye(2))
+    start = controller.initial_covariance / np.outer(states, states)
+    np.testing.assert_allclose(np.sqrt(np.diag(start)), np.sqrt(10.0 * np.diag(P)), rtol=1e-3)

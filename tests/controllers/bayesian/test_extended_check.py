@@ -99,8 +99,9 @@ def run(plant, faults=(), precision=FIXED, seed=3, **options):
 def by_numpy(y, u):
     """Return `model_suspect` by extended Kalman filters in plain NumPy."""
     start = MODEL.linearised([0.0, 0.0])
-    R, Q, rest, disagreements = np.diag(np.square(STD)), np.diag(NOISE), observers(start).settling, []
-    for chosen in map(list, observers(start).sensors):
+    bank = observers(start, groups=start.alike)
+    R, Q, rest, disagreements = np.diag(np.square(STD)), np.diag(NOISE), bank.settling, []
+    for chosen in map(list, bank.sensors):
         x, P, last = np.zeros(2), 0.01 * np.eye(2), np.zeros(len(chosen))
         average, square, product, over = np.zeros(len(chosen)), 1.0, 0.0, []
         for k in range(len(y)):

@@ -6,7 +6,7 @@ import warnings
 import control
 import numpy as np
 import pytest
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from bayesftc import controllers, cosim
 from bayesftc.controllers import BayesianController, FixedPrecision, LinearModel, LQGController
@@ -389,3 +389,39 @@ def test_the_unit_of_a_state_that_the_goal_does_not_need_has_no_effect(unit):
         np.testing.assert_allclose(regulator.x_of_goal[:, 0], [1.0, 0.5 * scale], rtol=1e-5)
         found.append((regulator.u_of_goal, regulator.gain[:, :1]))
     np.testing.assert_allclose(*found, rtol=1e-7)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1.0 / 206265.0, 1e3])
+@pytest.mark.parametrize("acceptable", [0.3, 3.0, 5.0, 30.0])
+def test_the_law_that_runs_is_that_of_the_riccati_equation_in_any_unit(unit, acceptable):
+    """A telescope in arcseconds with gusts: scipy's cost-to-go has wrong variances, and its root another law."""
+    arcsec, inertia, gust = 206265.0 * unit, 400.0, 5.0
+    A = np.array([[0, 1, 0], [0, -20 / inertia, arcsec / inertia], [0, 0, -1 / gust]])
+    plant = control.ss(
+        A,
+        [[0, 0], [arcsec / inertia, 0], [0, 1 / gust]],
+        [[1.0, 0, 0]],
+        0,
+        inputs=["torque", "gust"],
+        outputs=["angle"],
+    )
+    controller = controllers.design(
+        plant, measured="angle", actuated="torque", dt=0.02, sensors=2, sensor_std=unit, noise={"gust": 110.0, "torque": 0.5},
+        acceptable_error=acceptable * unit, acceptable_control=10.0, precision=controllers.FixedPrecision(),
+    )  # fmt: skip
+    model, states = controller.model, np.array([unit, unit, 1.0])
+    A, B = model.A / states[:, None] * states, model.B / states[:, None]
+    cost = np.diag([1.0 / acceptable**2, 0.0, 0.0])
+    P = solve_discrete_lyapunov(
+        (A - B @ (controller.regulator.gain * states)).T,
+        cost + (controller.regulator.gain * states).T @ (controller.regulator.gain * states) / 100.0,
+    )
+    np.testing.assert_allclose(controller.regulator.cost_to_go * np.outer(states, states), P, rtol=1e-6)
+    K = np.linalg.solve(0.01 + B.T @ P @ B, B.T @ P @ A) / states
+    loop = cosim.closed_loop(
+        plant, controller, control="torque", measured="angle", sensors=cosim.Sensors(2, unit), reference=0.0,
+        noise={"gust": cosim.Gaussian(std=110.0)},
+    )  # fmt: skip
+    run = loop.simulate(2.0, seed=1, engine="interpreted")
+    law = -run["controller.x_hat"] @ K.T
+    np.testing.assert_allclose(run["controller.u"], law, rtol=1e-6, atol=1e-6 * np.abs(law).max())

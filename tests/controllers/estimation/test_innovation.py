@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers.estimation.innovation import predicted_covariance
+from bayesftc.controllers.linalg.riccati import predicted_covariance
 
 TANK = (  # a heated tank every 2 s: level and temperature; the tiny elements, which are rounding, mislead scipy's balancing
     np.array([[0.999000500, -8.18417476e-22], [2.35463589e-17, 0.998001999]]),
